@@ -29,6 +29,7 @@ from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.channels.waiting_gets import PolledThen, WaitingGets
+from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Coming, Position, Query, WakeAt
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 
@@ -50,7 +51,7 @@ class Host:
 
     def open(self, **policy: int | None) -> HostedChannel:
         record = channel_pb2.ChannelRecord(name="a", epoch=1, incarnation=5, spec=policy_to_spec(Policy(**policy)))
-        return HostedChannel(record, self.memory, lambda: self.now, self.sweep.touch)
+        return HostedChannel(recorded_channel(record), self.memory, lambda: self.now, self.sweep.touch)
 
     def put(self, channel: HostedChannel, at: int) -> None:
         encoded = encode_run([b"x" * 64], times=[at], durations=[S])

@@ -177,6 +177,30 @@ async def test_configuring_a_channel_changes_it_here_and_in_the_directory(rig: R
     assert (await refusal(rig.gate.ConfigureChannel(request))).reason == "WRONG_EPOCH"
 
 
+async def test_a_host_passes_on_the_fields_of_a_record_that_it_does_not_know(rig: Rig) -> None:
+    newer_field = b"\xfa\xff\x03\x03new"
+    channel = await rig.open()
+    record = rig.directory.channels[channel.channel_id]
+    record.MergeFromString(newer_field)
+    record.spec_version += 1
+    request = gate_pb.BindChannelRequest(
+        channel_id=channel.channel_id, epoch=channel.epoch, spec_version=record.spec_version
+    )
+    bound = await rig.gate.BindChannel(request)
+    assert bound.channel.SerializeToString() == record.SerializeToString()
+    assert newer_field in bound.channel.SerializeToString()
+
+
+async def test_the_directory_hears_of_a_value_that_the_host_does_not_know(rig: Rig) -> None:
+    channel = await rig.open()
+    request = gate_pb.ConfigureChannelRequest(
+        request_id=REQUEST_ID, channel_id=channel.channel_id, epoch=channel.epoch,
+        spec=channel_pb2.ChannelSpec(on_full=77),
+    )  # fmt: skip
+    await rig.gate.ConfigureChannel(request)
+    assert rig.directory.channels[channel.channel_id].spec.on_full == 77
+
+
 async def test_a_newer_spec_is_learned_at_the_bind_that_names_it(rig: Rig) -> None:
     channel = await rig.open()
     record = rig.directory.channels[channel.channel_id]

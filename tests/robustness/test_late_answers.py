@@ -15,30 +15,33 @@ from stampede_rt.v1 import channel_pb2
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.records import policy_change, recorded_channel
 from stampede_rt_channel_host.core.channel import at_once
+from stampede_rt_channel_host.core.records import RecordedChannel
 from stampede_rt_runtime.clock import SystemClock
 
 ME, OTHER, CHANNEL = b"m" * 16, b"o" * 16, b"c" * 16
 
 
-def record(host_id: bytes, epoch: int, *, incarnation: int = 7) -> channel_pb2.ChannelRecord:
-    return channel_pb2.ChannelRecord(
+def record(host_id: bytes, epoch: int, *, incarnation: int = 7) -> RecordedChannel:
+    message = channel_pb2.ChannelRecord(
         channel_id=CHANNEL, name="cam", host_id=host_id, epoch=epoch, incarnation=incarnation, spec_version=1
     )
+    return recorded_channel(message)
 
 
 class SlowDirectory:
     """Each question waits for its answer to be given; `asked` is signalled for each."""
 
     def __init__(self) -> None:
-        self.questions: asyncio.Queue[asyncio.Future[channel_pb2.ChannelRecord]] = asyncio.Queue()
+        self.questions: asyncio.Queue[asyncio.Future[RecordedChannel]] = asyncio.Queue()
 
-    async def resolve(self, channel_id: bytes) -> channel_pb2.ChannelRecord:
-        answer: asyncio.Future[channel_pb2.ChannelRecord] = asyncio.get_running_loop().create_future()
+    async def resolve(self, channel_id: bytes) -> RecordedChannel:
+        answer: asyncio.Future[RecordedChannel] = asyncio.get_running_loop().create_future()
         self.questions.put_nowait(answer)
         return await answer
 
-    async def update(self, channel_id: bytes, *_: Any, **__: Any) -> channel_pb2.ChannelRecord:
+    async def update(self, channel_id: bytes, *_: Any, **__: Any) -> RecordedChannel:
         return await self.resolve(channel_id)
 
 
@@ -72,7 +75,9 @@ async def test_a_change_whose_answer_is_older_than_a_registration_does_not_bring
     directory = SlowDirectory()
     store = store_over(directory)
     await answered(directory, lambda: store.bind(CHANNEL, 1), record(ME, 1))
-    change = asyncio.create_task(store.configure(CHANNEL, 1, channel_pb2.ChannelSpec(), b"r" * 16, time.monotonic()))
+    change = asyncio.create_task(
+        store.configure(CHANNEL, 1, policy_change(channel_pb2.ChannelSpec()), b"r" * 16, time.monotonic())
+    )
     late = await directory.questions.get()
     at_once(store.registering([], all_told=True))
     late.set_result(record(ME, 1))
@@ -85,7 +90,7 @@ async def test_a_change_whose_answer_is_older_than_a_registration_does_not_bring
 
 
 async def answered(
-    directory: SlowDirectory, ask: Callable[[], Coroutine[Any, Any, Any]], answer: channel_pb2.ChannelRecord
+    directory: SlowDirectory, ask: Callable[[], Coroutine[Any, Any, Any]], answer: RecordedChannel
 ) -> None:
     asking = asyncio.create_task(ask())
     (await directory.questions.get()).set_result(answer)

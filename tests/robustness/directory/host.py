@@ -13,6 +13,7 @@ from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.host_lease import HostLease
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Pieces, at_once
 from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
@@ -124,7 +125,7 @@ class SimHost:
         response = await ask(
             self.world, "ResolveChannel", pb.ResolveChannelRequest(channel_id=channel_id), 4.0, caller=self
         )
-        return response.channel
+        return recorded_channel(response.channel)
 
     async def _keep(self) -> None:
         while True:
@@ -146,7 +147,8 @@ class SimHost:
         )
         sent = self.clock.boottime_nanos()
         entered = await ask(self.world, "RegisterHost", request, 4.0, caller=self)
-        at_once(self.store.registering(entered.channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX))
+        channels = map(recorded_channel, entered.channels)
+        at_once(self.store.registering(channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX))
         self._granted(sent, entered.lease_ttl_nanos)
 
     async def _renew(self) -> None:

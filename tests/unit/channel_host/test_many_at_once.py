@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE, IncomingRun
 from stampede_rt_channel_host.channels.store import CHANNELS_PER_PIECE
 from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE
+from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Pieces
 from tests.unit.channel_host.rig import HOST_ID, Opened, Rig, run_of, running_host
 
@@ -76,7 +77,7 @@ async def test_a_listing_looks_at_a_bounded_number_of_channels_in_one_piece(rig:
         record = channel_pb2.ChannelRecord(
             channel_id=number.to_bytes(16, "big"), name=name, incarnation=1, epoch=1, host_id=HOST_ID, spec=spec
         )
-        store._adopt(record)
+        store._adopt(recorded_channel(record))
     every = page_of(store, lambda name: True, "", 10 * STATUSES_PER_PIECE)
     assert sum(1 for _ in every) == 11  # one for each 32 of 320, and one for the names of the first 256
     none = page_of(store, lambda name: False, "", 10)
@@ -176,8 +177,10 @@ async def test_subscriptions_are_ended_in_pieces(rig: Rig) -> None:
 async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece(rig: Rig) -> None:
     store = rig.host.store
     records = [
-        channel_pb2.ChannelRecord(
-            channel_id=number.to_bytes(16, "big"), name=f"c/{number}", incarnation=1, epoch=1, host_id=HOST_ID
+        recorded_channel(
+            channel_pb2.ChannelRecord(
+                channel_id=number.to_bytes(16, "big"), name=f"c/{number}", incarnation=1, epoch=1, host_id=HOST_ID
+            )
         )
         for number in range(4 * CHANNELS_PER_PIECE)
     ]
@@ -188,6 +191,6 @@ async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece
     for at, _ in enumerate(store.registering(records[:10], all_told=True)):
         left.append(len(store.all()))
         if at == 0:
-            store._adopt(late)  # which the directory told of since
+            store._adopt(recorded_channel(late))  # which the directory told of since
     assert max(before - after for before, after in pairwise(left)) <= CHANNELS_PER_PIECE
     assert {hosted.record.name for hosted in store.all()} == {"late", *(f"c/{number}" for number in range(10))}

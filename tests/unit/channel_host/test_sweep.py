@@ -17,6 +17,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
+from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel.pieces import at_once
 from stampede_rt_channel_host.core.dedup import KEPT_NANOS
 from tests.unit.channel_host.manual_clock import ManualClock
@@ -34,7 +35,7 @@ class Host:
 
     def open(self, policy: Policy) -> HostedChannel:
         record = channel_pb2.ChannelRecord(name="a", epoch=1, incarnation=5, spec=policy_to_spec(policy))
-        return HostedChannel(record, self.memory, self.clock.time_unix_nano, self.sweep.touch)
+        return HostedChannel(recorded_channel(record), self.memory, self.clock.time_unix_nano, self.sweep.touch)
 
     def put(
         self, channel: HostedChannel, *payloads: bytes, times: Sequence[int] | None = None, producer: int = 0

@@ -18,6 +18,7 @@ from stampede_rt.errors import (
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.groups import link as link_module
 from stampede_rt_channel_host.groups.link import ENTRIES_MAX, HostLink
 from stampede_rt_channel_host.groups.peers import _unwrapped
@@ -39,8 +40,8 @@ class Notebook:
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
         return group_pb2.ChannelTimes(channel_id=channel_id, newest_unix_nano=self.newest)
 
-    def floor_of(self, group_id: bytes) -> group_pb2.CutFloor | None:
-        return group_pb2.CutFloor(group_id=group_id, cut_unix_nano=self.newest)
+    def floor_of(self, group_id: bytes) -> CutFloor | None:
+        return CutFloor(group_id, 0, self.newest, 0)
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
         self.heard.append((update, is_first))

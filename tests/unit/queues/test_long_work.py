@@ -5,6 +5,7 @@ from __future__ import annotations
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import queue_pb2
 from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.cluster.records import recorded_queue
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, QueueLimits, TakerState
 from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DEALT_MAX
@@ -137,7 +138,7 @@ def test_while_a_queue_is_paused_or_may_not_serve_nobody_is_dealt_anything() -> 
 
 async def test_the_streams_of_takers_are_ended_in_pieces() -> None:
     record = queue_pb2.QueueRecord(queue_id=b"q" * 16, name="q", epoch=1, incarnation=1)
-    hosted = HostedQueue(record, MemoryBudget(2**30), lambda: 1000, lambda hosted: None, Deadlines())
+    hosted = HostedQueue(recorded_queue(record), MemoryBudget(2**30), lambda: 1000, lambda hosted: None, Deadlines())
     ended: list[StampedeError] = []
 
     class Stream:

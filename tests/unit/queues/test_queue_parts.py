@@ -10,13 +10,13 @@ import pytest
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import item_pb2, queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt.wire.queues import queue_policy_from_spec
 from stampede_rt_channel_host.core.deadlines import Deadlines
-from stampede_rt_channel_host.core.queue import Batch, LeasedSlice, QueuedRun
+from stampede_rt_channel_host.core.queue import Batch, LeasedSlice, QueuedRun, QueueLimits
 from stampede_rt_channel_host.core.queue.acknowledged import KEPT_NANOS, AcknowledgedDeliveries
 from stampede_rt_channel_host.queues.dead_letters import producer_id_of
 from stampede_rt_channel_host.queues.frames import take_response
 from stampede_rt_channel_host.queues.requests import settlements_of, taker_of
-from stampede_rt_channel_host.queues.specs import limits_of
 
 
 @dataclass(eq=False)
@@ -74,11 +74,11 @@ def test_acknowledged_deliveries_are_bounded_and_forgotten() -> None:
 
 
 def test_what_was_never_stated_of_a_queue_has_its_default() -> None:
-    limits = limits_of(queue_pb2.QueueRecord())
+    limits = QueueLimits.of(queue_policy_from_spec(queue_pb2.QueueSpec()))
     assert (limits.max_items, limits.max_bytes, limits.copies) == (None, 256 * 2**20, 1)
     assert (limits.lease_nanos, limits.on_full, limits.max_deliveries) == (30 * 10**9, "block", None)
     spec = queue_pb2.QueueSpec(max_items=5, on_full=queue_pb2.QUEUE_ON_FULL_REJECT, dead_letter_queue_id=b"x" * 16)
-    stated = limits_of(queue_pb2.QueueRecord(spec=spec))
+    stated = QueueLimits.of(queue_policy_from_spec(spec))
     assert (stated.max_items, stated.on_full, stated.dead_letters) == (5, "reject", True)
 
 

@@ -1,5 +1,7 @@
-"""A channel host as a whole: its server, its channels, its place in the directory. Runs as a service of its own, or
-inside another process on that one's event loop."""
+"""A channel host as a whole: its server, its channels, its registration at the directory.
+
+It runs as a service of its own, or inside another process on the event loop of that process.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +24,7 @@ from stampede_rt_channel_host.cluster.directory_watch import watch_forever
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.lease_thread import LeaseThread, ServingLoop
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
+from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
 from stampede_rt_channel_host.cluster.supernodes import Explain, Supernodes
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
@@ -172,8 +175,10 @@ class ChannelHost:
 
     async def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
         channels, queues, scheduler = response.channels, response.queues, self.store.scheduler
-        await scheduler.do(self.store.registering(channels, all_told=len(channels) < CHANNELS_TOLD_MAX))
-        await scheduler.do(self.queues.registering(queues, all_told=len(queues) < QUEUES_TOLD_MAX))
+        await scheduler.do(
+            self.store.registering(map(recorded_channel, channels), all_told=len(channels) < CHANNELS_TOLD_MAX)
+        )
+        await scheduler.do(self.queues.registering(map(recorded_queue, queues), all_told=len(queues) < QUEUES_TOLD_MAX))
 
     def _lease_changed(self, held: bool) -> None:
         if not held:

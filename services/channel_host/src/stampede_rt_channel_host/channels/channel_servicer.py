@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 import grpc
 
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.consuming import consuming
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
@@ -79,5 +80,5 @@ class ChannelServicer:
             hosted = self._store.find(request.channel_id, request.epoch)
         else:
             hosted = self._store.find_any_epoch(request.channel_id)
-        status = await self._store.scheduler.do(self._store.status(hosted))
+        status = await self._store.scheduler.do(channel_status(hosted, self._store.now))
         return pb.GetChannelStatusResponse(status=status)

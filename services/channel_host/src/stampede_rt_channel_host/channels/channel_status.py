@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.cluster.records import channel_message
 from stampede_rt_channel_host.core.channel import ConsumerStanding, Pieces
 
 
@@ -20,7 +21,7 @@ def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: i
     counters = _counters(hosted, now)  # first: it brings the bounds up to `now`
     channel = hosted.channel
     return channel_pb2.ChannelStatus(
-        record=hosted.record,
+        record=channel_message(hosted.record),
         counters=counters,
         newest_unix_nano=channel.newest,
         oldest_unix_nano=channel.oldest,

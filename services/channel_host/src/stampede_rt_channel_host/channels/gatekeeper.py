@@ -12,6 +12,7 @@ from stampede_rt.v1 import gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels.listing import page_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
+from stampede_rt_channel_host.cluster.records import channel_message, policy_change
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import software_version
 
@@ -50,7 +51,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         _check_id(request.channel_id)
         hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
         endpoint = pb.DataEndpoint(transport=pb.TRANSPORT_GRPC, target=self.target)
-        return pb.BindChannelResponse(endpoints=[endpoint], channel=hosted.record)
+        return pb.BindChannelResponse(endpoints=[endpoint], channel=channel_message(hosted.record))
 
     @errors_as_status
     async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802
@@ -69,9 +70,9 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
         hosted = await self._store.configure(
-            request.channel_id, request.epoch, request.spec, request.request_id, _first_sent_s(context)
+            request.channel_id, request.epoch, policy_change(request.spec), request.request_id, _first_sent_s(context)
         )
-        return pb.ConfigureChannelResponse(channel=hosted.record)
+        return pb.ConfigureChannelResponse(channel=channel_message(hosted.record))
 
     @errors_as_status
     async def ListHostedChannels(  # noqa: N802

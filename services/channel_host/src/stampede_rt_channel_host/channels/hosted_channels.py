@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.v1 import channel_pb2
-from stampede_rt.wire.records import policy_from_spec
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces, at_once
+from stampede_rt_channel_host.core.records import RecordedChannel
 
 SUBSCRIPTIONS_MAX = 4096
 LISTENERS_PER_PIECE = 256
@@ -36,7 +35,7 @@ class HostedChannel:
 
     def __init__(
         self,
-        record: channel_pb2.ChannelRecord,
+        record: RecordedChannel,
         memory: MemoryBudget,
         now: Callable[[], int],
         on_touched: Callable[[HostedChannel], None] = lambda hosted: None,
@@ -51,7 +50,7 @@ class HostedChannel:
         self.record = record
         self.epoch: int = record.epoch
         self.channel = ChannelCore(
-            policy_from_spec(record.spec),
+            record.policy,
             incarnation=record.incarnation,
             name=record.name,
             lost_before=now() if record.epoch > 1 else None,  # it had an owner before, which took nothing along
@@ -71,11 +70,11 @@ class HostedChannel:
         self._on_touched = on_touched
         self._now = now
 
-    def update(self, record: channel_pb2.ChannelRecord) -> None:
+    def update(self, record: RecordedChannel) -> None:
         """The directory has a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
         if record.spec_version != self.record.spec_version:
             now = self._now()
-            self.channel.configure(policy_from_spec(record.spec), now)
+            self.channel.configure(record.policy, now)
             self.record, self.epoch = record, record.epoch
             self.changed(now)
         self.record, self.epoch = record, record.epoch

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from stampede_rt.v1 import channel_pb2
+from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.core.channel import Pieces
 
@@ -31,7 +32,7 @@ def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, s
                 continue
             if len(shown) == size:
                 return Page(shown, has_more=True)
-            shown.append((yield from store.status(hosted)))
+            shown.append((yield from channel_status(hosted, store.now)))
             if len(shown) % STATUSES_PER_PIECE == 0:
                 yield
         yield

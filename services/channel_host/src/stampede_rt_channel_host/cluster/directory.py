@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import secrets
 
-from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_channel_host.cluster.records import policy_change_message, recorded_channel
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
 
 CALL_SECONDS_MAX = 4.0
 
@@ -17,32 +18,35 @@ class DirectoryQueries:
     def __init__(self, supernodes: Supernodes) -> None:
         self._supernodes = supernodes
 
-    async def resolve(self, channel_id: bytes) -> channel_pb2.ChannelRecord:
+    async def resolve(self, channel_id: bytes) -> RecordedChannel:
         """The channel as of now, its owner included. Raises ChannelNotFound."""
         request = pb.ResolveChannelRequest(channel_id=channel_id)
         response: pb.ResolveChannelResponse = await self._supernodes.call("ResolveChannel", request, CALL_SECONDS_MAX)
-        return response.channel
+        return recorded_channel(response.channel)
 
     async def update(
         self,
         channel_id: bytes,
         epoch: int,
-        spec: channel_pb2.ChannelSpec,
+        change: PolicyChange,
         *,
         request_id: bytes,
         since_s: float | None = None,
-    ) -> channel_pb2.ChannelRecord:
-        """The channel after the change; fields that `spec` leaves out stay. Safe to repeat with the same request id.
+    ) -> RecordedChannel:
+        """The channel after the change; what `change` leaves out stays. Safe to repeat with the same request id.
 
         `since_s`: when that was sent first, by `age_clock_s`; None: now.
         """
         request = pb.UpdateChannelRequest(
-            request_id=request_id or secrets.token_bytes(16), channel_id=channel_id, epoch=epoch, spec=spec
+            request_id=request_id or secrets.token_bytes(16),
+            channel_id=channel_id,
+            epoch=epoch,
+            spec=policy_change_message(change),
         )
         response: pb.UpdateChannelResponse = await self._supernodes.call(
             "UpdateChannel", request, CALL_SECONDS_MAX, since_s=since_s
         )
-        return response.channel
+        return recorded_channel(response.channel)
 
     async def delete(self, channel_id: bytes, *, request_id: bytes, since_s: float | None = None) -> None:
         """Forget the channel. Safe to repeat with the same request id, see `update`. Raises ChannelNotFound."""

@@ -10,8 +10,10 @@ from collections.abc import AsyncGenerator
 from typing import NoReturn, Protocol
 
 from stampede_rt.errors import StampedeError, Unavailable
-from stampede_rt.v1 import directory_pb2, directory_service_pb2
+from stampede_rt.v1 import directory_service_pb2
+from stampede_rt_channel_host.cluster.records import recorded_change
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_channel_host.core.records import RecordedChange
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +30,7 @@ class Watched(Protocol):
     async def missed(self) -> None:
         """Changes may have been missed: the directory is to be asked. Raises Unavailable."""
 
-    def changed_in_directory(self, change: directory_pb2.DirectoryChange) -> None:
+    def changed_in_directory(self, change: RecordedChange) -> None:
         """The directory tells of a change, be it of no concern here."""
 
 
@@ -55,7 +57,7 @@ async def _pass_on(responses: AsyncGenerator[directory_service_pb2.WatchResponse
     await watched.missed()
     while True:  # ends with the stream
         for change in (await _next(responses)).changes:
-            watched.changed_in_directory(change)
+            watched.changed_in_directory(recorded_change(change))
 
 
 async def _next(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
 from stampede_rt.v1 import queue_directory_service_pb2_grpc
+from stampede_rt_channel_host.cluster.records import resolved_queue
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_channel_host.core.records import ResolvedQueue
 
 CALL_SECONDS_MAX = 4.0
 
@@ -15,7 +17,7 @@ class QueueDirectory:
     def __init__(self, supernodes: Supernodes) -> None:
         self._supernodes = supernodes
 
-    async def resolve(self, queue_id: bytes) -> pb.ResolveQueueResponse:
+    async def resolve(self, queue_id: bytes) -> ResolvedQueue:
         """The queue as of now and its owner; mailboxes, too. Raises QueueNotFound."""
         request = pb.ResolveQueueRequest(queue_id=queue_id)
         response: pb.ResolveQueueResponse = await self._supernodes.call(
@@ -24,4 +26,4 @@ class QueueDirectory:
             CALL_SECONDS_MAX,
             service=queue_directory_service_pb2_grpc.QueueDirectoryServiceStub,
         )
-        return response
+        return resolved_queue(response)

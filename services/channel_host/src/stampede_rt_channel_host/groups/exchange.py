@@ -10,9 +10,10 @@ from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.core.group import CutFloor
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.link import HostLink
-from stampede_rt_channel_host.groups.messages import times_from_message, times_to_message
+from stampede_rt_channel_host.groups.messages import floor_from_message, times_from_message, times_to_message
 from stampede_rt_channel_host.groups.peers import Dial, PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
@@ -47,7 +48,7 @@ class Exchange:
         self._names: dict[bytes, str] = {}  # of the hosts of groups known here, as the directory has them
         self._told_all: set[bytes] = set()  # hosts that have told all they know on the link that stands
         # Told of groups that are to be learned first: by group, then by the host that told it.
-        self._floors: dict[bytes, dict[bytes, group_pb2.CutFloor]] = {}
+        self._floors: dict[bytes, dict[bytes, CutFloor]] = {}
         self._waiting_floors: Counter[bytes] = Counter()  # how many of them each host has told
 
     def share(self) -> None:
@@ -73,7 +74,7 @@ class Exchange:
             self.peers.tell_floor(group.record.group_id)
         group.changed()
 
-    def take_floors(self, group_id: bytes) -> dict[bytes, group_pb2.CutFloor]:
+    def take_floors(self, group_id: bytes) -> dict[bytes, CutFloor]:
         """What each host has told of a group before it was known here; it is not kept any longer."""
         floors = self._floors.pop(group_id, {})
         self._waiting_floors -= Counter(floors.keys())
@@ -88,7 +89,7 @@ class Exchange:
             return None
         return times_to_message(channel_id, heard.times, heard.silent_nanos(self._channels.now()))
 
-    def floor_of(self, group_id: bytes) -> group_pb2.CutFloor | None:
+    def floor_of(self, group_id: bytes) -> CutFloor | None:
         """See `Knowledge`."""
         group = self._table.groups.get(group_id)
         return None if group is None else group.floor()
@@ -121,7 +122,8 @@ class Exchange:
                 is_news = table.board.hear(told.channel_id, times_from_message(told), told.silent_nanos, now)
                 of_channel = table.ids_of(told.channel_id)
                 news |= of_channel if is_news else of_channel & table.idling
-        news |= {floor.group_id for floor in update.floors if self._merge(host_id, floor)}
+        floors = map(floor_from_message, update.floors)
+        news |= {floor.group_id for floor in floors if self._merge(host_id, floor)}
         if not news:  # a sign of life: whatever else was silent has been so for longer now
             news |= {one for one in table.idling if host_id in table.groups[one].targets}
         if is_first:
@@ -130,7 +132,7 @@ class Exchange:
         for group_id in news:
             self.look(table.groups[group_id])
 
-    def _merge(self, host_id: bytes, floor: group_pb2.CutFloor) -> bool:
+    def _merge(self, host_id: bytes, floor: CutFloor) -> bool:
         """Take in another host's floor; True if it is further. What is new or newer is asked of the directory."""
         group = self._table.groups.get(floor.group_id)
         if group is None or group.record.incarnation != floor.incarnation:
@@ -142,7 +144,7 @@ class Exchange:
                 self._keep_floor(host_id, floor)
         return group.merge_floor(host_id, floor)
 
-    def _keep_floor(self, host_id: bytes, floor: group_pb2.CutFloor) -> None:
+    def _keep_floor(self, host_id: bytes, floor: CutFloor) -> None:
         """Keep the furthest floor that the host has told, until the directory has answered."""
         floors = self._floors.get(floor.group_id, {})
         held = floors.get(host_id)
@@ -150,6 +152,6 @@ class Exchange:
             if self._waiting_floors.total() >= FLOORS_MAX or self._waiting_floors[host_id] >= FLOORS_MAX_PER_HOST:
                 return
             self._waiting_floors[host_id] += 1
-        if held is None or held.incarnation != floor.incarnation or held.cut_unix_nano < floor.cut_unix_nano:
+        if held is None or held.incarnation != floor.incarnation or held.cut < floor.cut:
             self._floors.setdefault(floor.group_id, {})[host_id] = floor
         self._on_stale(floor.group_id)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from stampede_rt.v1 import group_directory_service_pb2 as pb
 from stampede_rt.v1 import group_directory_service_pb2_grpc
+from stampede_rt_channel_host.cluster.records import resolved_group
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_channel_host.core.records import ResolvedGroup
 
 CALL_SECONDS_MAX = 4.0
 
@@ -15,7 +17,7 @@ class GroupDirectory:
     def __init__(self, supernodes: Supernodes) -> None:
         self._supernodes = supernodes
 
-    async def resolve(self, group_id: bytes) -> pb.ResolveGroupResponse:
+    async def resolve(self, group_id: bytes) -> ResolvedGroup:
         """The group as of now, its members and their owners. Raises GROUP_NOT_FOUND."""
         request = pb.ResolveGroupRequest(group_id=group_id)
         response: pb.ResolveGroupResponse = await self._supernodes.call(
@@ -24,7 +26,7 @@ class GroupDirectory:
             CALL_SECONDS_MAX,
             service=group_directory_service_pb2_grpc.GroupDirectoryServiceStub,
         )
-        return response
+        return resolved_group(response)
 
     async def groups_of(self, channel_id: bytes) -> list[bytes]:
         """The ids of the groups that the channel is a member of."""

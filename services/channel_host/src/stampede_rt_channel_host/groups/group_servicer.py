@@ -12,6 +12,7 @@ from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.groups.cut_events import CutEvents
 from stampede_rt_channel_host.groups.group_status import group_status
 from stampede_rt_channel_host.groups.match_stream import MatchStream
+from stampede_rt_channel_host.groups.messages import floor_to_message
 from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
@@ -71,7 +72,9 @@ class GroupServicer:
         floor = request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None
         reached = await group.reach(floor, max(0, request.wait_nanos) / 1e9)
         waiting_on = group.waiting_on()
-        return pb.GetCutResponse(floor=group.floor(), stalled=not reached, waiting_on_channel_ids=waiting_on)
+        reached_floor = group.floor()
+        told = None if reached_floor is None else floor_to_message(reached_floor)
+        return pb.GetCutResponse(floor=told, stalled=not reached, waiting_on_channel_ids=waiting_on)
 
     @errors_as_status
     async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Context) -> pb.GetGroupStatusResponse:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt.v1 import group_pb2
+from stampede_rt_channel_host.cluster.records import group_message
 from stampede_rt_channel_host.core.group import CutMember, VisibleChannel
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.messages import times_to_message
@@ -13,7 +14,7 @@ def group_status(group: HostedGroup, groups: GroupStore) -> group_pb2.GroupStatu
     """The cut, what holds it back, and the times of each member."""
     now = groups.channels.now()
     return group_pb2.GroupStatus(
-        record=group.record,
+        record=group_message(group.record),
         cut_unix_nano=group.cut.cut,
         waiting_on_channel_ids=group.waiting_on(),
         members=[_member(member, group, groups, now) for member in group.cut.members(now)],
@@ -42,6 +43,6 @@ def _member(member: CutMember, group: HostedGroup, groups: GroupStore, now: int)
 def _is_too_short(member: CutMember, group: HostedGroup, lead: int | None) -> bool:
     """Of a channel at another host its stated age is known, and no more."""
     record = group.channels.get(member.channel_id)
-    if record is None or lead is None or not record.spec.retention.HasField("max_age_nanos"):
+    if record is None or lead is None or record.policy.max_age_nanos is None:
         return False
-    return lead > record.spec.retention.max_age_nanos
+    return lead > record.policy.max_age_nanos

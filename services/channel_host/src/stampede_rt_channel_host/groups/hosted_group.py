@@ -11,12 +11,11 @@ from typing import Any
 from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.v1 import channel_pb2, group_directory_service_pb2, group_pb2
 from stampede_rt.values.timeline import MIN_INSTANT
 from stampede_rt_channel_host.channels.hosted_channels import ChannelObserver
 from stampede_rt_channel_host.core.channel.limits import DEFAULT_MAX_FUTURE_NANOS
-from stampede_rt_channel_host.core.group import CutMember, GroupCut, Horizon, TimesBoard
-from stampede_rt_channel_host.groups.messages import definition_of
+from stampede_rt_channel_host.core.group import CutFloor, CutMember, GroupCut, Horizon, TimesBoard
+from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
 
 NOTHING_VISIBLE = MIN_INSTANT  # stands on the wire for the cut of a group that has none yet
 _TIMER_SECONDS_MIN = 0.001
@@ -33,7 +32,7 @@ class HostedGroup:
 
     def __init__(
         self,
-        told: group_directory_service_pb2.ResolveGroupResponse,
+        told: ResolvedGroup,
         board: TimesBoard,
         now: Callable[[], int],
         *,
@@ -41,7 +40,7 @@ class HostedGroup:
         on_idle: Callable[[bytes], None],
     ) -> None:
         """`on_moved` hears whenever the cut has moved, `on_idle` of each member of this host that falls idle."""
-        self.cut = GroupCut(definition_of(told.group), board)
+        self.cut = GroupCut(told.group.definition, board)
         self.listeners: dict[ChannelObserver, None] = {}
         self.watchers: dict[ChannelObserver, None] = {}
         self.gets: dict[object, ChannelObserver] = {}  # by channel, whoever has blocked gets of it
@@ -58,22 +57,22 @@ class HostedGroup:
         self._idle_timer: asyncio.TimerHandle | None = None
         self.adopt(told)
 
-    def adopt(self, told: group_directory_service_pb2.ResolveGroupResponse) -> bool:
+    def adopt(self, told: ResolvedGroup) -> bool:
         """The directory says how the group is now; True if it began anew, so that its readers must, too."""
         anew = told.group.incarnation != self.cut.definition.incarnation
-        self.record: group_pb2.GroupRecord = told.group
-        self.owners: dict[bytes, bytes] = {one.channel_id: one.host_id for one in told.channels}
-        self.channels = {one.channel_id: one for one in told.channels}
-        self.targets = {one.host_id: one.gatekeepers[0].target for one in told.hosts if one.alive and one.gatekeepers}
-        self.host_names = {one.host_id: one.name for one in told.hosts}
+        self.record: RecordedGroup = told.group
+        self.owners: dict[bytes, bytes] = {one: record.host_id for one, record in told.channels.items()}
+        self.channels = told.channels
+        self.targets = told.targets
+        self.host_names = told.host_names
         self._owner_ids = frozenset(self.owners.values())
-        definition = definition_of(told.group)
-        self._lead_nanos = definition.max_lead_nanos + max(map(_future_nanos, told.channels), default=0)
+        definition = told.group.definition
+        self._lead_nanos = definition.max_lead_nanos + max(map(_future_nanos, told.channels.values()), default=0)
         self.cut.define(definition)
         self.arrangement += 1
         return anew
 
-    def merge_floor(self, host_id: bytes, floor: group_pb2.CutFloor) -> bool:
+    def merge_floor(self, host_id: bytes, floor: CutFloor) -> bool:
         """Take in another host's floor, if it can be true; True if it is further.
 
         It can be if the host owns a member, and items can be so far by now: a member takes items and advances up to its
@@ -81,9 +80,9 @@ class HostedGroup:
         """
         if host_id not in self._owner_ids or floor.incarnation != self.record.incarnation:
             return False
-        if floor.cut_unix_nano > self._now() + self._lead_nanos:
+        if floor.cut > self._now() + self._lead_nanos:
             return False
-        return self.cut.merge_floor(floor.cut_unix_nano)
+        return self.cut.merge_floor(floor.cut)
 
     def horizon(self, cut: int | None = None) -> Horizon:
         """Up to where the group can be seen now; or up to an earlier `cut`."""
@@ -168,15 +167,15 @@ class HostedGroup:
         cut = self.cut.cut
         return self.cut.is_confirmed and (floor in (None, NOTHING_VISIBLE) or (cut is not None and cut >= floor))
 
-    def floor(self) -> group_pb2.CutFloor | None:
+    def floor(self) -> CutFloor | None:
         """What this host stands by, as it tells others."""
         cut = self.cut.cut
         if cut is None:
             return None
-        return group_pb2.CutFloor(
+        return CutFloor(
             group_id=self.record.group_id,
             incarnation=self.record.incarnation,
-            cut_unix_nano=cut,
+            cut=cut,
             spec_version=self.record.spec_version,
         )
 
@@ -198,7 +197,7 @@ class HostedGroup:
         self.changed()
 
 
-def _future_nanos(channel: channel_pb2.ChannelRecord) -> int:
+def _future_nanos(channel: RecordedChannel) -> int:
     """How far ahead of its host's clock the channel takes items."""
-    stated = channel.spec.HasField("max_future_nanos")
-    return channel.spec.max_future_nanos if stated else DEFAULT_MAX_FUTURE_NANOS
+    stated = channel.policy.max_future_nanos
+    return DEFAULT_MAX_FUTURE_NANOS if stated is None else stated

@@ -15,6 +15,8 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied, Unavailable, V
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
+from stampede_rt_channel_host.core.group import CutFloor
+from stampede_rt_channel_host.groups.messages import floor_to_message
 from stampede_rt_runtime.version import PROTOCOL_VERSION
 
 PACE_SECONDS = 0.005
@@ -30,7 +32,7 @@ class Knowledge(Protocol):
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
         """How far a channel of this host is; None if it is none of it."""
 
-    def floor_of(self, group_id: bytes) -> group_pb2.CutFloor | None:
+    def floor_of(self, group_id: bytes) -> CutFloor | None:
         """How far the group's cut has come here; None: nothing is visible, or the group is not known."""
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
@@ -181,7 +183,7 @@ class HostLink:
         return pb.TimesUpdate(
             interest=None if interest is None else pb.TimesInterest(channel_ids=interest),
             times=[one for one in times if one is not None],
-            floors=[one for one in floors if one is not None],
+            floors=[floor_to_message(one) for one in floors if one is not None],
         )
 
 

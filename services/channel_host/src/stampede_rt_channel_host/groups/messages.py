@@ -1,24 +1,9 @@
-"""Definitions and times of groups, to and from their protobuf form (`group.proto`)."""
+"""Times of channels and floors of cuts, to and from their protobuf form (`group.proto`)."""
 
 from __future__ import annotations
 
 from stampede_rt.v1 import group_pb2
-from stampede_rt_channel_host.core.group import MAX_LEAD_NANOS_DEFAULT, ChannelTimes, GroupDefinition
-
-
-def definition_of(record: group_pb2.GroupRecord) -> GroupDefinition:
-    """How the directory says the group is set up."""
-    spec = record.spec
-    fixed = spec.reference == group_pb2.GROUP_REFERENCE_CHANNEL
-    return GroupDefinition(
-        members=frozenset(spec.channel_ids),
-        reference=spec.reference_channel_id if fixed else None,
-        by_end=spec.bound == group_pb2.GROUP_BOUND_END,
-        idle_after_nanos=spec.idle_after_nanos if spec.HasField("idle_after_nanos") else None,
-        max_lead_nanos=spec.max_lead_nanos if spec.HasField("max_lead_nanos") else MAX_LEAD_NANOS_DEFAULT,
-        incarnation=record.incarnation,
-        spec_version=record.spec_version,
-    )
+from stampede_rt_channel_host.core.group import ChannelTimes, CutFloor
 
 
 def times_to_message(channel_id: bytes, times: ChannelTimes, silent_nanos: int) -> group_pb2.ChannelTimes:
@@ -43,3 +28,18 @@ def times_from_message(told: group_pb2.ChannelTimes) -> ChannelTimes:
         newest_end=told.newest_end_unix_nano if told.HasField("newest_end_unix_nano") else None,
         advance=told.advance_unix_nano if told.HasField("advance_unix_nano") else None,
     )
+
+
+def floor_to_message(floor: CutFloor) -> group_pb2.CutFloor:
+    """What a host tells of a group."""
+    return group_pb2.CutFloor(
+        group_id=floor.group_id,
+        incarnation=floor.incarnation,
+        cut_unix_nano=floor.cut,
+        spec_version=floor.spec_version,
+    )
+
+
+def floor_from_message(told: group_pb2.CutFloor) -> CutFloor:
+    """What a host has told."""
+    return CutFloor(told.group_id, told.incarnation, told.cut_unix_nano, told.spec_version)

@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from stampede_rt.errors import Overloaded, StampedeError, error_for
-from stampede_rt.v1 import directory_pb2, group_directory_service_pb2, group_pb2
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import Pieces, batched
+from stampede_rt_channel_host.core.records import RecordedChange, RecordedGroup, ResolvedGroup
 from stampede_rt_channel_host.groups.background_lookups import BackgroundLookups
 from stampede_rt_channel_host.groups.exchange import Exchange
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
@@ -122,11 +122,11 @@ class GroupStore:
         for group in self._table.groups.values():
             group.is_stale = True
 
-    def changed_in_directory(self, change: directory_pb2.DirectoryChange) -> None:
+    def changed_in_directory(self, change: RecordedChange) -> None:
         """See `Watched`."""
-        if change.HasField("group") and change.group.group_id in self._table.groups:
-            self._stale(change.group.group_id)
-        elif change.HasField("channel"):
+        if change.group_id in self._table.groups:
+            self._stale(change.group_id)
+        elif change.channel is not None:
             for group in self._table.groups_of(change.channel.channel_id):
                 if change.channel.host_id != group.owners.get(change.channel.channel_id):
                     self._stale(group.record.group_id)
@@ -210,7 +210,7 @@ class GroupStore:
             self.exchange.share()
             known.end(error)
 
-    def _adopt(self, group_id: bytes, told: group_directory_service_pb2.ResolveGroupResponse) -> HostedGroup:
+    def _adopt(self, group_id: bytes, told: ResolvedGroup) -> HostedGroup:
         group = self._table.groups.get(group_id)
         if group is None:
             tell = self.exchange.peers
@@ -293,7 +293,7 @@ def _not_found(group_id: bytes) -> StampedeError:
     return error_for("GROUP_NOT_FOUND", f"there is no group {shown}; it may have been deleted", {"group_id": shown})
 
 
-def _anew(record: group_pb2.GroupRecord) -> StampedeError:
+def _anew(record: RecordedGroup) -> StampedeError:
     return error_for(
         "INCARNATION_LOST",
         f"group {record.name} began anew, since all hosts of its members were restarted: where its cut was is not "

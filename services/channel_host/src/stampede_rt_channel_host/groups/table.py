@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from stampede_rt.v1 import group_directory_service_pb2
 from stampede_rt_channel_host.core.group import TimesBoard
+from stampede_rt_channel_host.core.records import ResolvedGroup
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.own_channels import OwnChannel
 
@@ -32,14 +32,14 @@ class HostedGroups:
         """A group is new here, or has other members now."""
         group_id = group.record.group_id
         self.groups[group_id] = group
-        for channel_id in group.record.spec.channel_ids:
+        for channel_id in group.record.definition.members:
             self._groups_of.setdefault(channel_id, set()).add(group_id)
         if group.cut.definition.idle_after_nanos is not None:
             self.idling.add(group_id)
 
-    def adopt(self, group: HostedGroup, told: group_directory_service_pb2.ResolveGroupResponse) -> bool:
+    def adopt(self, group: HostedGroup, told: ResolvedGroup) -> bool:
         """The directory says how a group is now; True if it began anew."""
-        self._leave(group, set(told.group.spec.channel_ids))
+        self._leave(group, told.group.definition.members)
         is_anew = group.adopt(told)
         self.enter(group)
         return is_anew
@@ -48,12 +48,12 @@ class HostedGroups:
         """The group is gone."""
         group = self.groups.pop(group_id)
         self.idling.discard(group_id)
-        self._leave(group, set())
+        self._leave(group, frozenset())
         return group
 
-    def _leave(self, group: HostedGroup, staying: set[bytes]) -> None:
+    def _leave(self, group: HostedGroup, staying: frozenset[bytes]) -> None:
         """The group has its other members no more; what no group has is not followed."""
-        for channel_id in set(group.record.spec.channel_ids) - staying:
+        for channel_id in group.record.definition.members - staying:
             of_channel = self._groups_of.get(channel_id, set())
             of_channel.discard(group.record.group_id)
             if not of_channel:

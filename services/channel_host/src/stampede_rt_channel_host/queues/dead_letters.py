@@ -19,11 +19,12 @@ import grpc
 
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import from_error_message, from_rpc_error
-from stampede_rt.v1 import channel_service_pb2, item_pb2, queue_pb2, raw_run_pb2
+from stampede_rt.v1 import channel_service_pb2, item_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt.wire.runs import select_items
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.core.queue import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, Departure
+from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.refusals import shown
 
@@ -95,10 +96,9 @@ class DeadLetterMover:
 
     async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
         """Move some. Raises what kept any of them. `refusals` counts by seq."""
-        found = await self._directory.resolve(hosted.record.spec.dead_letter_queue_id)
-        if not found.host.alive or not found.host.gatekeepers:
+        found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
+        if (target := found.target) is None:
             raise Unavailable(f"the dead-letter queue {shown(found.queue)} has no live host at present")
-        target = found.host.gatekeepers[0].target
         items = hosted.queue.departing(ITEMS_PER_ATTEMPT_MAX)
         connection = self._dial(target)
         try:
@@ -113,14 +113,14 @@ class DeadLetterMover:
         _conclude(hosted, items, acks, refusals)
 
 
-def producer_id_of(record: queue_pb2.QueueRecord) -> int:
+def producer_id_of(record: RecordedQueue) -> int:
     """As whom a queue puts into others: the same number at whichever host it is; never 0."""
     about = record.queue_id + record.incarnation.to_bytes(8, "little")
     return int.from_bytes(hashlib.blake2b(about, digest_size=8).digest(), "little") | 1
 
 
 def _requests(
-    source: queue_pb2.QueueRecord, target: queue_pb2.QueueRecord, items: Sequence[Departure], refusals: Counter[int]
+    source: RecordedQueue, target: RecordedQueue, items: Sequence[Departure], refusals: Counter[int]
 ) -> list[bytes]:
     """One for each item, since several together might exceed the limit of a request."""
     requests = []
@@ -128,7 +128,7 @@ def _requests(
         run = raw_run_pb2.RawEnqueueRun(
             first_number=refusals[item.seq] << _SEQ_BITS | item.seq,
             wait_nanos=ROOM_WAIT_NANOS,
-            run=_run_of(item, source.spec.content_type),
+            run=_run_of(item, source.policy.content_type or ""),
             origin=_origin_of(item, source).SerializeToString(),
         )
         request = raw_run_pb2.RawEnqueueRequest(
@@ -146,7 +146,7 @@ def _run_of(item: Departure, content_type: str) -> bytes:
     return alone
 
 
-def _origin_of(item: Departure, source: queue_pb2.QueueRecord) -> item_pb2.DeadLetterOrigin:
+def _origin_of(item: Departure, source: RecordedQueue) -> item_pb2.DeadLetterOrigin:
     origin = item_pb2.DeadLetterOrigin(
         queue_id=source.queue_id,
         queue_name=source.name,

@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, StampedeError
-from stampede_rt.v1 import queue_pb2
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.deadlines import Deadlines
@@ -18,12 +17,13 @@ from stampede_rt_channel_host.core.queue import (
     Enqueue,
     PendingDelivery,
     QueueCore,
+    QueueLimits,
     Settlement,
     SettlementResult,
     TakerState,
 )
+from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.refusals import shown
-from stampede_rt_channel_host.queues.specs import limits_of
 
 TAKERS_MAX = 4096
 STREAMS_PER_PIECE = 256
@@ -53,7 +53,7 @@ class HostedQueue:
 
     def __init__(
         self,
-        record: queue_pb2.QueueRecord,
+        record: RecordedQueue,
         memory: MemoryBudget,
         now: Callable[[], int],
         on_departures: Callable[[HostedQueue], None],
@@ -67,7 +67,7 @@ class HostedQueue:
         self.record = record
         self.epoch: int = record.epoch
         self.queue = QueueCore(
-            limits_of(record),
+            QueueLimits.of(record.policy),
             incarnation=record.incarnation,
             name=shown(record),
             first_delivery_id=random.choice(FIRST_DELIVERY_IDS),
@@ -86,10 +86,10 @@ class HostedQueue:
         self._timer_due: int | None = None
         self._is_forgotten = False
 
-    def update(self, record: queue_pb2.QueueRecord) -> None:
+    def update(self, record: RecordedQueue) -> None:
         """The directory has a newer record of the same incarnation. Raises InvalidArgument for an unusable set-up."""
         if record.spec_version != self.record.spec_version:
-            self.queue.configure(limits_of(record), self._now())
+            self.queue.configure(QueueLimits.of(record.policy), self._now())
         self.record, self.epoch = record, record.epoch
         self._follow_up()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 
 from stampede_rt.v1 import queue_pb2
+from stampede_rt_channel_host.cluster.records import queue_message
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 
 
@@ -13,7 +14,7 @@ def queue_status(hosted: HostedQueue, now: int) -> queue_pb2.QueueStatus:
     hosted.tick()
     counters = hosted.queue.counters(now)
     return queue_pb2.QueueStatus(
-        record=hosted.record,
+        record=queue_message(hosted.record),
         counters=queue_pb2.QueueCounters(**{field.name: getattr(counters, field.name) for field in fields(counters)}),
         waiting_takers=hosted.queue.waiting_takers,
         waiting_enqueues=hosted.queue.waiting_enqueues,

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from stampede_rt.errors import QueueNotFound, StampedeError, error_for
-from stampede_rt.v1 import queue_pb2
+from stampede_rt_channel_host.core.records import RecordedQueue
 
 SHUTTING_DOWN = error_for(
     "SHUTTING_DOWN", "this host is shutting down; resolve the queue again, it gets a new host, or wait for this one"
 )
 
 
-def shown(record: queue_pb2.QueueRecord) -> str:
+def shown(record: RecordedQueue) -> str:
     """A queue as people know it; a mailbox, which has no name, by its id."""
     return record.name or record.queue_id.hex()
 
@@ -31,19 +31,19 @@ def not_here(host: str, queue_id: bytes) -> StampedeError:
     return error_for("NOT_HERE", text, {"queue_id": queue_id.hex(), "host": host})
 
 
-def moved(record: queue_pb2.QueueRecord) -> StampedeError:
+def moved(record: RecordedQueue) -> StampedeError:
     """The directory names another owner."""
     host_id = record.host_id.hex()
     text = f"queue {shown(record)} is at host {host_id} now; resolve it again"
     return error_for("MOVED", text, {"queue": shown(record), "host_id": host_id})
 
 
-def wrong_epoch(record: queue_pb2.QueueRecord, stated: int) -> StampedeError:
+def wrong_epoch(record: RecordedQueue, stated: int) -> StampedeError:
     """The caller believes in another epoch."""
     text = f"queue {shown(record)} is at epoch {record.epoch} and the request names {stated}; resolve the queue again"
     return error_for("WRONG_EPOCH", text, {"queue": shown(record), "epoch": str(record.epoch)})
 
 
-def deleted(record: queue_pb2.QueueRecord) -> StampedeError:
+def deleted(record: RecordedQueue) -> StampedeError:
     """The queue was deleted while something was under way."""
     return QueueNotFound(f"queue {shown(record)} was deleted", metadata={"queue": shown(record)})

@@ -16,7 +16,13 @@ Nothing here reads a clock, waits, or knows the wire. The shell around it, at ea
 - status: `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and `window_too_short`.
 """
 
-from stampede_rt_channel_host.core.group.cut import MAX_LEAD_NANOS_DEFAULT, CutMember, GroupCut, GroupDefinition
+from stampede_rt_channel_host.core.group.cut import (
+    MAX_LEAD_NANOS_DEFAULT,
+    CutFloor,
+    CutMember,
+    GroupCut,
+    GroupDefinition,
+)
 from stampede_rt_channel_host.core.group.deciding import MAX_WAIT_NANOS_DEFAULT, Boundary, EventDecider
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss, Step
 from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matcher
@@ -31,6 +37,7 @@ __all__ = [
     "OWN",
     "Boundary",
     "ChannelTimes",
+    "CutFloor",
     "CutFollower",
     "CutMember",
     "EventDecider",

@@ -42,6 +42,15 @@ class GroupDefinition:
         return cut if times.advance is None else max(cut, times.advance)
 
 
+class CutFloor(NamedTuple):
+    """How far a host has shown a group: no host may show less of it, within one incarnation."""
+
+    group_id: bytes
+    incarnation: int
+    cut: int
+    spec_version: int
+
+
 class CutMember(NamedTuple):
     """One member at one moment. `heard` None: its owner has told nothing yet; `cut`: its own, None if it has none."""
 

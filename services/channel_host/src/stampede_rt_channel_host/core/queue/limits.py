@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.values.queueing import QueuePolicy
 
 BLOCK, REJECT, DROP_OLDEST = "block", "reject", "drop_oldest"
 ITEM_OVERHEAD_BYTES = 64
 """What an item is charged against max_bytes beside its payload."""
 ITEM_BYTES_MAX = 16 * 2**20
+_NUMBERS = ("max_items", "max_bytes", "max_item_bytes", "copies", "lease_nanos", "max_deliveries")
 LEASE_NANOS_MAX = 3_600_000_000_000
 """The longest lease that a taker may ask for."""
 
@@ -27,6 +30,13 @@ class QueueLimits:
     max_deliveries: int | None = None
     dead_letters: bool = False
     """Items that reach max_deliveries wait for being moved; else they are expelled."""
+
+    @classmethod
+    def of(cls, policy: QueuePolicy) -> QueueLimits:
+        """The policy with the defaults of what was never stated. Raises InvalidArgument."""
+        values: dict[str, Any] = {name: getattr(policy, name) for name in _NUMBERS}
+        stated = {name: value for name, value in values.items() if value is not None}
+        return cls(on_full=policy.on_full or BLOCK, dead_letters=policy.dead_letter_queue_id is not None, **stated)
 
     def __post_init__(self) -> None:
         for name in ("max_items", "max_bytes", "copies", "lease_nanos", "max_deliveries"):

@@ -1,0 +1,123 @@
+"""The directory's records, from and to their protobuf form. The stores of the host hold the values."""
+
+from __future__ import annotations
+
+from stampede_rt.v1 import (
+    channel_pb2,
+    directory_pb2,
+    group_directory_service_pb2,
+    group_pb2,
+    queue_directory_service_pb2,
+    queue_pb2,
+)
+from stampede_rt.wire.queues import queue_policy_from_spec
+from stampede_rt.wire.records import policy_from_spec
+from stampede_rt_channel_host.core.group import MAX_LEAD_NANOS_DEFAULT, GroupDefinition
+from stampede_rt_channel_host.core.records import (
+    PolicyChange,
+    RecordedChange,
+    RecordedChannel,
+    RecordedGroup,
+    RecordedQueue,
+    ResolvedGroup,
+    ResolvedQueue,
+)
+
+
+def recorded_channel(message: channel_pb2.ChannelRecord) -> RecordedChannel:
+    """A channel."""
+    return RecordedChannel(
+        channel_id=message.channel_id,
+        name=message.name,
+        host_id=message.host_id,
+        epoch=message.epoch,
+        incarnation=message.incarnation,
+        spec_version=message.spec_version,
+        policy=policy_from_spec(message.spec),
+        message=message.SerializeToString(),
+    )
+
+
+def channel_message(record: RecordedChannel) -> channel_pb2.ChannelRecord:
+    """The record as the directory sent it, fields of newer releases included."""
+    return channel_pb2.ChannelRecord.FromString(record.message)
+
+
+def policy_change(spec: channel_pb2.ChannelSpec) -> PolicyChange:
+    """A change of a set-up."""
+    return PolicyChange(stated=policy_from_spec(spec), message=spec.SerializeToString())
+
+
+def policy_change_message(change: PolicyChange) -> channel_pb2.ChannelSpec:
+    """The change as its caller sent it."""
+    return channel_pb2.ChannelSpec.FromString(change.message)
+
+
+def recorded_queue(message: queue_pb2.QueueRecord) -> RecordedQueue:
+    """A queue."""
+    return RecordedQueue(
+        queue_id=message.queue_id,
+        name=message.name,
+        host_id=message.host_id,
+        epoch=message.epoch,
+        incarnation=message.incarnation,
+        spec_version=message.spec_version,
+        policy=queue_policy_from_spec(message.spec),
+        message=message.SerializeToString(),
+    )
+
+
+def queue_message(record: RecordedQueue) -> queue_pb2.QueueRecord:
+    """The record as the directory sent it, fields of newer releases included."""
+    return queue_pb2.QueueRecord.FromString(record.message)
+
+
+def resolved_queue(message: queue_directory_service_pb2.ResolveQueueResponse) -> ResolvedQueue:
+    """A queue and where its host listens."""
+    host = message.host
+    target = host.gatekeepers[0].target if host.alive and host.gatekeepers else None
+    return ResolvedQueue(queue=recorded_queue(message.queue), target=target)
+
+
+def recorded_group(message: group_pb2.GroupRecord) -> RecordedGroup:
+    """A group."""
+    spec = message.spec
+    fixed = spec.reference == group_pb2.GROUP_REFERENCE_CHANNEL
+    definition = GroupDefinition(
+        members=frozenset(spec.channel_ids),
+        reference=spec.reference_channel_id if fixed else None,
+        by_end=spec.bound == group_pb2.GROUP_BOUND_END,
+        idle_after_nanos=spec.idle_after_nanos if spec.HasField("idle_after_nanos") else None,
+        max_lead_nanos=spec.max_lead_nanos if spec.HasField("max_lead_nanos") else MAX_LEAD_NANOS_DEFAULT,
+        incarnation=message.incarnation,
+        spec_version=message.spec_version,
+    )
+    return RecordedGroup(
+        group_id=message.group_id, name=message.name, definition=definition, message=message.SerializeToString()
+    )
+
+
+def group_message(record: RecordedGroup) -> group_pb2.GroupRecord:
+    """The record as the directory sent it, fields of newer releases included."""
+    return group_pb2.GroupRecord.FromString(record.message)
+
+
+def resolved_group(message: group_directory_service_pb2.ResolveGroupResponse) -> ResolvedGroup:
+    """A group, its channels and their hosts."""
+    hosts = message.hosts
+    return ResolvedGroup(
+        group=recorded_group(message.group),
+        channels={one.channel_id: recorded_channel(one) for one in message.channels},
+        targets={one.host_id: one.gatekeepers[0].target for one in hosts if one.alive and one.gatekeepers},
+        host_names={one.host_id: one.name for one in hosts},
+    )
+
+
+def recorded_change(message: directory_pb2.DirectoryChange) -> RecordedChange:
+    """A change of the directory. Hosts and peers are left out: nobody here asks for them."""
+    return RecordedChange(
+        removed=message.kind == directory_pb2.CHANGE_KIND_REMOVED,
+        channel=recorded_channel(message.channel) if message.HasField("channel") else None,
+        queue=recorded_queue(message.queue) if message.HasField("queue") else None,
+        group_id=message.group.group_id if message.HasField("group") else None,
+    )

@@ -1,0 +1,101 @@
+"""Channels, queues and groups as the directory has recorded them. Pure.
+
+`message` is the record as the directory encoded it. A host passes it on to clients, so that a client of a newer release
+gets the fields that this release does not know (decision 0113).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from stampede_rt.values.model import Policy
+from stampede_rt.values.queueing import QueuePolicy
+from stampede_rt_channel_host.core.group import GroupDefinition
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordedChannel:
+    """One channel, with its owner and set-up."""
+
+    channel_id: bytes
+    name: str
+    host_id: bytes
+    epoch: int
+    incarnation: int
+    spec_version: int
+    policy: Policy
+    message: bytes = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PolicyChange:
+    """A change of a channel's set-up. `stated` leaves out what stays; `message` is the change as its caller sent it.
+
+    The directory gets the message, and refuses values that a host does not know.
+    """
+
+    stated: Policy
+    message: bytes = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordedQueue:
+    """One queue, with its owner and set-up. A mailbox has no name."""
+
+    queue_id: bytes
+    name: str
+    host_id: bytes
+    epoch: int
+    incarnation: int
+    spec_version: int
+    policy: QueuePolicy
+    message: bytes = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ResolvedQueue:
+    """A queue, and where its host listens; `target` is None while the host is not alive."""
+
+    queue: RecordedQueue
+    target: str | None
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordedGroup:
+    """One group and its set-up."""
+
+    group_id: bytes
+    name: str
+    definition: GroupDefinition
+    message: bytes = field(repr=False)
+
+    @property
+    def incarnation(self) -> int:
+        """Cuts compare within one incarnation."""
+        return self.definition.incarnation
+
+    @property
+    def spec_version(self) -> int:
+        """Grows with each change of the set-up."""
+        return self.definition.spec_version
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ResolvedGroup:
+    """A group, its member channels, and their hosts by id: where the live ones listen, and the names of all."""
+
+    group: RecordedGroup
+    channels: Mapping[bytes, RecordedChannel]
+    targets: Mapping[bytes, str]
+    host_names: Mapping[bytes, str]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class RecordedChange:
+    """A change of the directory: of the channel, the queue or the group that it has."""
+
+    removed: bool
+    channel: RecordedChannel | None = None
+    queue: RecordedQueue | None = None
+    group_id: bytes | None = None
