@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
 from pathlib import Path
 
 import pytest
 
-from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.cluster.cluster_ids import cluster_metadata
+from stampede_rt.errors import Unavailable, WrongCluster
 from stampede_rt.v1 import directory_service_pb2 as pb
 from tests.unit.supernode.processes import (
     Supernode,
@@ -27,11 +27,16 @@ pytestmark = pytest.mark.timeout(120)
 
 async def renewed(one: Supernode, number: int, former: str) -> None:
     """Renew a host's lease; tried again while the supernode just begins to lead."""
-    request = pb.RenewHostLeaseRequest(host_id=number.to_bytes(16, "big"), boot_incarnation=1, cluster_id=former)
+    request = pb.RenewHostLeaseRequest(host_id=number.to_bytes(16, "big"), boot_incarnation=1)
+    metadata = cluster_metadata(former)
     async for _ in attempts():
-        with contextlib.suppress(Unavailable):
-            await called(one.stub.RenewHostLease(request, timeout=20, wait_for_ready=True), one)
+        try:
+            await called(one.stub.RenewHostLease(request, timeout=20, wait_for_ready=True, metadata=metadata), one)
             return
+        except WrongCluster:
+            raise
+        except Unavailable:
+            continue
 
 
 @pytest.mark.parametrize("takes_over", [False, True])
@@ -61,7 +66,7 @@ async def test_a_restored_backup_takes_no_host_of_the_former_cluster_unless_it_w
             await renewed(restored, 1, former_id)
             return
         for refused in (renewed(restored, 1, former_id), register(restored, 1, cluster_id=former_id)):
-            with pytest.raises(InvalidArgument, match="which may still serve; if that one is gone for good"):
+            with pytest.raises(WrongCluster, match="which may still serve; if that one is gone for good"):
                 await refused
         own = await cluster_id(restored)
         assert own != former_id

@@ -187,6 +187,12 @@ class Unavailable(StampedeError, ConnectionError):
     retryable = True
 
 
+class WrongCluster(Unavailable):
+    """A supernode, host or front-end is of another cluster than the caller; others may answer at other addresses."""
+
+    reason = "WRONG_CLUSTER"
+
+
 class DeadlineExceeded(StampedeError, TimeoutError):
     """The call's time was over before the work was done. The server may still do it."""
 
@@ -231,7 +237,7 @@ _BY_REASON: dict[str, type[StampedeError]] = {
         InvalidArgument, InvalidInterval, InvalidName, MalformedRun, ItemTooLarge, ChannelNotFound, ChannelExists,
         GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound, HostExists,
         ChannelFull, QueueFull, TooOld, InFuture, IncarnationLost, LeaseExpired, PermissionDenied, Overloaded,
-        Unavailable, DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch, WatchRestart,
+        Unavailable, DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch, WatchRestart, WrongCluster,
     )
 }  # fmt: skip
 _BY_REASON |= {

@@ -57,6 +57,7 @@ _CODES: dict[str, grpc.StatusCode] = {
     "IN_FUTURE": grpc.StatusCode.FAILED_PRECONDITION,
     "LEASE_EXPIRED": grpc.StatusCode.FAILED_PRECONDITION,
     "NOT_LEADER": grpc.StatusCode.FAILED_PRECONDITION,
+    "WRONG_CLUSTER": grpc.StatusCode.FAILED_PRECONDITION,
     "VERSION_MISMATCH": grpc.StatusCode.FAILED_PRECONDITION,
     "CHANNEL_FULL": grpc.StatusCode.RESOURCE_EXHAUSTED,
     "OVERLOADED": grpc.StatusCode.RESOURCE_EXHAUSTED,

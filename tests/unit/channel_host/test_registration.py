@@ -22,7 +22,7 @@ from stampede_rt_channel_host.cluster.identity import (
 from stampede_rt_channel_host.cluster.registration import Registration
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_runtime.clock import SystemClock
-from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.dial import dial, naming_cluster
 from stampede_rt_runtime.server import serving
 from tests.unit.channel_host.fake_directory import FakeDirectory
 
@@ -34,7 +34,9 @@ class Host:
 
     def __init__(self, frontend: str, name: str = "h1", folder: Path | None = None) -> None:
         self.identity = HostIdentity(host_id=name.encode().ljust(16, b"."), name=name, boot_incarnation=7)
-        self.supernodes = Supernodes([frontend], lambda target: dial(target, secret=None), peer_name=name)
+        self.home = HomeCluster(folder)
+        dial_home = naming_cluster(lambda target: dial(target, secret=None), lambda: self.home.cluster_id)
+        self.supernodes = Supernodes([frontend], dial_home, peer_name=name)
         self.registered: asyncio.Queue[Any] = asyncio.Queue()
         self.lease: asyncio.Queue[bool] = asyncio.Queue()
         self.registration = Registration(
@@ -43,7 +45,7 @@ class Host:
             SystemClock(),
             on_registered=self.registered.put,
             on_lease=self.lease.put_nowait,
-            home=HomeCluster(folder),
+            home=self.home,
         )
 
     async def lease_becomes(self, held: bool) -> None:

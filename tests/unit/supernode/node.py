@@ -32,6 +32,7 @@ from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
+from stampede_rt_supernode.servicers.own_cluster import OwnCluster
 from stampede_rt_supernode.servicers.record_services import register_record_services
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
@@ -109,7 +110,8 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
     watches = Watches(replica, log, sign_of_life_seconds=sign_of_life_seconds)
     probe = Probe(log, lambda target: dial(target, secret=None))
     members = Members(log, replica, probe, advertise="rig:7581", zone="lab")
-    servicer = DirectoryServicer(replica, submission, leases, watches, members, clock)
+    own_cluster = OwnCluster(replica)
+    servicer = DirectoryServicer(replica, submission, leases, watches, members, clock, own_cluster)
     await leases.tick()
 
     def register(server: grpc.aio.Server) -> None:
@@ -118,7 +120,7 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
         register_record_services(server, DirectoryCalls(replica, submission), loads, leases, watches)
 
     async with (
-        serving(register) as server,
+        serving(register, judge_cluster=own_cluster.judge) as server,
         dial(server.address, secret=None) as channel,
     ):
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 import grpc
 
+from stampede_rt.cluster.cluster_ids import cluster_metadata
 from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc
@@ -188,10 +189,11 @@ async def register(supernode: Supernode, number: int, *, cluster_id: str = "") -
         name=f"host-{number}",
         gatekeepers=[directory_pb2.Endpoint(target=f"localhost:{7000 + number}")],
         boot_incarnation=1,
-        cluster_id=cluster_id,
     )
+    metadata = cluster_metadata(cluster_id)
     answer: pb.RegisterHostResponse = await called(
-        supernode.stub.RegisterHost(request, timeout=PATIENCE_SECONDS, wait_for_ready=True), supernode
+        supernode.stub.RegisterHost(request, timeout=PATIENCE_SECONDS, wait_for_ready=True, metadata=metadata),
+        supernode,
     )
     return answer
 

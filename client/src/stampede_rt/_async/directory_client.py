@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from stampede_rt._async.endpoints import EndpointPool
 from stampede_rt.cluster.binding import order_by_round_trip
+from stampede_rt.cluster.cluster_ids import ClusterSeen, cluster_among, may_go_over, wrong_cluster
 from stampede_rt.cluster.directory_call import (
     DirectoryCall,
     check_frontend,
@@ -18,7 +19,7 @@ from stampede_rt.cluster.directory_call import (
 )
 from stampede_rt.cluster.majority import UNREACHED
 from stampede_rt.cluster.request_age import age_clock_s
-from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable
+from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unavailable, WrongCluster
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.transports.concurrency_async import in_thread, run_concurrently, sleep
@@ -32,6 +33,7 @@ MEASURE_EVERY_S = 60.0
 PING_TIMEOUT_S = 1.0
 TRY_TIMEOUT_S = 2.5  # for one of several supernodes: a stopped one must leave time for the others
 CONNECT_TIMEOUT_S = 5.0
+OTHERS_TIMEOUT_S = 0.5  # for front-ends that tell only whether they are of the same cluster
 EXPLAIN_TIMEOUT_S = 1.0  # the search for a reason ends after this time
 LEADERS_ASKED_MAX = 3  # for one call: the last leader, the one it names, and one more
 
@@ -47,6 +49,13 @@ class _Call(NamedTuple):
     since_s: float
 
 
+class _Pong(NamedTuple):
+    """What a supernode says of itself. `clock`: this machine's, by that supernode; None if it cannot serve."""
+
+    cluster: ClusterSeen
+    clock: ClockOffset | None
+
+
 class DirectoryClient:
     """Calls the directory through the nearest supernode that is alive (paper, section 4.3)."""
 
@@ -59,14 +68,14 @@ class DirectoryClient:
         self._elsewhere: frozenset[str] = frozenset()  # supernodes of other zones, if this client has a zone
         self._measure_again_s = float("-inf")
         self._leader = ""  # the last known leader
-        self.cluster_id = ""
         self._strangers: set[str] = set()  # addresses at which another cluster answers
         self.clock: ClockOffset | None = None  # measured by the last call that told a supernode's time
 
     async def bind(self, timeout_s: float) -> None:
         """Ask one front-end after the other for the supernodes, and put the nearest first.
 
-        Raises Unavailable, PermissionDenied or VersionMismatch if no front-end helps within `timeout_s`.
+        All front-ends that answer soon must be of one cluster the first time. The client is of that one from then on.
+        Raises Unavailable, PermissionDenied, VersionMismatch or WrongCluster if no front-end helps within `timeout_s`.
         """
         deadline_s = time.monotonic() + timeout_s
         failure: StampedeError | None = None
@@ -74,16 +83,43 @@ class DirectoryClient:
             timeout_s = frontend_timeout_s(deadline_s - time.monotonic(), len(self._frontends) - position)
             try:
                 response = await self._ask(target, timeout_s)
+                self._check_cluster(target, response)
             except StampedeError as error:
                 failure = error
                 continue
+            if not self.cluster_id:
+                await self._check_others(response.cluster_id, target, self._frontends[position + 1 :])
             places = [record.endpoint for record in response.supernodes]
             self._targets = [place.target for place in places]
             self._elsewhere = frozenset(place.target for place in places if self._zone and place.zone != self._zone)
-            self.cluster_id = response.cluster_id
+            self._be_of(response.cluster_id)
             await self._measure()
             return
         raise await self._unbound(failure)
+
+    @property
+    def cluster_id(self) -> str:
+        """The caller's cluster, which every call names; empty: none is known yet."""
+        return self._endpoints.metadata.cluster_id
+
+    def _be_of(self, cluster_id: str) -> None:
+        if cluster_id not in ("", self.cluster_id):
+            self._endpoints.metadata.cluster_id = cluster_id
+
+    def _check_cluster(self, target: str, response: frontend_pb.BindResponse) -> None:
+        if not may_go_over(self.cluster_id, response.cluster_id, response.former_cluster_ids):
+            raise wrong_cluster(f"the front-end {target}", response.cluster_id, self.cluster_id)
+
+    async def _check_others(self, cluster_id: str, target: str, others: tuple[str, ...]) -> None:
+        """Raises WrongCluster if another front-end, which answers within OTHERS_TIMEOUT_S, is of another cluster."""
+        found = await run_concurrently([functools.partial(self._cluster_of, other) for other in others])
+        for other, its_id in zip(others, found, strict=True):
+            if cluster_id and its_id not in ("", cluster_id):
+                raise WrongCluster(
+                    f"the front-ends {target} and {other} are of different clusters, {cluster_id} and {its_id}; name "
+                    "those of one cluster in connect() or $STAMPEDE_URL",
+                    metadata={"cluster_id": its_id},
+                )
 
     async def _ask(self, target: str, timeout_s: float) -> frontend_pb.BindResponse:
         endpoint = self._endpoints.to(target)
@@ -94,10 +130,19 @@ class DirectoryClient:
         check_frontend(target, response.protocol_version, response.version, caller="client", caller_version=VERSION)
         return response
 
+    async def _cluster_of(self, frontend: str) -> str:
+        """The cluster of a front-end; empty if it does not answer soon: it is asked again when it is needed."""
+        try:
+            return (await self._ask(frontend, OTHERS_TIMEOUT_S)).cluster_id
+        except StampedeError:
+            return ""
+
     async def _unbound(self, failure: StampedeError | None) -> StampedeError:
         if isinstance(failure, Unavailable):
-            failure = await self._explain() or failure
+            failure = failure if isinstance(failure, WrongCluster) else await self._explain() or failure
         if failure is not None and not isinstance(failure, Unavailable | DeadlineExceeded):
+            return failure
+        if isinstance(failure, WrongCluster):
             return failure
         addresses = ", ".join(self._frontends)
         if isinstance(failure, Unavailable) and UNREACHED not in failure.metadata:
@@ -122,23 +167,27 @@ class DirectoryClient:
     async def _measure(self) -> None:
         """Ping all supernodes at once and put the nearest first, those of the own zone before others.
 
-        Supernodes that do not answer within PING_TIMEOUT_S go last. The client leaves out a supernode of another
-        cluster, such as a restored backup at an old address. The time of the next ping is random, so that many clients
-        do not ping at once.
+        Supernodes that do not answer within PING_TIMEOUT_S go last, and so do those of another cluster, such as a
+        restored backup at an old address. The time of the next ping is random, so that many clients do not ping at once.
         """
         self._measure_again_s = time.monotonic() + MEASURE_EVERY_S * (0.5 + random.random())
         targets = list(self._targets)
-        self._strangers.clear()
-        clocks = await run_concurrently([functools.partial(self._ping, target) for target in targets])
-        answered = {target: clock for target, clock in zip(targets, clocks, strict=True) if clock is not None}
-        round_trips_s = {target: 2e-9 * clock.uncertainty_nanos for target, clock in answered.items()}
-        own = [target for target in self._targets if target not in self._strangers]
-        self._targets = order_by_round_trip(own, round_trips_s, self._elsewhere)
+        pongs = await run_concurrently([functools.partial(self._ping, target) for target in targets])
+        answered = {target: pong for target, pong in zip(targets, pongs, strict=True) if pong is not None}
+        self._be_of(cluster_among(self.cluster_id, [pong.cluster for pong in answered.values()]))
+        self._strangers = {
+            target for target, pong in answered.items() if pong.cluster.cluster_id not in ("", self.cluster_id)
+        }
+        clocks = {
+            target: pong.clock for target, pong in answered.items() if pong.clock and target not in self._strangers
+        }
+        round_trips_s = {target: 2e-9 * clock.uncertainty_nanos for target, clock in clocks.items()}
+        self._targets = order_by_round_trip(self._targets, round_trips_s, self._elsewhere)
         if self._targets:
-            self.clock = answered.get(self._targets[0], self.clock)
+            self.clock = clocks.get(self._targets[0], self.clock)
 
-    async def _ping(self, target: str) -> ClockOffset | None:
-        """Measure the distance and the clock of a supernode; None if it cannot serve."""
+    async def _ping(self, target: str) -> _Pong | None:
+        """Ask a supernode for its cluster and its clock; None if it does not answer."""
         began, sent = (
             time.monotonic_ns(),
             time.time_ns(),
@@ -151,14 +200,10 @@ class DirectoryClient:
         except StampedeError:
             return None
         took = time.monotonic_ns() - began
-        if pong.cluster_id and self.cluster_id and pong.cluster_id != self.cluster_id:
-            self._strangers.add(target)
-            return None
-        if not pong.ready:
-            return None
-        return ClockOffset.measured(
+        clock = ClockOffset.measured(
             sent_unix_nano=sent, took_nanos=took, told_unix_nano=pong.time_unix_nano, supernode=pong.supernode_id
         )
+        return _Pong(ClusterSeen(pong.cluster_id, tuple(pong.former_cluster_ids)), clock if pong.ready else None)
 
     async def call(self, method: str, request: Any, timeout_s: float, *, since_s: float | None = None) -> Any:
         """Make one call of the directory.
@@ -189,7 +234,8 @@ class DirectoryClient:
         """Ask one supernode after the other. Raises the one error that sums up all failures so far."""
         if time.monotonic() > self._measure_again_s:
             await self._measure()
-        rounds.begin_round(self._targets, TRY_TIMEOUT_S if len(self._targets) > 1 else float("inf"))
+        asked = self._asked()
+        rounds.begin_round(asked, TRY_TIMEOUT_S if len(asked) > 1 else float("inf"))
         while (attempt := rounds.next_attempt(time.monotonic())) is not None:
             endpoint = self._endpoints.to(attempt.target)
             try:
@@ -197,13 +243,22 @@ class DirectoryClient:
                 return await endpoint.call(method, call.request, attempt.timeout_s, age_s=age_clock_s() - call.since_s)
             except StampedeError as error:
                 rounds.failed(attempt.target, error)
-                self._demote(attempt.target)
+                self.demote(attempt.target, error)
+        for target in self._strangers.difference(asked):
+            rounds.failed(target, WrongCluster(f"{target} is of another cluster"))
         raise rounds.failure(self._targets)
 
-    def _demote(self, target: str) -> None:
+    def _asked(self) -> list[str]:
+        """The supernodes to ask, best first; those of another cluster only if there are no others."""
+        return [target for target in self._targets if target not in self._strangers] or list(self._targets)
+
+    def demote(self, target: str, error: StampedeError) -> None:
+        """The supernode at `target` did not serve: others go first. One of another cluster is not asked any more."""
         if target in self._targets:
             self._targets.remove(target)
             self._targets.append(target)
+        if isinstance(error, WrongCluster):
+            self._strangers.add(target)
 
     async def _rebind(self, deadline_s: float) -> None:
         """Ask the front-ends for other supernodes, because all known ones failed.
@@ -217,16 +272,30 @@ class DirectoryClient:
             self._measure_again_s = float("-inf")
 
     async def present_cluster(self, deadline_s: float) -> str:
-        """Return the id of the cluster that answers. It is a new one if the directory has begun anew.
+        """Return the id of the client's cluster. It is a new one if the directory has begun anew.
 
-        Raises Unavailable.
+        Raises Unavailable if no supernode of it answers.
         """
-        timeout_s = max(min(deadline_s - time.monotonic(), CONNECT_TIMEOUT_S), 0.1)
-        pong = await self.call("Ping", directory_pb.DirectoryServicePingRequest(), timeout_s)
-        if not pong.cluster_id:
-            raise Unavailable("the directory has just begun and has no cluster id yet; try again")
-        self.cluster_id = pong.cluster_id
+        backoff = Backoff(min(deadline_s, time.monotonic() + CONNECT_TIMEOUT_S))
+        while not await self._find_cluster():
+            delay_s = backoff.next_delay_s(time.monotonic(), random.random())
+            if delay_s is None or self._endpoints.closed:
+                raise Unavailable("no supernode answers, or the directory has just begun; try again")
+            await sleep(delay_s)
+            await self._rebind(backoff.deadline_s)
         return self.cluster_id
+
+    async def _find_cluster(self) -> bool:
+        """Whether a supernode of the caller's cluster answers, or else one of a cluster that took its place."""
+        seen: list[ClusterSeen] = []
+        for target in self._asked():
+            pong = await self._ping(target)
+            if pong is not None and pong.cluster.cluster_id:
+                seen.append(pong.cluster)
+                if pong.cluster.cluster_id == self.cluster_id:
+                    return True
+        self._be_of(cluster_among(self.cluster_id, seen))
+        return any(one.cluster_id == self.cluster_id for one in seen)
 
     async def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
         """Make one call of the leader, which alone can answer it. Does not try again.
@@ -240,6 +309,9 @@ class DirectoryClient:
                 return await endpoint.call(getattr(endpoint.directory, method), request, timeout_s)
             except NotLeader as error:
                 self._leader = leader_hint(error)
+            except WrongCluster as error:
+                self.demote(target, error)
+                self._leader = ""
             except (Unavailable, DeadlineExceeded):
                 self._leader = ""
                 raise
@@ -256,5 +328,5 @@ class DirectoryClient:
         """Open a stream of responses from the nearest supernode."""
         if not self._targets:
             raise Unavailable("no supernode is known; is a front-end running?")
-        endpoint = self._endpoints.to(self._targets[0])
+        endpoint = self._endpoints.to(self._asked()[0])
         return endpoint.stream(getattr(endpoint.directory, method), request)

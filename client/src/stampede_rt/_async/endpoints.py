@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.errors import Unavailable
 from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports import forking
@@ -21,6 +22,7 @@ class EndpointPool:
         forking.opened(self)
         self._forks = forking.forks()
         self.credentials = credentials
+        self.metadata = CallMetadata(credentials.secret)
         self._material = credentials.material()
         self._endpoints: dict[str, ServerEndpoint] = {}
         self._former: list[ServerEndpoint] = []  # with earlier certificates; their streams may still be read
@@ -34,9 +36,7 @@ class EndpointPool:
             if self.closed:
                 raise connection_closed()
             self._look_at_certificates()
-            endpoint = self._endpoints.pop(target, None) or ServerEndpoint(
-                target, self.credentials.secret, self._material
-            )
+            endpoint = self._endpoints.pop(target, None) or ServerEndpoint(target, self.metadata, self._material)
             self._endpoints[target] = endpoint
             if len(self._endpoints) > ENDPOINTS_MAX:
                 self._endpoints.pop(next(iter(self._endpoints)))

@@ -113,7 +113,11 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
     async def _open_once(self) -> None:
         stream = await self._begin()
         responses = stream.__aiter__()
-        self._take(await responses.__anext__())  # the supernode's word that the watch is open
+        try:
+            self._take(await responses.__anext__())  # the supernode's word that the watch is open
+        except StampedeError as error:
+            self._session.supernodes.demote(stream.target, error)
+            raise
         self._stream, self._responses = stream, responses
         if self._closed:  # `close` came during the opening
             stream.cancel()

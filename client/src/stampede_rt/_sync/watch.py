@@ -114,7 +114,11 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
     def _open_once(self) -> None:
         stream = self._begin()
         responses = stream.__iter__()
-        self._take(responses.__next__())  # the supernode's word that the watch is open
+        try:
+            self._take(responses.__next__())  # the supernode's word that the watch is open
+        except StampedeError as error:
+            self._session.supernodes.demote(stream.target, error)
+            raise
         self._stream, self._responses = stream, responses
         if self._closed:  # `close` came during the opening
             stream.cancel()

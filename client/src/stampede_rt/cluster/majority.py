@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable, WrongCluster
 
 UNREACHED = "unreached"
 """A key of an error's metadata: the server could not be reached. The value says why."""
@@ -22,6 +22,9 @@ def why_unserved(failures: Mapping[str, StampedeError], supernodes: int) -> Stam
     ambiguous = [error for error in failures.values() if error.reason == "AMBIGUOUS"]
     if ambiguous:
         return ambiguous[-1]
+    strangers = [error for error in failures.values() if isinstance(error, WrongCluster)]
+    if len(strangers) == supernodes:
+        return strangers[-1]
     silent = {target: error for target, error in failures.items() if _is_silent(error)}
     needed = supernodes // 2 + 1
     if supernodes == 1 and silent:
@@ -39,10 +42,12 @@ def why_unserved(failures: Mapping[str, StampedeError], supernodes: int) -> Stam
 
 
 def _is_silent(error: StampedeError) -> bool:
-    return isinstance(error, DeadlineExceeded) or UNREACHED in error.metadata
+    return isinstance(error, DeadlineExceeded | WrongCluster) or UNREACHED in error.metadata
 
 
 def _how(error: StampedeError) -> str:
+    if isinstance(error, WrongCluster):
+        return "is of another cluster"
     return "did not answer in time" if isinstance(error, DeadlineExceeded) else "cannot be reached"
 
 

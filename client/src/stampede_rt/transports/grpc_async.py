@@ -11,9 +11,9 @@ from typing import Any, Generic, TypeVar
 import grpc
 import grpc.aio
 
+from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
-from stampede_rt.security.credentials import call_metadata
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
@@ -46,9 +46,9 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.aio.Channel:
 class ServerEndpoint(Stubs):
     """A gRPC connection to one address, shared by all calls there."""
 
-    def __init__(self, target: str, secret: str | None, tls: TlsMaterial | None = None) -> None:
+    def __init__(self, target: str, metadata: CallMetadata, tls: TlsMaterial | None = None) -> None:
         self.target = target
-        self.metadata = call_metadata(secret)
+        self._metadata = metadata
         self._channel = _open_channel(target, tls)
         super().__init__(self._channel)
         # Requests are framed by hand (wire/put_frames.py) and sent as they are.
@@ -74,7 +74,7 @@ class ServerEndpoint(Stubs):
         `age_s`: the seconds since this update was first sent.
         """
         try:
-            return await method(request, timeout=timeout_s, metadata=self.metadata + age_metadata(age_s))
+            return await method(request, timeout=timeout_s, metadata=self._metadata() + age_metadata(age_s))
         except grpc.RpcError as error:
             raise from_rpc_error(error, self.target) from error
         except grpc.aio.UsageError as error:
@@ -121,7 +121,7 @@ class ServerEndpoint(Stubs):
     def _begin(self, method: Callable[..., Any], *request: Any) -> Any:
         """Begin the call of a stream. Raises Unavailable once this endpoint is closed."""
         try:
-            return method(*request, metadata=self.metadata)
+            return method(*request, metadata=self._metadata())
         except grpc.aio.UsageError as error:
             raise closed(self.target) from error
 
@@ -165,6 +165,11 @@ class ServerStream(Generic[Response]):
         self._forks = forking.forks()
         self._cancelled = False
         when_dropped(self, partial(_give_up, call))
+
+    @property
+    def target(self) -> str:
+        """The address of the server."""
+        return self._target
 
     async def __aiter__(self) -> AsyncIterator[Response]:
         responses = aiter(self._call)

@@ -12,9 +12,9 @@ from weakref import WeakSet
 import grpc
 import grpc.experimental
 
+from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
-from stampede_rt.security.credentials import call_metadata
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
@@ -40,9 +40,9 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.Channel:
 class ServerEndpoint(Stubs):
     """A gRPC connection to one address, shared by all calls there."""
 
-    def __init__(self, target: str, secret: str | None, tls: TlsMaterial | None = None) -> None:
+    def __init__(self, target: str, metadata: CallMetadata, tls: TlsMaterial | None = None) -> None:
         self.target = target
-        self.metadata = call_metadata(secret)
+        self._metadata = metadata
         self._channel = _open_channel(target, tls)
         super().__init__(self._channel)
         # Requests are framed by hand (wire/put_frames.py) and sent as they are.
@@ -71,7 +71,7 @@ class ServerEndpoint(Stubs):
         `age_s`: the seconds since this update was first sent.
         """
         try:
-            return method(request, timeout=timeout_s, metadata=self.metadata + age_metadata(age_s))
+            return method(request, timeout=timeout_s, metadata=self._metadata() + age_metadata(age_s))
         except grpc.RpcError as error:
             raise from_rpc_error(error, self.target) from error
         except ValueError as error:  # gRPC's word for a closed channel
@@ -84,7 +84,7 @@ class ServerEndpoint(Stubs):
     def begin(self, method: Callable[..., Any], requests: Any) -> Any:
         """Begin the call of a stream. Raises Unavailable once this endpoint is closed."""
         try:
-            return method(requests, metadata=self.metadata)
+            return method(requests, metadata=self._metadata())
         except ValueError as error:
             raise closed(self.target) from error
 
@@ -169,6 +169,11 @@ class ServerStream(Generic[Response]):
         self._forks = forking.forks()
         self._cancelled = False
         when_dropped(self, call.cancel)
+
+    @property
+    def target(self) -> str:
+        """The address of the server."""
+        return self._target
 
     def __iter__(self) -> Iterator[Response]:
         overdue: list[bool] = []

@@ -141,7 +141,7 @@ class DeleteChannelResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class RegisterHostRequest(_message.Message):
-    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version", "cluster_id")
+    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -149,7 +149,6 @@ class RegisterHostRequest(_message.Message):
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
-    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     host_id: bytes
     name: str
@@ -157,34 +156,33 @@ class RegisterHostRequest(_message.Message):
     boot_incarnation: int
     version: str
     protocol_version: int
-    cluster_id: str
-    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ..., cluster_id: _Optional[str] = ...) -> None: ...
+    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ...) -> None: ...
 
 class RegisterHostResponse(_message.Message):
-    __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues")
+    __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues", "former_cluster_ids")
     HOST_FIELD_NUMBER: _ClassVar[int]
     LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     CHANNELS_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     QUEUES_FIELD_NUMBER: _ClassVar[int]
+    FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
     host: _directory_pb2.HostRecord
     lease_ttl_nanos: int
     channels: _containers.RepeatedCompositeFieldContainer[_channel_pb2.ChannelRecord]
     cluster_id: str
     protocol_version: int
     queues: _containers.RepeatedCompositeFieldContainer[_queue_pb2.QueueRecord]
-    def __init__(self, host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ...) -> None: ...
+    former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RenewHostLeaseRequest(_message.Message):
-    __slots__ = ("host_id", "boot_incarnation", "cluster_id")
+    __slots__ = ("host_id", "boot_incarnation")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
-    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     boot_incarnation: int
-    cluster_id: str
-    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., cluster_id: _Optional[str] = ...) -> None: ...
+    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
 
 class RenewHostLeaseResponse(_message.Message):
     __slots__ = ("lease_ttl_nanos", "tenure")

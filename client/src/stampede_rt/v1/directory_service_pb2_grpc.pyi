@@ -33,6 +33,11 @@ class DirectoryServiceStub:
     answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
+    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
+    their callers, if its own id begins so, too.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
     be remembered at present; nothing was done.
     """
@@ -83,6 +88,11 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
+    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
+    their callers, if its own id begins so, too.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
     be remembered at present; nothing was done.
     """
@@ -129,6 +139,11 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     answer, not the operation.
     That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
     in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
+    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
+    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
+    their callers, if its own id begins so, too.
     AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
     be remembered at present; nothing was done.
     """

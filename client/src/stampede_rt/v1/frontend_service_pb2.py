@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from stampede_rt.v1 import directory_pb2 as stampede__rt_dot_v1_dot_directory__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n%stampede_rt/v1/frontend_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\"Y\n\x0b\x42indRequest\x12\x11\n\tpeer_name\x18\x01 \x01(\t\x12\x0c\n\x04zone\x18\x02 \x01(\t\x12\x18\n\x10protocol_version\x18\x03 \x01(\r\x12\x0f\n\x07version\x18\x04 \x01(\t\"\x9a\x01\n\x0c\x42indResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\x12\n\ncluster_id\x18\x02 \x01(\t\x12\x18\n\x10protocol_version\x18\x03 \x01(\r\x12\x0f\n\x07version\x18\x04 \x01(\t\x12\x16\n\x0etime_unix_nano\x18\x05 \x01(\x10\x32T\n\x0f\x46rontendService\x12\x41\n\x04\x42ind\x12\x1b.stampede_rt.v1.BindRequest\x1a\x1c.stampede_rt.v1.BindResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n%stampede_rt/v1/frontend_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\"Y\n\x0b\x42indRequest\x12\x11\n\tpeer_name\x18\x01 \x01(\t\x12\x0c\n\x04zone\x18\x02 \x01(\t\x12\x18\n\x10protocol_version\x18\x03 \x01(\r\x12\x0f\n\x07version\x18\x04 \x01(\t\"\xb6\x01\n\x0c\x42indResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\x12\n\ncluster_id\x18\x02 \x01(\t\x12\x18\n\x10protocol_version\x18\x03 \x01(\r\x12\x0f\n\x07version\x18\x04 \x01(\t\x12\x16\n\x0etime_unix_nano\x18\x05 \x01(\x10\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x06 \x03(\t2T\n\x0f\x46rontendService\x12\x41\n\x04\x42ind\x12\x1b.stampede_rt.v1.BindRequest\x1a\x1c.stampede_rt.v1.BindResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,7 +35,7 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_BINDREQUEST']._serialized_start=89
   _globals['_BINDREQUEST']._serialized_end=178
   _globals['_BINDRESPONSE']._serialized_start=181
-  _globals['_BINDRESPONSE']._serialized_end=335
-  _globals['_FRONTENDSERVICE']._serialized_start=337
-  _globals['_FRONTENDSERVICE']._serialized_end=421
+  _globals['_BINDRESPONSE']._serialized_end=363
+  _globals['_FRONTENDSERVICE']._serialized_start=365
+  _globals['_FRONTENDSERVICE']._serialized_end=449
 # @@protoc_insertion_point(module_scope)

@@ -35,9 +35,13 @@ class _Service:
     def __init__(self, settings: HostSettings) -> None:
         self._settings = settings
         self._credentials = settings.load_credentials(Role.HOST)
+        self._home = HomeCluster(settings.data_dir)
         credentials = self._credentials
         self._server = ServiceServer(
-            secret=credentials.secret, client_secret=credentials.client_secret, tls=credentials.tls
+            secret=credentials.secret,
+            client_secret=credentials.client_secret,
+            tls=credentials.tls,
+            judge_cluster=self._home.judge,
         )
         self._failed = False
         self._health: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
@@ -88,7 +92,7 @@ class _Service:
             memory_bytes_max=settings.memory_bytes_max,
             on_serving=self._serving_changed,
             on_defect=self._end,
-            home=HomeCluster(settings.data_dir),
+            home=self._home,
         )
 
     def _name(self) -> str:

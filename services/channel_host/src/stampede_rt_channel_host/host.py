@@ -36,6 +36,7 @@ from stampede_rt_channel_host.queues.queue_servicer import QueueServicer
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.sweep import sweep_queues_forever
 from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.dial import naming_cluster
 
 logger = logging.getLogger(__name__)
 
@@ -66,7 +67,8 @@ class ChannelHost:
     ) -> None:
         self.identity = identity
         self._home = home or HomeCluster()
-        self._dial = dial
+        self._dial = dial = naming_cluster(dial, lambda: self._home.cluster_id or apart.cluster_id)
+        dial_apart = naming_cluster(dial_apart, lambda: self._home.cluster_id or apart.cluster_id)
         self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
         apart = Supernodes(frontends, dial_apart, peer_name=identity.name, zone=identity.zone, explain=explain)
         self._known_by_lease = apart.known

@@ -16,6 +16,7 @@ from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
 from stampede_rt_frontend.ranking import Supernode
 from stampede_rt_frontend.roster import MemberList, ProbeAnswer, SupernodeRoster
 from stampede_rt_frontend.status_log import StatusLog
+from stampede_rt_runtime.dial import naming_cluster
 
 logger = logging.getLogger(__name__)
 
@@ -39,7 +40,7 @@ class Prober:
     ) -> None:
         self._roster = roster
         self._explain = explain
-        self._dial = dial
+        self._dial = naming_cluster(dial, lambda: roster.cluster_id)
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._strangers: dict[str, str] = {}  # target -> the other cluster that it was last told to belong to
         self._changed = asyncio.Condition()

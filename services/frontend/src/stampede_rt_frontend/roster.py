@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+from stampede_rt.cluster.cluster_ids import may_go_over
 from stampede_rt_frontend.ranking import Supernode, smooth
-from stampede_rt_runtime.cluster_ids import may_go_over
 
 SUPERNODES_MAX = 64  # probed at once; a consensus group has 3 to 7 members
 
@@ -43,6 +43,7 @@ class SupernodeRoster:
 
     seeds: tuple[str, ...]
     cluster_id: str = ""
+    former_cluster_ids: tuple[str, ...] = ()  # of the clusters whose place this one has taken
     _nodes: dict[str, Supernode] = field(init=False)
     _failures: dict[str, str] = field(init=False, default_factory=dict)
     _listed: dict[str, str] = field(init=False, default_factory=dict)  # the members by the last list, target -> id
@@ -134,7 +135,10 @@ class SupernodeRoster:
         return [why if target in why else f"{target}: {why}" for target, why in self._failures.items()]
 
     def _same_cluster(self, answer: ProbeAnswer) -> bool:
-        if not answer.cluster_id or answer.cluster_id == self.cluster_id:
+        if not answer.cluster_id:
+            return True
+        if answer.cluster_id == self.cluster_id:
+            self.former_cluster_ids = answer.former_cluster_ids or self.former_cluster_ids
             return True
         if self.cluster_id and self.any_healthy():
             return False
@@ -142,6 +146,7 @@ class SupernodeRoster:
             return False  # ours may come back
         # The first cluster seen, or one that takes the place of ours, which is gone.
         self.cluster_id, self._position = answer.cluster_id, (0, 0)
+        self.former_cluster_ids = answer.former_cluster_ids
         self._listed = {}
         return True
 

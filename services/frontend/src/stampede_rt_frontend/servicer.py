@@ -46,6 +46,7 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
         return frontend_service_pb2.BindResponse(
             supernodes=[_record(node) for node in rank(self._roster.known(), zone)],
             cluster_id=self._roster.cluster_id,
+            former_cluster_ids=self._roster.former_cluster_ids,
             protocol_version=PROTOCOL_VERSION,
             version=software_version(),
             time_unix_nano=self._clock.time_unix_nano(),

@@ -9,6 +9,7 @@ from typing import Any
 
 import grpc
 
+from stampede_rt.cluster.cluster_ids import cluster_metadata
 from stampede_rt.errors import StampedeError
 from stampede_rt.security.credentials import call_metadata
 from stampede_rt.security.tls import TlsMaterial, TlsReader
@@ -19,6 +20,9 @@ from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits, Option
 from stampede_rt_runtime.renewing import RenewingChannel
 from stampede_rt_runtime.tls import ServiceTls
+
+Dial = Callable[[str], grpc.aio.Channel]
+Metadata = tuple[tuple[str, str], ...]
 
 
 def dial(
@@ -33,7 +37,7 @@ def dial(
     options = (limits or Limits()).channel_options()
     channel = _open(target, options, tls)
     metadata = call_metadata(secret.text if secret else None)
-    return _AuthorizedChannel(channel, metadata) if metadata else channel
+    return _AnnotatedChannel(channel, lambda: metadata) if metadata else channel
 
 
 def dial_apart(
@@ -48,6 +52,15 @@ def dial_apart(
         return grpc.secure_channel(target, channel_credentials(material), options=options)
 
     return ApartChannel(connect, call_metadata(secret.text if secret else None), tls)
+
+
+def naming_cluster(dial: Dial, cluster_id: Callable[[], str]) -> Dial:
+    """Opens channels as `dial` does. Each of their calls names the cluster that `cluster_id` gives then, if any."""
+
+    def open_channel(target: str) -> grpc.aio.Channel:
+        return _AnnotatedChannel(dial(target), lambda: cluster_metadata(cluster_id()))
+
+    return open_channel
 
 
 def _open(target: str, options: list[Option], tls: TlsReader | None) -> grpc.aio.Channel:
@@ -87,14 +100,14 @@ class Dialer:
         return self.tls.reader if self.tls else None
 
 
-class _AuthorizedChannel(grpc.aio.Channel):
+class _AnnotatedChannel(grpc.aio.Channel):
     """A channel that adds metadata to every call, and is otherwise the one it was given."""
 
-    def __init__(self, inner: grpc.aio.Channel, metadata: tuple[tuple[str, str], ...]) -> None:
+    def __init__(self, inner: grpc.aio.Channel, metadata: Callable[[], Metadata]) -> None:
         self._inner = inner
         self._metadata = metadata
 
-    async def __aenter__(self) -> _AuthorizedChannel:
+    async def __aenter__(self) -> _AnnotatedChannel:
         await self._inner.__aenter__()
         return self
 
@@ -119,24 +132,22 @@ class _AuthorizedChannel(grpc.aio.Channel):
 
     def unary_unary(self, *args: Any, **kwargs: Any) -> Any:
         """A callable for one request and one response."""
-        return self._authorized(self._inner.unary_unary(*args, **kwargs))
+        return self._annotated(self._inner.unary_unary(*args, **kwargs))
 
     def unary_stream(self, *args: Any, **kwargs: Any) -> Any:
         """A callable for one request and a stream of responses."""
-        return self._authorized(self._inner.unary_stream(*args, **kwargs))
+        return self._annotated(self._inner.unary_stream(*args, **kwargs))
 
     def stream_unary(self, *args: Any, **kwargs: Any) -> Any:
         """A callable for a stream of requests and one response."""
-        return self._authorized(self._inner.stream_unary(*args, **kwargs))
+        return self._annotated(self._inner.stream_unary(*args, **kwargs))
 
     def stream_stream(self, *args: Any, **kwargs: Any) -> Any:
         """A callable for streams both ways."""
-        return self._authorized(self._inner.stream_stream(*args, **kwargs))
+        return self._annotated(self._inner.stream_stream(*args, **kwargs))
 
-    def _authorized(self, call: Callable[..., Any]) -> Callable[..., Any]:
-        added = self._metadata
+    def _annotated(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        def with_more(*args: Any, metadata: Any = None, **kwargs: Any) -> Any:
+            return call(*args, metadata=(*(metadata or ()), *self._metadata()) or None, **kwargs)
 
-        def with_secret(*args: Any, metadata: Any = None, **kwargs: Any) -> Any:
-            return call(*args, metadata=(*metadata, *added) if metadata else added, **kwargs)
-
-        return with_secret
+        return with_more

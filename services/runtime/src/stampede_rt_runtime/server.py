@@ -15,6 +15,7 @@ from stampede_rt_runtime.aborts import AbortInterceptor
 from stampede_rt_runtime.access.proofs import Accepted
 from stampede_rt_runtime.admission import AdmissionInterceptor
 from stampede_rt_runtime.auth import Secret
+from stampede_rt_runtime.callers_cluster import ClusterInterceptor, JudgeCluster
 from stampede_rt_runtime.capacity import CapacityInterceptor
 from stampede_rt_runtime.health import Health
 from stampede_rt_runtime.limits import Limits
@@ -34,6 +35,7 @@ class ServiceServer:
     Must be made on the event loop that serves. With `tls` every caller must bring a certificate whose role may call
     what it calls. With `secret` every caller brings that one, and may call everything, or `client_secret`, and may call
     what clients do. With neither `secret` nor `tls` every caller is let in.
+    `judge_cluster` says whether callers of another cluster are served; without it they are.
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class ServiceServer:
         client_secret: Secret | None = None,
         limits: Limits | None = None,
         tls: ServiceTls | None = None,
+        judge_cluster: JudgeCluster | None = None,
     ) -> None:
         limits = limits or Limits()
         accepted = Accepted(
@@ -52,8 +55,13 @@ class ServiceServer:
         )
         self._tls = tls
         self.grpc: grpc.aio.Server = grpc.aio.server(
-            # The first is the outermost: who may not call takes no slot.
-            interceptors=[AbortInterceptor(), AdmissionInterceptor(accepted), CapacityInterceptor(limits)],
+            # The first is the outermost: who may not call takes no slot, and is told of no cluster.
+            interceptors=[
+                AbortInterceptor(),
+                AdmissionInterceptor(accepted),
+                *([ClusterInterceptor(judge_cluster)] if judge_cluster else []),
+                CapacityInterceptor(limits),
+            ],
             options=limits.server_options(),
             maximum_concurrent_rpcs=limits.rpcs_max(),
         )
@@ -147,9 +155,12 @@ async def serving(
     client_secret: Secret | None = None,
     limits: Limits | None = None,
     tls: ServiceTls | None = None,
+    judge_cluster: JudgeCluster | None = None,
 ) -> AsyncIterator[ServiceServer]:
     """A started server for as long as the block lasts, loopback only; for tests and for servers inside a client."""
-    server = ServiceServer(secret=secret, client_secret=client_secret, limits=limits, tls=tls)
+    server = ServiceServer(
+        secret=secret, client_secret=client_secret, limits=limits, tls=tls, judge_cluster=judge_cluster
+    )
     server.bind(listen)
     register(server.grpc)
     await server.start()

@@ -44,6 +44,7 @@ from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.level_keeper import LevelKeeper
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
 from stampede_rt_supernode.servicers.membership_servicer import MembershipServicer
+from stampede_rt_supernode.servicers.own_cluster import OwnCluster
 from stampede_rt_supernode.servicers.record_services import register_record_services
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
@@ -59,22 +60,26 @@ async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
     gc.disable()
     credentials = settings.load_credentials(Role.SUPERNODE)
+    replica = DirectoryReplica()
+    own_cluster = OwnCluster(replica)
     server = ServiceServer(
         secret=credentials.secret,
         client_secret=credentials.client_secret,
         tls=credentials.tls,
         limits=CONTROL_LIMITS,
+        judge_cluster=own_cluster.judge,
     )
     # Bound before anything else: the log must know the address, and others hear of it.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
+    own_cluster.learn(founding.log_cluster_id)
     if wrong := misplaced(founding, address, settings.advertise):
         logger.warning(wrong)
     if settings.data_dir is None and not settings.members:
         logger.info("alone, and keeps everything in memory; a supernode of `init` or `join` needs its --data-dir")
-    async with _open_log(settings, founding, server, credentials) as (log, replica):
+    async with _open_log(settings, founding, server, credentials, replica) as log:
         tune_garbage_collection()
-        parts = _assemble(settings, founding, log, replica, credentials)
+        parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
         _register(parts, server.grpc)
         await server.start()
         work = [
@@ -120,6 +125,7 @@ class _Parts:
     watches: Watches
     probe: Probe
     members: Members
+    own_cluster: OwnCluster
     membership: MembershipServicer
 
     async def end_streams(self) -> None:
@@ -132,7 +138,12 @@ class _Parts:
 
 
 def _assemble(
-    settings: SupernodeSettings, founding: Founding, log: ReplicatedLog, replica: DirectoryReplica, credentials: Dialer
+    settings: SupernodeSettings,
+    founding: Founding,
+    log: ReplicatedLog,
+    replica: DirectoryReplica,
+    credentials: Dialer,
+    own_cluster: OwnCluster,
 ) -> _Parts:
     clock = SystemClock()
     submission = Submission(log, replica, time_unix_nano=clock.time_unix_nano)
@@ -151,13 +162,16 @@ def _assemble(
         watches=Watches(replica, log),
         probe=probe,
         members=members,
+        own_cluster=own_cluster,
         membership=MembershipServicer(log, replica, members, clock, log_cluster_id=founding.log_cluster_id),
     )
 
 
 def _register(parts: _Parts, server: grpc.aio.Server) -> None:
     log, replica, submission, clock = parts.log, parts.replica, parts.submission, parts.clock
-    servicer = DirectoryServicer(replica, submission, parts.leases, parts.watches, parts.members, clock)
+    servicer = DirectoryServicer(
+        replica, submission, parts.leases, parts.watches, parts.members, clock, parts.own_cluster
+    )
     directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server)
     loads = LoadKeeper(log, replica, clock=clock)
     register_record_services(server, DirectoryCalls(replica, submission), loads, parts.leases, parts.watches)
@@ -166,13 +180,16 @@ def _register(parts: _Parts, server: grpc.aio.Server) -> None:
 
 @contextlib.asynccontextmanager
 async def _open_log(
-    settings: SupernodeSettings, founding: Founding, server: ServiceServer, credentials: Dialer
-) -> AsyncIterator[tuple[ReplicatedLog, DirectoryReplica]]:
-    """The log and the directory that it drives. Raises StampedeError if the store cannot be used."""
+    settings: SupernodeSettings,
+    founding: Founding,
+    server: ServiceServer,
+    credentials: Dialer,
+    replica: DirectoryReplica,
+) -> AsyncIterator[ReplicatedLog]:
+    """The log that drives the directory in `replica`. Raises StampedeError if the store cannot be used."""
     if credentials.tls is not None:
         credentials.tls.require_name(founding.supernode_id, "--id")
         credentials.tls.require_address(founding.address)
-    replica = DirectoryReplica()
     replication = founding.replication_settings(settings.data_dir)
     try:
         log = await open_replicated_log(replication, replica, credentials, server.grpc)
@@ -181,7 +198,7 @@ async def _open_log(
     if settings.data_dir is not None and read_founding(settings.data_dir) is not None:
         note_started(settings.data_dir, founding)
     try:
-        yield log, replica
+        yield log
     finally:
         await log.close()
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import secrets
 import socket
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.cluster.cluster_ids import may_go_over, wrong_cluster
+from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt_runtime.written import naming
 
 ID_BYTES = 16
@@ -50,9 +52,20 @@ class HomeCluster:
         self._path = None if folder is None else folder / _CLUSTER_FILE
         kept = self._path is not None and self._path.exists()
         self.cluster_id = self._path.read_text().strip() if kept and self._path else ""
+        self._former: tuple[str, ...] = ()  # the clusters whose place that one has taken
 
-    def note(self, cluster_id: str) -> None:
-        """The directory has let this host in, as one of that cluster. Raises OSError."""
+    def judge(self, callers: str) -> StampedeError | None:
+        """Why a caller of that cluster is not served; None: it is."""
+        if may_go_over(callers, self.cluster_id, self._former):
+            return None
+        return wrong_cluster("this host", self.cluster_id, callers)
+
+    def note(self, cluster_id: str, former: Iterable[str] = ()) -> None:
+        """The directory has let this host in, as one of that cluster, which took the place of `former`.
+
+        Raises OSError.
+        """
+        self._former = tuple(former)
         if cluster_id in ("", self.cluster_id):
             return
         if self._path is not None:

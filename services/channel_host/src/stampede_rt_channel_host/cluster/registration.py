@@ -14,7 +14,15 @@ from collections.abc import Awaitable, Callable
 from typing import NoReturn
 
 from stampede_rt.cluster.directory_call import may_pass
-from stampede_rt.errors import HostExists, HostNotFound, LeaseExpired, StampedeError, Unavailable, VersionMismatch
+from stampede_rt.errors import (
+    HostExists,
+    HostNotFound,
+    LeaseExpired,
+    StampedeError,
+    Unavailable,
+    VersionMismatch,
+    WrongCluster,
+)
 from stampede_rt.v1 import directory_pb2, directory_service_pb2
 from stampede_rt_channel_host.cluster.host_lease import RENEWALS_PER_TTL, HostLease
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
@@ -85,7 +93,8 @@ class Registration:
             try:
                 return await self._register(max(0.1, min(REGISTER_SECONDS_MAX, deadline_s - time.monotonic())))
             except StampedeError as error:
-                if not (may_pass(error) or isinstance(error, HostExists)) or time.monotonic() + pause_s > deadline_s:
+                stays = isinstance(error, WrongCluster) or not (may_pass(error) or isinstance(error, HostExists))
+                if stays or time.monotonic() + pause_s > deadline_s:
                     raise
                 logger.warning("cannot register yet", extra={"host": self._identity.name, "why": str(error)})
             pause_s = await _pause(pause_s)
@@ -156,7 +165,6 @@ class Registration:
         request = directory_service_pb2.RenewHostLeaseRequest(
             host_id=self._identity.host_id,
             boot_incarnation=self._identity.boot_incarnation,
-            cluster_id=self._home.cluster_id,
         )
         sent = self._clock.boottime_nanos()
         timeout_s = self._lease.ttl_nanos / RENEWALS_PER_TTL / 1e9
@@ -174,7 +182,6 @@ class Registration:
             boot_incarnation=one.boot_incarnation,
             version=software_version(),
             protocol_version=PROTOCOL_VERSION,
-            cluster_id=self._home.cluster_id,
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)
@@ -183,7 +190,7 @@ class Registration:
                 f"the directory speaks protocol {response.protocol_version}, this host {PROTOCOL_VERSION} (version "
                 f"{software_version()}); install the same release on both"
             )
-        await asyncio.to_thread(self._home.note, response.cluster_id)
+        await asyncio.to_thread(self._home.note, response.cluster_id, response.former_cluster_ids)
         await self._on_registered(response)  # before the grant: nothing is served that went elsewhere
         self._grant(sent, response.lease_ttl_nanos)
         self._note_registered(len(response.channels))

@@ -41,6 +41,7 @@ from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.own_cluster import OwnCluster
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
 
@@ -58,6 +59,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         watches: Watches,
         members: Members,
         clock: HostClock,
+        own_cluster: OwnCluster,
     ) -> None:
         self._replica = replica
         self._calls = DirectoryCalls(replica, submission)
@@ -66,6 +68,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         self._watches = watches
         self._members = members
         self._clock = clock
+        self._own_cluster = own_cluster
 
     async def Ping(self, request: pb.DirectoryServicePingRequest, context: Context) -> pb.DirectoryServicePingResponse:
         """Say what this supernode knows by itself. The answer needs no leader."""
@@ -73,7 +76,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             time_unix_nano=self._clock.time_unix_nano(),
             supernode_id=self._members.self_id,
             ready=self._members.ready(),
-            cluster_id=self._leases.cluster_id(),
+            cluster_id=self._own_cluster.id(),
             former_cluster_ids=self._replica.read(lambda directory: directory.former_cluster_ids),
             version=software_version(),
             refused_supernodes=self._members.refused(),
@@ -147,7 +150,6 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Context) -> pb.RegisterHostResponse:
         """The lease begins when the leader sees the registration, later than it was sent."""
         check_protocol(request.protocol_version, request.version)
-        await self._leases.check_cluster(request.cluster_id, seconds=seconds_left(context))
         self._calls.check_host(context, request.host_id, request.name)
         operation = RegisterHost(
             host_id=request.host_id,
@@ -166,12 +168,12 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             cluster_id=entered.cluster_id,
             protocol_version=PROTOCOL_VERSION,
             queues=[queue_record(queue) for queue in queues],
+            former_cluster_ids=self._replica.read(lambda directory: directory.former_cluster_ids),
         )
 
     @errors_as_status
     async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Context) -> pb.RenewHostLeaseResponse:
         """Leaves no entry in the log."""
-        await self._leases.check_cluster(request.cluster_id, seconds=seconds_left(context))
         self._calls.check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
             request.host_id, request.boot_incarnation, seconds=seconds_left(context)

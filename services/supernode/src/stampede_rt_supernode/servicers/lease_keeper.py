@@ -10,10 +10,10 @@ import secrets
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
-from stampede_rt.errors import HostNotFound, InvalidArgument, LeaseExpired, NotLeader, StampedeError, Unavailable
+from stampede_rt.errors import HostNotFound, LeaseExpired, NotLeader, StampedeError, Unavailable
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
-from stampede_rt_runtime.cluster_ids import may_go_over, new_cluster_id
+from stampede_rt_runtime.cluster_ids import new_cluster_id
 from stampede_rt_supernode.core.answered import MARK_NANOS
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
 from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
@@ -177,29 +177,6 @@ class LeaseKeeper:
         peers = directory.tables.peers
         state = (self._replica.restored, peers.changes.end_position)
         return None if state == self._peers_followed else list(peers.live()), state
-
-    def cluster_id(self) -> str:
-        """Which cluster this is, or is about to be, once its founder has begun to lead."""
-        return self.founding_cluster_id or self._replica.read(lambda directory: directory.cluster_id)
-
-    async def check_cluster(self, cluster_id: str, *, seconds: float) -> None:
-        """Raises InvalidArgument if a host of that cluster must not be one of this: the other one may still serve.
-
-        While this one is being founded, by restoring that one perhaps, it waits; then raises Unavailable (NO_QUORUM).
-        """
-        deadline = self._clock.boottime_nanos() + seconds * 1e9
-        while (held := self._replica.read(lambda directory: directory.cluster_id)) not in ("", self.cluster_id()):
-            if self._clock.boottime_nanos() > deadline:
-                raise Unavailable(f"cluster {held} is just being restored; try again in a moment", reason="NO_QUORUM")
-            await asyncio.sleep(TICK_SECONDS)
-        own, former = self.cluster_id(), self._replica.read(lambda directory: directory.former_cluster_ids)
-        if not may_go_over(cluster_id, own, former):
-            raise InvalidArgument(
-                f"this supernode is of cluster {own}, and the host of cluster {cluster_id}, which may still serve; if "
-                "that one is gone for good, stop the host, remove the file cluster-id from its data folder, and start "
-                "it again (or restore with `stampede supernode init --restore --take-over`)",
-                metadata={"cluster_id": own},
-            )
 
     async def renew(self, host_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:
         """Prolong the lease of a host; returns its TTL in nanoseconds and the tenure.

@@ -1,0 +1,28 @@
+"""What every call of one connection brings along."""
+
+from __future__ import annotations
+
+from stampede_rt.cluster.cluster_ids import cluster_metadata
+from stampede_rt.security.credentials import call_metadata
+
+
+class CallMetadata:
+    """The secret, and the id of the caller's cluster once it is known. All endpoints of a connection share it."""
+
+    def __init__(self, secret: str | None) -> None:
+        self._of_secret = call_metadata(secret)
+        self._told, self._cluster_id = self._of_secret, ""
+
+    def __call__(self) -> tuple[tuple[str, str], ...]:
+        """The metadata of a call that begins now."""
+        return self._told
+
+    @property
+    def cluster_id(self) -> str:
+        """The cluster that calls name; empty: none yet."""
+        return self._cluster_id
+
+    @cluster_id.setter
+    def cluster_id(self, cluster_id: str) -> None:
+        self._cluster_id = cluster_id
+        self._told = self._of_secret + cluster_metadata(cluster_id)

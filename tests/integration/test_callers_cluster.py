@@ -1,0 +1,197 @@
+"""Clients before supernodes and front-ends of several clusters, of which they are of one."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt._async import directory_client as async_directory
+from stampede_rt._sync import directory_client as sync_directory
+from stampede_rt.cluster.cluster_ids import may_go_over, told_cluster, wrong_cluster
+from stampede_rt.errors import StampedeError, Unavailable, WrongCluster
+from stampede_rt.status import abort
+from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc, frontend_service_pb2_grpc
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt_runtime.server import serving
+
+
+class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer):
+    """One that knows no hosts. `mute`: it answers no ping. `served` has the cluster that each caller named."""
+
+    def __init__(self, cluster_id: str, *, former: tuple[str, ...] = (), mute: bool = False) -> None:
+        self.cluster_id, self.former, self.mute = cluster_id, former, mute
+        self.served: list[str] = []
+
+    def judge(self, callers: str) -> StampedeError | None:
+        if may_go_over(callers, self.cluster_id, self.former):
+            return None
+        return wrong_cluster("this supernode", self.cluster_id, callers)
+
+    async def Ping(self, request: Any, context: Any) -> directory_pb.DirectoryServicePingResponse:  # noqa: N802
+        if self.mute:
+            await abort(context, Unavailable("not now"))
+        return directory_pb.DirectoryServicePingResponse(
+            supernode_id="s", ready=True, cluster_id=self.cluster_id, former_cluster_ids=self.former
+        )
+
+    async def ListHosts(self, request: Any, context: Any) -> directory_pb.ListHostsResponse:  # noqa: N802
+        self.served.append(told_cluster(context.invocation_metadata()))
+        return directory_pb.ListHostsResponse()
+
+    async def Watch(self, request: Any, context: Any) -> AsyncIterator[directory_pb.WatchResponse]:  # noqa: N802
+        self.served.append(told_cluster(context.invocation_metadata()))
+        change = directory_pb2.DirectoryChange(index=1, kind=1, host=directory_pb2.HostRecord(name="h"))
+        yield directory_pb.WatchResponse(applied_index=1, changes=[change])
+        await asyncio.Event().wait()
+
+
+class FakeFrontend(frontend_service_pb2_grpc.FrontendServiceServicer):
+    def __init__(self, cluster_id: str, supernodes: list[str]) -> None:
+        self.cluster_id, self._supernodes = cluster_id, supernodes
+        self.former: tuple[str, ...] = ()
+
+    async def Bind(self, request: Any, context: Any) -> frontend_pb.BindResponse:  # noqa: N802
+        records = [
+            directory_pb2.SupernodeRecord(endpoint=directory_pb2.Endpoint(target=target)) for target in self._supernodes
+        ]
+        return frontend_pb.BindResponse(
+            supernodes=records, protocol_version=1, cluster_id=self.cluster_id, former_cluster_ids=self.former
+        )
+
+
+class World:
+    """Front-ends and supernodes that run until the block ends."""
+
+    def __init__(self, stack: AsyncExitStack) -> None:
+        self._stack = stack
+
+    async def supernode(self, one: FakeSupernode) -> str:
+        def register(server: Any) -> None:
+            directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(one, server)
+
+        server = await self._stack.enter_async_context(serving(register, judge_cluster=lambda told: one.judge(told)))
+        return server.address
+
+    async def frontend(self, one: FakeFrontend) -> str:
+        def register(server: Any) -> None:
+            frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(one, server)
+
+        return (await self._stack.enter_async_context(serving(register))).address
+
+
+@pytest.fixture
+async def world() -> AsyncIterator[World]:
+    async with AsyncExitStack() as stack:
+        yield World(stack)
+
+
+class Client:
+    """The calls of these tests, with either client."""
+
+    def __init__(self, hosts: Callable[[], Awaitable[Any]], change: Callable[[], Awaitable[Any]]) -> None:
+        self.hosts, self.change = hosts, change
+
+
+@asynccontextmanager
+async def connected(kind: str, url: str) -> AsyncIterator[Client]:
+    if kind == "aio":
+        async with await aio.connect(url) as rt:
+
+            async def change() -> Any:
+                async with rt.watch() as watch:
+                    return await anext(watch)
+
+            yield Client(rt.hosts, change)
+        return
+    rt = await asyncio.to_thread(st.connect, url)
+    try:
+
+        def next_change() -> Any:
+            with rt.watch() as watch:
+                return next(watch)
+
+        yield Client(lambda: asyncio.to_thread(rt.hosts), lambda: asyncio.to_thread(next_change))
+    finally:
+        await asyncio.to_thread(rt.close)
+
+
+@pytest.fixture(params=["aio", "sync"])
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+async def test_a_call_and_a_watch_that_meet_another_clusters_supernode_first_go_on_at_their_own(
+    world: World, kind: str
+) -> None:
+    """No ping is answered, as under load: so the refusal alone keeps the client from the other cluster."""
+    stranger, own = FakeSupernode("y", mute=True), FakeSupernode("x", mute=True)
+    targets = [await world.supernode(stranger), await world.supernode(own)]
+    frontend = await world.frontend(FakeFrontend("x", targets))
+    async with connected(kind, frontend) as client:
+        await client.hosts()
+    async with connected(kind, frontend) as client:
+        await client.change()
+    assert (stranger.served, set(own.served)) == ([], {"x"})
+
+
+async def test_a_client_whose_supernodes_are_all_of_another_cluster_is_told_both_ids(world: World, kind: str) -> None:
+    stranger = FakeSupernode("y")
+    frontend = await world.frontend(FakeFrontend("x", [await world.supernode(stranger)]))
+    with pytest.raises(WrongCluster, match="of cluster y, and the caller of cluster x"):
+        async with connected(kind, frontend) as client:
+            await client.hosts()
+    assert stranger.served == []
+
+
+async def test_front_ends_of_different_clusters_are_refused_with_both_names(world: World, kind: str) -> None:
+    one = await world.frontend(FakeFrontend("x", [await world.supernode(FakeSupernode("x"))]))
+    other = await world.frontend(FakeFrontend("y", [await world.supernode(FakeSupernode("y"))]))
+    with pytest.raises(WrongCluster, match=f"{one} and {other} are of different clusters, x and y"):
+        async with connected(kind, f"{one},{other}"):
+            pass
+
+
+async def test_a_front_end_that_serves_another_cluster_by_now_takes_no_client_along(world: World, kind: str) -> None:
+    own, stranger = FakeSupernode("x"), FakeSupernode("y")
+    serves = FakeFrontend("x", [await world.supernode(own)])
+    frontend = await world.frontend(serves)
+    async with connected(kind, frontend) as client:
+        await client.hosts()
+        serves.cluster_id, serves._supernodes = "y", [await world.supernode(stranger)]
+        own.cluster_id = "z"  # what was there is gone, too
+        with pytest.raises(WrongCluster, match="of cluster z, and the caller of cluster x"):
+            await client.hosts()
+        assert stranger.served == []
+        serves.former = stranger.former = ("x",)
+        await client.hosts()
+    assert stranger.served == ["y"]
+
+
+@pytest.mark.parametrize(("before", "after", "former"), [("memory-x", "memory-y", ()), ("x", "y", ("x",))])
+async def test_a_client_goes_over_to_the_cluster_that_takes_its_ones_place(
+    world: World, kind: str, before: str, after: str, former: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (async_directory, sync_directory):
+        monkeypatch.setattr(module, "MEASURE_EVERY_S", 0.0)
+    one = FakeSupernode(before)
+    frontend = await world.frontend(FakeFrontend(before, [await world.supernode(one)]))
+    async with connected(kind, frontend) as client:
+        await client.hosts()
+        one.cluster_id, one.former = after, former
+        await client.hosts()
+    assert one.served == [before, after]
+
+
+async def test_a_client_that_met_no_cluster_yet_is_of_the_one_that_answers_it(world: World, kind: str) -> None:
+    one = FakeSupernode("x")
+    frontend = await world.frontend(FakeFrontend("", [await world.supernode(one)]))
+    async with connected(kind, frontend) as client:
+        await client.hosts()
+    assert one.served == ["x"]

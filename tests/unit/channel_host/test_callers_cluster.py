@@ -1,0 +1,26 @@
+"""A host serves the callers of its cluster, and those who name none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from stampede_rt.errors import WrongCluster
+from stampede_rt_channel_host.cluster.identity import HomeCluster
+
+
+def test_a_host_refuses_the_callers_of_another_cluster(tmp_path: Path) -> None:
+    home = HomeCluster(tmp_path)
+    assert home.judge("anybody") is None, "it is of no cluster yet, and has nothing"
+    home.note("x")
+    refused = home.judge("y")
+    assert isinstance(refused, WrongCluster)
+    assert refused.message.startswith("this host is of cluster x, and the caller of cluster y")
+    assert HomeCluster(tmp_path).judge("y") is not None
+
+
+def test_a_host_serves_the_callers_of_the_cluster_whose_place_its_own_took() -> None:
+    home = HomeCluster()
+    home.note("x")
+    home.note("y", ["x"])
+    assert (home.judge("x"), home.judge("y")) == (None, None)
+    assert home.judge("z") is not None

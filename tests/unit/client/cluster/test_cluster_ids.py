@@ -1,0 +1,77 @@
+"""Whose cluster a caller is of, and when it goes over to another one."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.cluster.call_metadata import CallMetadata
+from stampede_rt.cluster.cluster_ids import (
+    METADATA_KEY,
+    ClusterSeen,
+    cluster_among,
+    cluster_metadata,
+    may_go_over,
+    told_cluster,
+    wrong_cluster,
+)
+from stampede_rt.cluster.majority import why_unserved
+from stampede_rt.errors import StampedeError, Unavailable, WrongCluster
+
+STRANGER = WrongCluster("this supernode is of cluster y")
+
+
+@pytest.mark.parametrize(
+    ("own", "to", "former", "may"),
+    [
+        ("", "x", (), True),
+        ("x", "", (), True),
+        ("x", "x", (), True),
+        ("x", "y", (), False),
+        ("x", "y", ("w", "x"), True),
+        ("memory-x", "memory-y", (), True),
+        ("memory-x", "y", (), False),
+        ("x", "memory-y", (), False),
+    ],
+)
+def test_only_the_successor_of_a_cluster_and_one_in_memory_after_another_take_over_its_parts(
+    own: str, to: str, former: tuple[str, ...], may: bool
+) -> None:
+    assert may_go_over(own, to, former) is may
+
+
+def test_a_caller_stays_with_its_cluster_as_long_as_that_one_answers() -> None:
+    successor = ClusterSeen("y", ("x",))
+    assert cluster_among("x", [successor, ClusterSeen("x")]) == "x"
+    assert cluster_among("x", [ClusterSeen("z"), successor]) == "y"
+    assert cluster_among("x", [ClusterSeen("z"), ClusterSeen("")]) == "x"
+    assert cluster_among("", [ClusterSeen(""), ClusterSeen("z")]) == "z"
+
+
+def test_a_call_names_its_callers_cluster_once_that_is_known() -> None:
+    metadata = CallMetadata("s")
+    assert metadata() == (("authorization", "Bearer s"),)
+    metadata.cluster_id = "x"
+    assert metadata() == (("authorization", "Bearer s"), (METADATA_KEY, "x"))
+    assert told_cluster(metadata()) == "x"
+    assert (told_cluster(None), cluster_metadata("")) == ("", ())
+
+
+def test_the_refusal_names_both_clusters_and_the_way_out_and_shows_no_endless_id() -> None:
+    error = wrong_cluster("this supernode", "y", "x" * 1000)
+    for part in ("of cluster y", f"of cluster {'x' * 64},", "remove the file cluster-id"):
+        assert part in error.message
+    assert error.metadata == {"cluster_id": "y"}
+
+
+def test_one_of_another_cluster_counts_like_one_that_does_not_answer() -> None:
+    answering = Unavailable("no majority of the supernodes answered", reason="NO_QUORUM")
+    told = why_unserved({"a": answering, "b": answering, "c": STRANGER}, 3)
+    assert told is answering
+    told = why_unserved({"a": answering, "b": STRANGER, "c": STRANGER}, 3)
+    assert "1 of 3 supernodes answer, 2 must (b is of another cluster, c is of another cluster)" in told.message
+
+
+def test_that_all_are_of_another_cluster_is_told_as_such() -> None:
+    failures: dict[str, StampedeError] = {"a": STRANGER, "b": STRANGER}
+    assert why_unserved(failures, 2) is STRANGER
+    assert why_unserved({"a": STRANGER}, 1) is STRANGER
