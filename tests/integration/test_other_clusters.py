@@ -45,6 +45,7 @@ async def test_a_restored_backup_takes_no_host_of_the_former_cluster_unless_it_w
 ) -> None:
     ports, backup = free_ports(2), tmp_path / "backup"
     former = await prepared("init", "a", ports[0], tmp_path)
+    former._arguments += ["--lease-ttl", "60s"]  # no lease ends here, however slow the machine is
     running = [former]
     try:
         await former.start()

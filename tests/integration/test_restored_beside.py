@@ -102,7 +102,7 @@ def test_hosts_and_front_ends_stay_with_their_cluster_and_lose_no_item(cluster: 
                 one.pause()  # a stall, in which the stranger is the only one that answers
             try:
                 for host in cluster.hosts:
-                    until(lambda host=host: heard(host, "which may still serve"), f"{host.name} is refused")
+                    until(lambda host=host: heard(host, "is of another cluster"), f"{host.name} is refused")
             finally:
                 for one in living:
                     one.resume()

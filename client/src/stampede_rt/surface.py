@@ -51,6 +51,7 @@ from stampede_rt.errors import (
     Unavailable,
     VersionMismatch,
     WatchRestart,
+    WrongCluster,
 )
 from stampede_rt.pickling import ClusterReference
 from stampede_rt.security.tls import TlsFiles
@@ -184,6 +185,7 @@ __all__ = [
     "VersionMismatch",
     "Watch",
     "WatchRestart",
+    "WrongCluster",
     "__version__",
     "connect",
     "last",
@@ -209,7 +211,8 @@ def connect(
     - `zone`: the caller's zone. The client prefers supernodes of the same zone.
     - `tls`: the certificates, if the cluster asks for them.
 
-    Blocks for at most 5 s. Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists, InvalidArgument.
+    Blocks for at most 5 s.
+    Raises Unavailable, PermissionDenied, VersionMismatch, WrongCluster, PeerExists, InvalidArgument.
     """
     target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
     address = ClusterReference.of(target, secret)

@@ -57,8 +57,9 @@ func dial(target string) *grpc.ClientConn {
 }
 
 // open goes the whole way once: front-end -> supernode -> gatekeeper -> data endpoint.
-func open(ctx context.Context, address, name string) channel {
+func open(ctx context.Context, address, name string) (context.Context, channel) {
 	bound := must(v1.NewFrontendServiceClient(dial(address)).Bind(ctx, &v1.BindRequest{ProtocolVersion: 1}))
+	ctx = metadata.AppendToOutgoingContext(ctx, "stampede-cluster-id", bound.ClusterId)  // others refuse this client
 	directory := v1.NewDirectoryServiceClient(dial(bound.Supernodes[0].Endpoint.Target)) // the best one comes first
 	minute, request := int64(time.Minute), make([]byte, 16)
 	must(rand.Read(request)) // repeating a request id repeats the answer, not the deed
@@ -72,7 +73,7 @@ func open(ctx context.Context, address, name string) channel {
 		Transports: []v1.Transport{v1.Transport_TRANSPORT_GRPC},
 	}))
 	data := v1.NewChannelServiceClient(dial(place.Endpoints[0].Target))
-	return channel{data, place.Channel.ChannelId, place.Channel.Epoch}
+	return ctx, channel{data, place.Channel.ChannelId, place.Channel.Epoch}
 }
 
 // put sends runs of one item and reads their acks, which come in order.
@@ -135,7 +136,8 @@ func main() {
 	ctx, cancel := context.WithTimeout(context.Background(), 20*time.Second)
 	defer cancel()
 	ctx = metadata.AppendToOutgoingContext(ctx, "authorization", "Bearer "+secret)
-	ch, texts := open(ctx, os.Args[1], os.Args[3]), os.Args[4:]
+	ctx, ch := open(ctx, os.Args[1], os.Args[3])
+	texts := os.Args[4:]
 	news := must(ch.data.Subscribe(ctx))
 	check(news.Send(&v1.SubscribeRequest{Open: &v1.SubscribeOpen{ChannelId: ch.id, Epoch: ch.epoch}, CreditBytes: 1 << 20}))
 	must(news.Recv()) // has `opened`: the subscription holds, from here on nothing is missed

@@ -49,6 +49,7 @@ function explain(error) {
 // The whole way once: front-end -> supernode -> gatekeeper -> data endpoint.
 async function open(name) {
   const bound = await call(connect(v1.FrontendService, address), "Bind", { protocol_version: 1 });
+  metadata.set("stampede-cluster-id", bound.cluster_id); // servers of other clusters refuse this client from here on
   const directory = connect(v1.DirectoryService, bound.supernodes[0].endpoint.target); // the best one comes first
   const opened = await call(directory, "OpenChannel", {
     request_id: crypto.randomBytes(16),

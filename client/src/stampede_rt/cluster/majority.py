@@ -47,7 +47,8 @@ def _is_silent(error: StampedeError) -> bool:
 
 def _how(error: StampedeError) -> str:
     if isinstance(error, WrongCluster):
-        return "is of another cluster"
+        told = f", {error.metadata['cluster_id']}" if "cluster_id" in error.metadata else ""
+        return f"is of another cluster{told}"
     return "did not answer in time" if isinstance(error, DeadlineExceeded) else "cannot be reached"
 
 
