@@ -132,18 +132,16 @@ func unpack(runs []*v1.DeliveredRun) (items []item) {
 }
 
 func main() {
-	secret := strings.TrimSpace(string(must(os.ReadFile(os.Args[2]))))
 	ctx, cancel := context.WithTimeout(context.Background(), 20*time.Second)
 	defer cancel()
-	ctx = metadata.AppendToOutgoingContext(ctx, "authorization", "Bearer "+secret)
+	ctx = metadata.AppendToOutgoingContext(ctx, "authorization", "Bearer "+strings.TrimSpace(string(must(os.ReadFile(os.Args[2])))))
 	ctx, ch := open(ctx, os.Args[1], os.Args[3])
-	texts := os.Args[4:]
 	news := must(ch.data.Subscribe(ctx))
 	check(news.Send(&v1.SubscribeRequest{Open: &v1.SubscribeOpen{ChannelId: ch.id, Epoch: ch.epoch}, CreditBytes: 1 << 20}))
 	must(news.Recv()) // has `opened`: the subscription holds, from here on nothing is missed
-	put := ch.put(ctx, texts)
+	put := ch.put(ctx, os.Args[4:])
 	var subscribed []item
-	for len(subscribed) < len(texts) {
+	for len(subscribed) < len(put) {
 		subscribed = append(subscribed, unpack(must(news.Recv()).Runs)...)
 	}
 	last := ch.last(ctx, 30*time.Second)
