@@ -169,7 +169,8 @@ class DirectoryClient:
         """Ping all supernodes at once and put the nearest first, those of the own zone before others.
 
         Supernodes that do not answer within PING_TIMEOUT_S go last, and so do those of another cluster, such as a
-        restored backup at an old address. The time of the next ping is random, so that many clients do not ping at once.
+        restored backup at an old address. The time of the next ping is random, so that many clients do not ping at
+        once.
         """
         self._measure_again_s = time.monotonic() + MEASURE_EVERY_S * (0.5 + random.random())
         targets = list(self._targets)
