@@ -38,9 +38,9 @@ def test_an_item_goes_in_and_comes_out_once(stampede: Run) -> None:
     assert shown.endswith("#1 by=me  do it\n")
     shown, _ = stampede("queue", "get", "cli/jobs", "-n", "5", "--timeout", "0.1")
     assert shown.endswith("#1 (delivery 2) by=me  do it\n")
-    assert stampede("queue", "get", "cli/jobs", "--timeout", "0", status=3) == ("", "stampede: nothing is there\n")
+    assert stampede("queue", "get", "cli/jobs", "--timeout", "0", status=3) == ("", "stampede: there is no message\n")
     _, said = stampede("queue", "get", "cli/jobs", "--timeout", "0.1", status=3)
-    assert said == "stampede: nothing came within 0.1 s\n"
+    assert said == "stampede: no message came within 0.1 s\n"
 
 
 def test_programs_read_and_write_json(stampede: Run) -> None:
@@ -71,13 +71,13 @@ def test_standard_input_is_put_and_payloads_come_raw(
 def test_a_message_id_is_put_once(stampede: Run) -> None:
     assert stampede("queue", "put", "cli/once", "x", "--message-id", "one")[0] == "cli/once #1\n"
     assert stampede("queue", "put", "cli/once", "x", "--message-id", "one")[0] == (
-        "cli/once #1 (put before under this id)\n"
+        "cli/once #1 (the queue has this message id already)\n"
     )
 
 
 def test_what_is_pending_is_listed(stampede: Run, cluster: LocalCluster) -> None:
     assert stampede("queue", "put", "cli/pending", "x")[0] == "cli/pending #1\n"
-    assert stampede("queue", "pending", "cli/pending")[0] == "nothing of cli/pending is leased\n"
+    assert stampede("queue", "pending", "cli/pending")[0] == "no message of cli/pending is leased\n"
     with st.connect(cluster.address, name="cli-taker") as rt:
         rt.queue("cli/pending").get(timeout=10)
         heads, row = stampede("queue", "pending", "cli/pending")[0].splitlines()
@@ -90,7 +90,7 @@ def test_what_is_pending_is_listed(stampede: Run, cluster: LocalCluster) -> None
         assert rt.mailbox.get(timeout=10)
         assert "cli-taker" in stampede("mailbox", "pending", "cli-taker")[0]
     _, said = stampede("mailbox", "pending", "cli-taker", status=1)
-    assert "no live participant is named cli-taker" in said
+    assert "no live peer is named cli-taker" in said
 
 
 def test_a_message_is_given_up_with_a_reason_and_its_dead_letter_tells_it(stampede: Run) -> None:
@@ -134,7 +134,7 @@ def test_a_queue_is_deleted(stampede: Run) -> None:
     assert stampede("queue", "delete", "cli/gone") == ("", "")
     for verb in ("get", "info", "delete"):
         _, said = stampede("queue", verb, "cli/gone", status=1)
-        assert said.startswith("stampede: there is no queue cli/gone; `stampede queue ls` lists those there are")
+        assert said.startswith("stampede: there is no queue cli/gone; `stampede queue ls` lists the queues")
 
 
 def test_a_stated_set_up_that_contradicts_is_refused(stampede: Run) -> None:
@@ -166,10 +166,10 @@ def test_a_message_is_sent_to_a_participant_who_takes_it(stampede: Run, cluster:
 def test_nobody_is_sent_to_who_is_not_there(stampede: Run) -> None:
     for verb in (("send", "cli/nobody", "x"), ("info", "cli/nobody")):
         _, said = stampede("mailbox", *verb, status=1)
-        assert said == "stampede: no live participant is named cli/nobody; `stampede peers` lists those there are\n"
-    assert stampede("peers", "nothing/*")[0] == "no participant matches 'nothing/*'\n"
+        assert said == "stampede: no live peer is named cli/nobody; `stampede peers` lists the live ones\n"
+    assert stampede("peers", "nothing/*")[0] == "no peer matches 'nothing/*'\n"
 
 
 def test_a_command_is_a_participant_for_a_while(stampede: Run) -> None:
     _, said = stampede("mailbox", "get", "cli/short", "--timeout", "0.1", status=3)
-    assert said == "stampede: nothing came within 0.1 s\n"
+    assert said == "stampede: no message came within 0.1 s\n"

@@ -172,7 +172,7 @@ def test_raw_output_that_could_command_the_terminal_is_refused_there(
         )
         os.close(theirs)
     assert done.returncode == 2
-    assert b"send it to a file" in done.stderr
+    assert b"write it to a file" in done.stderr
 
 
 def test_a_time_without_a_zone_is_local_time(stampede: Run, environment: dict[str, str]) -> None:
@@ -269,7 +269,7 @@ def test_doctor_finds_everything_well(stampede: Run) -> None:
         (["put", "cli/wrong", "x", "--time", str(2**62)], 1, "ahead"),
         (["get", "cli/wrong", "--limit", "0"], 2, "1 or more"),
         (["ls", "--colour"], 2, "stampede ls --help"),
-        (["put", "cli/wrong", "x", "y"], 2, "there is no y here"),
+        (["put", "cli/wrong", "x", "y"], 2, "has no argument y"),
         (["fly"], 2, "fly"),
         ([], 2, "VERB"),
         (["ls", "--url", "localhost:1"], 1, "cannot connect to localhost:1"),

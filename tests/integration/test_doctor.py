@@ -57,13 +57,13 @@ def test_a_lost_quorum_is_told_with_whom_to_start_and_then_without_any_front_end
         supernode.kill()
     code, said = doctor("--url", cluster.address)
     assert (code, "1 of 3 run" in said) == (1, True)
-    assert "start s2 and s3 with their folders, or, if those are gone for good, see the runbook: lose two" in said
-    assert "Hosts cannot renew their leases: within 5 s they refuse all calls, keep what they hold" in said
+    assert "start s2 and s3 with their data folders, or, if those are lost, see the runbook: lose two" in said
+    assert "Hosts cannot renew their leases: within 5 s they refuse all calls. They keep their items" in said
 
     cluster.frontends[0].stop()
     code, said = doctor("--url", cluster.address)
     assert (code, "0 of 1 serve" in said) == (1, True)
-    assert "clients that are bound go on, but nobody can connect anew; start a front-end" in said
+    assert "connected clients go on, but no new client can connect; start a front-end" in said
     assert "stampede doctor --member HOST:PORT" in said
     code, said = doctor("--url", cluster.address, "--member", cluster.supernodes[0].address)
     assert (code, "start s2 and s3" in said, "host h1" in said) == (1, True, True)
@@ -86,8 +86,8 @@ def test_a_host_that_was_killed_and_what_it_held_are_told_until_it_is_back(
     code, said = doctor("--url", cluster.address)
     assert (code, "Everything is well." in said) == (1, False)
     assert re.search(r"^host h2 +\S+ +lost \S+ m?s ago", said, re.M), "it held nothing, and is missed all the same"
-    assert "channels: cam/left belonged to host h1, which is gone" in said
-    assert "queues: jobs belonged to host h1, which is gone" in said
+    assert "channels: cam/left belonged to host h1, which is lost with its items" in said
+    assert "queues: jobs belonged to host h1, which is lost with its items" in said
     empty.restart()
     code, said = doctor("--url", cluster.address)
     assert (code, "lost" in row(said, "host h2"), "lost" in row(said, "host h1")) == (1, False, True)

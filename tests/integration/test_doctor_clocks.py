@@ -124,7 +124,7 @@ async def test_a_host_whose_clock_is_ahead_is_named(capsys: pytest.CaptureFixtur
     everything.host_ahead_nanos = HOUR_NANOS
     code, said = await said_of(everything, capsys)
     assert code == 1, said
-    assert re.search(r"clocks: that of host h1 is \S+ [mh] ahead of the others'; synchronise it", said), said
+    assert re.search(r"clocks: the clock of host h1 is \S+ [mh] ahead of the others'; synchronise it", said), said
     assert "50 ms are allowed" in said
 
 
@@ -133,7 +133,9 @@ async def test_if_all_clocks_disagree_with_this_machine_it_is_named(capsys: pyte
     everything.all_ahead_nanos = HOUR_NANOS
     code, said = await said_of(everything, capsys)
     assert code == 1, said
-    assert re.search(r"clocks: this machine's is \S+ [mh] behind the cluster's; synchronise this one", said), said
+    assert re.search(
+        r"clocks: this machine's clock is \S+ [mh] behind the cluster's; synchronise this machine's", said
+    ), said
 
 
 async def test_a_host_of_another_version_is_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,9 +169,9 @@ async def test_every_peer_is_shown_with_its_clock_and_one_that_is_off_is_named(
     )
     code, said = await said_of(everything, capsys)
     assert code == 1, said
-    assert re.search(r"^clocks: that of peer robot/late is (2|1.9\d+|2.0\d+) h behind the others'; sync", said, re.M), (
-        said
-    )
+    assert re.search(
+        r"^clocks: the clock of peer robot/late is (2|1.9\d+|2.0\d+) h behind the others'; sync", said, re.M
+    ), said
     assert re.search(r"^peer robot/late +- +ok .* -(2|1.9\d+|2.0\d+) h +3\.1$", said, re.M), said
     assert re.search(r" (ns|us|ms) +3\.1$", row(said, "peer robot/good")), said
     for unknown in ("robot/new", "robot/stray"):

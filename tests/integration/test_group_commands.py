@@ -71,7 +71,7 @@ def test_what_a_group_shows_is_printed_with_who_holds_it_back(run: Command, rt: 
     rt.group("rig")["rig/left"].get(base + SECOND, base + SECOND, match="start", timeout=10)
     status, said, _ = run("status", "rig")
     assert status == 0
-    assert "held by rig/right" in said
+    assert "rig/right holds it back" in said
     left, right = (
         next(line for line in said.splitlines() if line.startswith(f"rig/{side} ")) for side in ("left", "right")
     )

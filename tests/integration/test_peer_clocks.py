@@ -106,7 +106,9 @@ def test_a_participant_whose_clock_is_off_is_seen_by_all_whoever_leads(
         assert said.count("synchronise it") == 1, said
         assert stampede(["doctor", "--url", cluster.address]) == 1
         said = capsys.readouterr().out
-        assert "clocks: that of peer robot/late is 2 h behind the others'; synchronise it (chrony, ntpd)" in said, said
+        assert (
+            "clocks: the clock of peer robot/late is 2 h behind the others'; synchronise it (chrony, ntpd)" in said
+        ), said
 
         late.step(3600 * SECOND)
         wait_until(lambda: shown(3600 * SECOND))

@@ -99,7 +99,7 @@ async def test_a_member_with_an_older_copy_of_its_folder_is_refused_for_good_and
         assert (code, "is of no use any more" in printed) == (1, True), printed
         await status_has(leader.address, f"{restored.name} is refused: '{restored.name}' comes with an older copy")
         code, printed = await doctor(leader.address)
-        assert (code, "store refused" in printed, "have it join under a new id" in printed) == (1, True, True), printed
+        assert (code, "store refused" in printed, "let it join under a new id" in printed) == (1, True, True), printed
         await loses_nothing(leader, names)
 
 

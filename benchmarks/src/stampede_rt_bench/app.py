@@ -69,7 +69,9 @@ def _matching(arguments: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="stampede bench", description="Benchmarks, with their peers beside them.")
+    parser = argparse.ArgumentParser(
+        prog="stampede bench", description="Benchmarks, beside other software for the same task."
+    )
     kinds = parser.add_subparsers(dest="kind", metavar="NAME")
     _add_paper(kinds)
     text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"

@@ -101,7 +101,7 @@ def test_flags_cannot_be_abbreviated() -> None:
 
 
 def test_a_stray_word_is_refused() -> None:
-    assert "'start' is one word too many" in refusal("start")
+    assert "'start' is not expected here" in refusal("start")
 
 
 def test_a_flag_without_its_value_is_refused() -> None:

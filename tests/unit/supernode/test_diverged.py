@@ -74,10 +74,10 @@ async def test_it_refuses_reads_and_updates_and_says_where_it_went_wrong(node: N
     why = pong.refused_supernodes["s1"]
     assert "log position 7" in why
     state, advice = refusal(why)  # as `supernode status` and `doctor` show it
-    assert (state, "join under a new id" in advice, "folder as it was" in advice) == ("diverged", True, False)
+    assert (state, "join under a new id" in advice, "latest data folder" in advice) == ("diverged", True, False)
 
 
 def test_doctor_tells_a_release_that_is_refused_from_a_store() -> None:
     state, advice = refusal(f"'s2' {TOO_OLD}: it knows feature level 1 (says s1)")
-    assert (state, "release of the others and the same folder" in advice) == ("release refused", True)
+    assert (state, "release of the others and the same data folder" in advice) == ("release refused", True)
     assert "remove" not in advice

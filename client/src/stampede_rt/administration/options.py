@@ -1,4 +1,4 @@
-"""The words of `stampede supernode` that the client and a supernode that joins share."""
+"""The words of `stampede supernode` that the client shares with a joining supernode."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ ADMINISTRATIVE_VERBS = ("status", "add", "remove", "snapshot")
 
 
 def add_cluster_options(parser: argparse.ArgumentParser) -> None:
-    """The options that say where the cluster is."""
+    """Add the options that name the cluster."""
     addresses = parser.add_mutually_exclusive_group()
-    addresses.add_argument("--url", "--frontend", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
-    addresses.add_argument("--member", metavar="HOST:PORT,...", help="supernodes, if no front-end runs")
+    addresses.add_argument(
+        "--url", "--frontend", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL, then localhost:7580"
+    )
+    addresses.add_argument("--member", metavar="HOST:PORT,...", help="supernodes to ask instead, if no front-end runs")

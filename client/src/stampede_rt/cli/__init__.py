@@ -1,1 +1,1 @@
-"""The command line `stampede`: a thin shell over the blocking client. Services bring verbs of their own."""
+"""The command line `stampede`: a thin shell over the blocking client. Services add verbs of their own."""

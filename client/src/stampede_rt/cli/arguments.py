@@ -1,4 +1,4 @@
-"""How times, bounds and policies are written on the command line."""
+"""Times, bounds and policies as people write them on the command line."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
 
 
 class VerbParser(argparse.ArgumentParser):
-    """The parser of one verb: options may stand between its words, and it answers for words that it does not know."""
+    """The parser of one verb. It allows options between the words, and refuses words that it does not know."""
 
     _intermixed = False
 
     def parse_known_args(  # type: ignore[override]  # typeshed has an overload for each kind of namespace
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> Any:
-        """What argparse asks of a verb's parser; the second pass of an intermixed parse comes here, too."""
-        if self._intermixed or self._subparsers is not None:  # a noun: its verbs parse the rest
+        """Parse the verb's arguments. argparse calls this, also for the second pass of an intermixed parse."""
+        if self._intermixed or self._subparsers is not None:  # a noun such as "queue": its verbs parse the rest
             return super().parse_known_args(args, namespace)
         self._intermixed = True
         try:
@@ -38,27 +38,29 @@ class VerbParser(argparse.ArgumentParser):
         finally:
             self._intermixed = False
         if unknown:
-            self.error(f"there is no {' '.join(unknown)} here; see {self.prog} --help")
+            self.error(f"{self.prog} has no argument {' '.join(unknown)}; see {self.prog} --help")
         return parsed, unknown
 
 
 def add_verb(
     subparsers: Any, name: str, text: str, run: Callable[[argparse.Namespace], int], *, output: bool = True
 ) -> argparse.ArgumentParser:
-    """A verb with the options that all verbs have."""
+    """Add a verb with the options that all verbs have."""
     parser: argparse.ArgumentParser = subparsers.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
     parser.add_argument(
         "--url", metavar="HOST:PORT", help="front-ends, comma-separated; default $STAMPEDE_URL, then localhost:7580"
     )
     if output:
-        parser.add_argument("-o", "--output", choices=("table", "json", "jsonl"), default="table", help="the form")
+        parser.add_argument(
+            "-o", "--output", choices=("table", "json", "jsonl"), default="table", help="how to print; default table"
+        )
     return parser
 
 
 def connected(arguments: argparse.Namespace, name: str | None = None) -> Connection:
-    """The connection that the common options name, as the participant `name`. Ctrl-C closes it."""
-    from stampede_rt import connect  # gRPC takes 0.1 s to load, which --help and completion do not pay
+    """Connect as the common options say, as the peer `name`. Ctrl-C closes the connection."""
+    from stampede_rt import connect  # gRPC takes 0.1 s to load; --help does not need it
 
     rt = connect(arguments.url or os.environ.get("STAMPEDE_URL"), name=name)
     interruption.closes(rt.close)
@@ -66,24 +68,24 @@ def connected(arguments: argparse.Namespace, name: str | None = None) -> Connect
 
 
 def existing(rt: Connection, name: str) -> Channel:
-    """A channel that must be there. Raises ChannelNotFound in the words of the command line."""
+    """Open an existing channel. Raises ChannelNotFound in the words of the command line."""
     try:
         return rt.channel(name, create=False)
     except ChannelNotFound as error:
         raise ChannelNotFound(
-            f"there is no channel {name}; `stampede ls` lists those there are, `stampede put {name}` makes it"
+            f"there is no channel {name}; `stampede ls` lists the channels, `stampede put {name}` creates it"
         ) from error
 
 
 def parse_count(text: str) -> int:
-    """A number of items or lines: 1 or more."""
+    """Return a number of items or lines, 1 or more."""
     if not re.fullmatch(r"\d{1,18}", text) or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no such number; write 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of items or lines; write 1 or more")
     return int(text)
 
 
 def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
-    """`parse` as argparse wants it: what it refuses is a usage error that says why."""
+    """Wrap `parse` for argparse: its InvalidArgument becomes a usage error with the reason."""
 
     def parse_or_explain(text: str) -> Any:
         try:
@@ -95,7 +97,7 @@ def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
 
 
 def parse_time(text: str) -> int:
-    """An instant: nanoseconds since the epoch, or ISO 8601; without a timezone it is this machine's local time."""
+    """Return an instant: nanoseconds since the epoch, or ISO 8601, without a timezone in this machine's local time."""
     if re.fullmatch(r"[+-]?\d+", text):
         return parse_instant(int(text))
     try:
@@ -110,7 +112,7 @@ def parse_time(text: str) -> int:
 
 
 def parse_bound_text(text: str) -> Bound:
-    """A bound: a time, or now, newest, oldest with an offset, such as "newest-30ms"."""
+    """Return a bound: a time, or now, newest, oldest with an offset, such as "newest-30ms"."""
     match = _META_TEXT.fullmatch(text.strip())
     if match is None:
         return Bound(None, parse_time(text))
@@ -121,7 +123,7 @@ def parse_bound_text(text: str) -> Bound:
 
 
 def parse_attribute(text: str) -> tuple[str, str]:
-    """An attribute, KEY=VALUE."""
+    """Return an attribute, written KEY=VALUE."""
     key, separator, value = text.partition("=")
     if not separator or not key:
         raise InvalidArgument(f"{text!r} is no attribute; write KEY=VALUE")
@@ -129,21 +131,27 @@ def parse_attribute(text: str) -> tuple[str, str]:
 
 
 def add_policy(parser: argparse.ArgumentParser) -> None:
-    """The options of a channel's set-up."""
-    parser.add_argument("--max-age", metavar="DURATION", help='keep items for so long, such as "10s"')
-    parser.add_argument("--max-items", type=int, metavar="N", help="keep so many items")
-    parser.add_argument("--max-bytes", type=int, metavar="N", help="keep so many bytes")
-    parser.add_argument("--consumers", type=int, metavar="N", help="an item may go once N consumers have used it up")
+    """Add the options of a channel's policy."""
+    parser.add_argument("--max-age", metavar="DURATION", help='keep items for this time, such as "10s"')
+    parser.add_argument("--max-items", type=int, metavar="N", help="keep at most N items")
+    parser.add_argument("--max-bytes", type=int, metavar="N", help="keep at most N bytes")
     parser.add_argument(
-        "--max-age-unconsumed", metavar="DURATION", help="keep for so long what a live consumer has yet to use up"
+        "--consumers", type=int, metavar="N", help="an item may leave once N consumers have consumed it"
     )
-    parser.add_argument("--overlap", metavar="DURATION", help="so long no later item cuts an item with a duration")
-    parser.add_argument("--on-full", choices=ON_FULL, help="what a put into a full channel does")
-    parser.add_argument("--content-type", metavar="MIME", help='what the items are, such as "image/jpeg"')
+    parser.add_argument(
+        "--max-age-unconsumed",
+        metavar="DURATION",
+        help="keep items that a live consumer has still to consume for this time",
+    )
+    parser.add_argument(
+        "--overlap", metavar="DURATION", help="for this time a later item does not end an item with a duration"
+    )
+    parser.add_argument("--on-full", choices=ON_FULL, help="what the host does with a put into a full channel")
+    parser.add_argument("--content-type", metavar="MIME", help='the MIME type of the items, such as "image/jpeg"')
 
 
 def policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The set-up as keyword arguments of `Connection.channel`."""
+    """The policy as keyword arguments of `Connection.channel`."""
     names = (
         "max_age",
         "max_items",

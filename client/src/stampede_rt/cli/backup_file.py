@@ -1,4 +1,4 @@
-"""A backup on its way to a file: whole and checked, or not there at all."""
+"""Writes a backup to a file: a complete and checked file, or none."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ SHA256_BYTES = 32
 
 
 def write_backup(responses: Iterator[pb.TakeSnapshotResponse], out: Path) -> pb.TakeSnapshotResponse:
-    """Write the backup that `responses` bring to `out`, readable by its user only; return the first one, the facts.
+    """Write the backup in `responses` to `out`, readable by its user only.
 
-    A file that is there is replaced, once the new one is whole and on the disk. Raises OSError, StampedeError if it is
-    not what was announced, and what `responses` raise.
+    Returns the first response, which has the facts.
+
+    It replaces an existing file once the new one is complete and on the disk. Raises OSError, StampedeError for a
+    damaged backup, and the errors of `responses`.
     """
     draft = out.parent / f".{out.name}.{secrets.token_hex(4)}"
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

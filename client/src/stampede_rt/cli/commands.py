@@ -23,31 +23,31 @@ MISUSED = 2
 OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 SERVICE_VERBS = {
-    "dev": "the whole system on this machine, in memory, in one command",
+    "dev": "run the whole system on this machine, in memory",
     "frontend": "run a front-end",
     "supernode": "run a supernode",
     "host": "run a channel host",
     "certs": "make the certificates of a cluster",
-    "demo": "see it at work on real media",
-    "bench": "take the paper's figures on this machine, with charts",
+    "demo": "run a demonstration on real media",
+    "bench": "run a benchmark, such as the paper's figures",
 }
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command; the exit status is returned."""
+    """Run one command and return its exit status."""
     try:
         if arguments and arguments[0] in SERVICE_VERBS:
             return _run_service(arguments[0], arguments[1:])
         parsed = _parser().parse_args(arguments)
         status = int(parsed.run(parsed))
-        sys.stdout.flush()  # a full disk is told here, rather than by the interpreter as it exits
+        sys.stdout.flush()  # report a full disk here, not at the interpreter's end
         return status
     except StampedeError as error:
-        if interruption.asked:  # its connection was closed under it
+        if interruption.asked:  # Ctrl-C has closed its connection
             return INTERRUPTED
         print(f"stampede: {escaped(error.message)}", file=sys.stderr)
         return MISUSED if isinstance(error, InvalidArgument) else FAILED
-    except BrokenPipeError:  # whoever read the output has seen enough
+    except BrokenPipeError:  # the reader of the output has ended
         _drop_output()
         return 0
     except Exception as error:
@@ -59,17 +59,19 @@ def run(arguments: Sequence[str]) -> int:
             return FAILED
         if os.environ.get("STAMPEDE_DEBUG"):
             raise
-        print(f"stampede: a defect: {type(error).__name__}: {error}. STAMPEDE_DEBUG=1 shows where", file=sys.stderr)
+        print(
+            f"stampede: a defect: {type(error).__name__}: {error}; set STAMPEDE_DEBUG=1 to see where", file=sys.stderr
+        )
         return FAILED
 
 
 def _drop_output() -> None:
-    """What is still buffered goes nowhere, so that the interpreter does not try to write it again as it exits."""
+    """Drop the buffered output, so that the interpreter does not try to write it again at its end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _run_service(verb: str, arguments: Sequence[str]) -> int:
-    # Here and in _parser, not at the top: neither loads what only the other needs.
+    # Imports here and in _parser, not at the top: neither function loads the other's modules.
     from importlib.metadata import entry_points
 
     import stampede_rt.grpc_quiet  # noqa: F401  # before anything imports gRPC
@@ -103,8 +105,8 @@ def _parser() -> argparse.ArgumentParser:
     verbs = "\n".join(f"  {verb:<10}{text}" for verb, text in SERVICE_VERBS.items())
     parser = argparse.ArgumentParser(
         prog="stampede",
-        description="Stampede RT: time-indexed live streams.",
-        epilog=f"to run parts of the system (each has --help):\n{verbs}",
+        description="Stampede RT: a distributed store of time-indexed live streams.",
+        epilog=f"verbs that run parts of the system (each has --help):\n{verbs}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"stampede {VERSION}")

@@ -38,59 +38,80 @@ def add_verbs(subparsers: Any) -> None:
     _add_put(subparsers)
     _add_get(subparsers)
     echo = add_verb(subparsers, "echo", "print items as they come, until Ctrl-C", run_echo)
-    echo.add_argument("channel")
-    echo.add_argument("--from", dest="start", type=checked(parse_bound_text), metavar="TIME", help="held items, too")
-    echo.add_argument("--mode", choices=("all", "newest"), default="all", help="every item, or always the newest")
+    echo.add_argument("channel", help="the channel's name")
+    echo.add_argument(
+        "--from",
+        dest="start",
+        type=checked(parse_bound_text),
+        metavar="TIME",
+        help="begin with the held items from this time on",
+    )
+    echo.add_argument("--mode", choices=("all", "newest"), default="all", help="every item, or always the newest one")
     echo.add_argument("--count", type=parse_count, metavar="N", help="stop after N items")
-    echo.add_argument("--no-payloads", action="store_true", help="times and lengths only")
+    echo.add_argument("--no-payloads", action="store_true", help="print times and lengths only")
 
 
 def _add_put(subparsers: Any) -> None:
-    put = add_verb(subparsers, "put", "put one item; the channel is created if it is absent", run_put)
-    put.add_argument("channel")
+    put = add_verb(subparsers, "put", "put one item; creates an absent channel", run_put)
+    put.add_argument("channel", help="the channel's name")
     add_payload(put)
-    put.add_argument("--time", type=checked(parse_time), metavar="TIME", help="the item's time; default: on arrival")
-    put.add_argument("--duration", metavar="DURATION", help='how long it holds, such as "33ms"')
     put.add_argument(
-        "--attribute", type=checked(parse_attribute), action="append", metavar="KEY=VALUE", help="may be repeated"
+        "--time", type=checked(parse_time), metavar="TIME", help="the item's time; default: the host's clock"
     )
-    put.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait so long for room; default 1")
+    put.add_argument("--duration", metavar="DURATION", help='the duration of the item, such as "33ms"')
+    put.add_argument(
+        "--attribute",
+        type=checked(parse_attribute),
+        action="append",
+        metavar="KEY=VALUE",
+        help="an attribute of the item; may be repeated",
+    )
+    put.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait this long for room; default 1")
     add_policy(put)
 
 
 def _add_get(subparsers: Any) -> None:
-    get = add_verb(subparsers, "get", "get items by time; without times, the newest", run_get)
-    get.add_argument("channel")
+    get = add_verb(subparsers, "get", "print items by time; without times the newest one", run_get)
+    get.add_argument("channel", help="the channel's name")
     get.add_argument(
         "interval",
         nargs="*",
         type=checked(parse_bound_text),
         metavar="TIME",
-        help='start and end: a time, or now, newest, oldest with an offset, such as "newest-30ms"',
+        help='start and end: a time, or now, newest or oldest, also with an offset, such as "newest-30ms"',
     )
     which = get.add_mutually_exclusive_group()
-    which.add_argument("--last", metavar="DURATION", help='everything of the last, such as "30s"')
-    which.add_argument("--at", type=checked(parse_bound_text), metavar="TIME", help="what holds at that time")
-    which.add_argument("--before", type=checked(parse_bound_text), metavar="TIME", help="the newest before that time")
-    which.add_argument("--all", action="store_true", help="everything that is held")
+    which.add_argument("--last", metavar="DURATION", help='the items of the last DURATION, such as "30s"')
+    which.add_argument("--at", type=checked(parse_bound_text), metavar="TIME", help="the items that hold at this time")
+    which.add_argument(
+        "--before", type=checked(parse_bound_text), metavar="TIME", help="the newest item before this time"
+    )
+    which.add_argument("--all", action="store_true", help="all held items")
     get.add_argument(
         "--bounds",
         choices=("[]", "[)", "(]", "()"),
         default="[]",
         metavar="BOUNDS",  # argparse drops brackets from a list of choices
-        help='which ends belong to it: "[]" (default), "[)", "(]", "()"',
+        help='the bounds that belong to the interval: "[]" (default), "[)", "(]", "()"',
     )
-    get.add_argument("--match", choices=("span", "whole", "start"), default="span", help="how items match")
-    get.add_argument("--limit", type=parse_count, metavar="N", help="at most N items")
-    get.add_argument("--newest-first", action="store_true", help="the latest first")
-    get.add_argument("--timeout", type=float, default=0.0, metavar="SECONDS", help="wait so long for an item")
-    get.add_argument("--complete", action="store_true", help="wait until nothing more can come into the interval")
-    get.add_argument("--no-payloads", action="store_true", help="times and lengths only")
-    get.add_argument("--raw", action="store_true", help="write the payloads alone, one behind the other")
+    get.add_argument(
+        "--match",
+        choices=("span", "whole", "start"),
+        default="span",
+        help="items whose span touches the interval (default), lies in it, or starts in it",
+    )
+    get.add_argument("--limit", type=parse_count, metavar="N", help="print at most N items")
+    get.add_argument("--newest-first", action="store_true", help="print the latest first")
+    get.add_argument(
+        "--timeout", type=float, default=0.0, metavar="SECONDS", help="wait this long for an item; default 0"
+    )
+    get.add_argument("--complete", action="store_true", help="wait until no more items can come into the interval")
+    get.add_argument("--no-payloads", action="store_true", help="print times and lengths only")
+    get.add_argument("--raw", action="store_true", help="write only the payloads, without separators")
 
 
 def run_put(arguments: argparse.Namespace) -> int:
-    """Put one item and say where it went."""
+    """Put one item and print its place."""
     payload = payload_of(arguments)
     with connected(arguments) as rt:
         channel = rt.channel(arguments.channel, **policy_of(arguments))
@@ -151,7 +172,7 @@ def _get_interval(channel: Channel, arguments: argparse.Namespace, payloads: boo
 
 def _interval(arguments: argparse.Namespace) -> tuple[Any, Any]:
     if arguments.interval and (arguments.last or arguments.all or arguments.before is not None):
-        raise InvalidArgument("give either times, or one of --last, --at, --before, --all")
+        raise InvalidArgument("give two times or one of --last, --at, --before, --all, not both")
     if arguments.last:
         return last(arguments.last)
     if arguments.before is not None:
@@ -184,5 +205,8 @@ def run_echo(arguments: argparse.Namespace) -> int:
             if count == arguments.count:
                 break
         if subscription.dropped:
-            print(f"stampede: {subscription.dropped} items were collected before they were read", file=sys.stderr)
+            print(
+                f"stampede: retention collected {subscription.dropped} items before they could be printed",
+                file=sys.stderr,
+            )
     return 0

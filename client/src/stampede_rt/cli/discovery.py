@@ -1,4 +1,4 @@
-"""`stampede ls` and `stampede info`: what is there."""
+"""`stampede ls` and `stampede info`: channels and their counters."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ def add_verbs(subparsers: Any) -> None:
     """Add the verbs of this module."""
     ls = add_verb(subparsers, "ls", "list channels", run_ls)
     ls.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "cam/*"')
-    ls.add_argument("-l", "--long", action="store_true", help="with counters, which the hosts are asked for")
-    info = add_verb(subparsers, "info", "tell everything about one channel", run_info)
-    info.add_argument("channel")
+    ls.add_argument("-l", "--long", action="store_true", help="also print counters, which the hosts give")
+    info = add_verb(subparsers, "info", "print a channel's policy and counters", run_info)
+    info.add_argument("channel", help="the channel's name")
 
 
 def run_ls(arguments: argparse.Namespace) -> int:
@@ -59,7 +59,7 @@ def _add_counters(
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Tell a channel's counters and bounds."""
+    """Print a channel's counters and bounds."""
     with connected(arguments) as rt:
         channel = existing(rt, arguments.channel)
         stats = channel.stats()
@@ -98,7 +98,7 @@ def _counts(counts: Any) -> str:
 
 
 def _consumers(stats: ChannelStats) -> str:
-    """The places of consumers, as people read it; the identities are for programs."""
+    """The consumer places for people; the ids are for programs."""
     if not stats.consumers and stats.policy.consumers is None:
         return "none"
     held = [f"{one.waiting} waiting" if one.lease_nanos else "lease ended" for one in stats.consumers]

@@ -1,4 +1,4 @@
-"""`stampede doctor`: is everything reachable, in quorum and on time, and what to do if not."""
+"""`stampede doctor`: does the cluster work, and what should be fixed."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ CERTIFICATE_S_MIN = 14 * 86400.0
 
 def add_verbs(subparsers: Any) -> None:
     """Add the verbs of this module."""
-    doctor = add_verb(subparsers, "doctor", "look whether the cluster is well, and say what to fix", run_doctor)
-    doctor.add_argument("--member", metavar="HOST:PORT,...", help="supernodes to look at, if no front-end answers")
+    doctor = add_verb(subparsers, "doctor", "check every part of the cluster, and say what to fix", run_doctor)
+    doctor.add_argument("--member", metavar="HOST:PORT,...", help="the supernodes to check if no front-end answers")
 
 
 def run_doctor(arguments: argparse.Namespace) -> int:
-    """Look at every part; exit status 1 if something is to be fixed."""
+    """Look at every part. Exit status 1: something should be fixed."""
     from stampede_rt._sync.endpoints import EndpointPool
     from stampede_rt.cli.examining import Examination
     from stampede_rt.cluster.connecting import parse_target
@@ -67,7 +67,7 @@ def _row(finding: CheckResult, form: str) -> dict[str, Any]:
 
 
 def _vague(seen: Observation | None) -> str | None:
-    """A clock of which an answer that took long tells too little."""
+    """The clock offset of a part whose answer took too long to know it well."""
     if seen is None or seen.clock_offset_nanos is None or seen.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX:
         return None
     return f"within {format_duration(abs(seen.clock_offset_nanos) + seen.clock_doubt_nanos)}"

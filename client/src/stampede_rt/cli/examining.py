@@ -1,6 +1,6 @@
-"""Asks every part of a cluster how it is, many at once: front-ends, then the supernodes they name, then the hosts.
+"""Asks every part of a cluster for its state: front-ends, then the supernodes that they name, then the hosts.
 
-Peers cannot be asked; the leader tells what they told it.
+Peers cannot be asked; the leader passes on what they told it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-TIMEOUT_S = 5.0  # a front-end looks for a healthy supernode for 2 s before it answers
+TIMEOUT_S = 5.0  # a front-end looks for a healthy supernode for up to 2 s
 ASKED_AT_ONCE_MAX = 16
 PATIENT_NANOS_MAX = 10**9
 PAGES_MAX = 10_000
 
 
 class _Part(NamedTuple):
-    """Whom to ask, and what."""
+    """One part to ask, and the question."""
 
     kind: str
     name: str
@@ -51,14 +51,14 @@ class _Answer(NamedTuple):
 
 
 class Examination:
-    """One look at a cluster; `endpoints` stay the caller's."""
+    """One look at a cluster. The caller owns `endpoints`."""
 
     def __init__(self, endpoints: EndpointPool) -> None:
         self._endpoints = endpoints
         self._pool = ThreadPoolExecutor(ASKED_AT_ONCE_MAX)
 
     def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Inventory]]:
-        """Ask the front-ends and the members that are named, and whoever they know; some 8 * TIMEOUT_S at most."""
+        """Ask the front-ends, the named members, and the parts that they name. Takes at most about 8 * TIMEOUT_S."""
         with self._pool:
             bound = self._ask(map(_frontend, frontends))
             named = dict.fromkeys(members, "")
@@ -82,7 +82,7 @@ class Examination:
         return [one for one in found if one is not None]
 
     def _pages(self, supernodes: Sequence[_Answer], method: str, request: Any) -> Iterator[Any]:
-        """The pages of a listing; None in the place of one that nobody gives."""
+        """Yield the pages of a listing, or None for a page that no supernode gives."""
         for _ in range(PAGES_MAX):
             page = self._first(supernodes, method, request)
             yield page
@@ -91,7 +91,7 @@ class Examination:
             request.page_token = page.next_page_token
 
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
-        """Those that are named and those that they name: who has lost its majority still knows the others."""
+        """Ask the named supernodes and those that they list. Even a supernode without a majority knows the others."""
         first = self._ask(_supernode(name, address) for address, name in named.items())
         ready_first = sorted(first, key=lambda one: not one.seen.ready)
         listed = {record.endpoint.target: record.supernode_id for record in self._listed(ready_first)}
@@ -114,7 +114,10 @@ class Examination:
         return [*self._ask(map(_host, alive)), *(_Answer(None, one) for one in lost)]
 
     def _peers(self, supernodes: Sequence[_Answer]) -> Iterator[Any]:
-        """The records of those that live, with the clocks that they told the leader; without a leader, without them."""
+        """Yield the records of live peers, with the clocks that they told the leader.
+
+        Without a leader they have no clocks.
+        """
         request = peer_pb.ListPeersRequest(stale_ok=True, with_clocks=True)
         for _ in range(PAGES_MAX):
             page = self._first(supernodes, "ListPeers", request)
@@ -129,21 +132,21 @@ class Examination:
             request.page_token = page.next_page_token
 
     def _first(self, supernodes: Iterable[_Answer], method: str, request: Any) -> Any:
-        """What the first of them says that answers this; None if none does."""
+        """Return the first supernode's answer to this request; None if none answers."""
         for one in supernodes:
             if one.response is not None:
                 endpoint = self._endpoints.to(one.seen.address)
                 try:
                     return endpoint.call(getattr(endpoint.directory, method), request, TIMEOUT_S)
                 except StampedeError:
-                    continue  # what is wrong with it, its own finding says
+                    continue  # its own finding says what is wrong with it
         return None
 
     def _ask(self, parts: Iterable[_Part]) -> list[_Answer]:
         return list(self._pool.map(self._probe, parts))
 
     def _probe(self, part: _Part) -> _Answer:
-        """One call; its response (None if it failed), and what it says of the part."""
+        """Make one call. Returns the response (None if it failed) and the observation."""
         seen = Observation(kind=part.kind, name=part.name, address=part.address)
         tls = self._endpoints.credentials.tls
         try:
@@ -173,14 +176,14 @@ class Examination:
         )
 
     def _timed(self, part: _Part) -> tuple[Any, int, int]:
-        """The response, when it was asked for (wall clock), and how long it took. Raises StampedeError."""
+        """Return the response, the time of the request by the wall clock, and the round trip. Raises StampedeError."""
         endpoint = self._endpoints.to(part.address)
         method = getattr(getattr(endpoint, part.service), part.method)
         for is_last in (False, True):
-            started, sent = time.monotonic_ns(), time.time_ns()  # a pause in between makes the round trip longer
+            started, sent = time.monotonic_ns(), time.time_ns()  # in this order a pause makes the round trip longer
             response = endpoint.call(method, part.request, TIMEOUT_S)
             round_trip = time.monotonic_ns() - started
-            # The first one makes the connection, too; one that waits will wait again.
+            # The first call also opens the connection. A slow part would be slow again.
             if is_last or round_trip > PATIENT_NANOS_MAX:
                 break
         return response, sent, round_trip
@@ -199,7 +202,7 @@ class Examination:
 
 
 def _said_by_itself(error: StampedeError) -> bool:
-    """Whether the part answered with that error: otherwise the call did not reach it, or was cut."""
+    """Whether the part itself answered with that error. Otherwise the call did not reach it, or broke."""
     cause: Any = error.__cause__
     return any(key == DETAILS_KEY for key, _ in cause.trailing_metadata() or ()) and isinstance(error, Unavailable)
 
@@ -219,7 +222,7 @@ def _host(host: Any) -> _Part:
 
 
 def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:
-    """What it told of its clock is against a supernode's, whose own is known if it answered the caller."""
+    """The observation of a peer. It compared its clock with a supernode, whose own clock the caller may know."""
     seen = Observation(kind=PEER, name=record.name or record.peer_id.hex(), address="-", version=record.version)
     between = supernodes.get(record.clock.supernode_id) if record.HasField("clock") else None
     if between is None or between.round_trip_nanos is None or between.clock_offset_nanos is None:
@@ -238,12 +241,12 @@ def _lost(host: Any) -> Observation:
 
 
 def _levels(response: Any) -> dict[str, Any]:
-    """What a supernode tells of feature levels."""
+    """The feature levels of a supernode."""
     return {"feature_level": response.feature_level, "highest_feature_level": response.highest_feature_level}
 
 
 def _load(response: Any) -> dict[str, Any]:
-    """What a host tells of its memory and of what it refused."""
+    """The memory of a host, and what it refused."""
     return {
         "refused_items": response.refused_items,
         "refused_ago_nanos": response.refused_ago_nanos if response.HasField("refused_ago_nanos") else None,
@@ -253,7 +256,7 @@ def _load(response: Any) -> dict[str, Any]:
 
 
 def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
-    """None if nobody could say."""
+    """Count the channels or queues; None if no supernode gave them."""
     count, lost = 0, []
     for page in pages:
         if page is None:
@@ -271,7 +274,7 @@ def _gatekeeper(host: Any) -> str:
 
 
 def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]:
-    """Supernodes whose stores this one does not take, and why; not what a copy says at the address of another one."""
+    """The supernodes whose stores this one refuses, and why. Empty for a copy at another supernode's address."""
     if answer.response is None:
         return {}
     expected = listed.get(answer.seen.address, answer.response.supernode_id)
@@ -279,12 +282,12 @@ def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]
 
 
 def _named(answer: _Answer, listed: dict[str, str], refused: Mapping[str, str]) -> _Answer:
-    """The answer with what others say of it: whose address that is, whether it is a member, and why not as it is."""
+    """The answer with the others' word about it: whose address that is, if it is a member, and why they refuse it."""
     seen = answer.seen
     expected = listed.get(seen.address, "")
     said = answer.response.supernode_id if answer.response is not None else expected
     if expected and said != expected:
-        failure = f"{said} answers there, which is another supernode; start {expected} where it should be, or remove it"
+        failure = f"another supernode, {said}, answers there; start {expected} at this address, or remove it"
         return answer._replace(seen=replace(seen, name=expected, failure=failure))
     name = said or seen.name
     is_member = not listed or name in listed.values()

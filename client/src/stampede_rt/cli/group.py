@@ -1,4 +1,4 @@
-"""`stampede group ...`: channels that are read in step."""
+"""`stampede group ...`: groups of channels."""
 
 from __future__ import annotations
 
@@ -31,47 +31,72 @@ NOTHING = 3
 
 def add_verbs(subparsers: Any) -> None:
     """Add the noun of this module and its verbs."""
-    text = "channels that are read in step"
+    text = "groups: channels that are read up to one common time"
     noun = subparsers.add_parser("group", help=text, description=text)
     verbs = noun.add_subparsers(dest="group_verb", metavar="VERB", required=True, parser_class=VerbParser)
     ls = add_verb(verbs, "ls", "list groups", run_ls)
-    ls.add_argument("glob", nargs="?", default="*", metavar="GLOB")
-    create = add_verb(verbs, "create", "make a group of channels", run_create, output=False)
-    create.add_argument("group")
-    create.add_argument("channels", nargs="+", metavar="CHANNEL")
-    create.add_argument("--reference", default="oldest", metavar="CHANNEL", help="whose cut counts; default: oldest")
-    create.add_argument("--bound", choices=("start", "end"), default="start", help="where a newest item is cut")
-    create.add_argument("--idle-after", metavar="DURATION", help='leave silent members out after so long, "2s"')
-    create.add_argument("--max-lead", default="5s", metavar="DURATION", help='with --bound end; default "5s"')
+    ls.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "stereo/*"')
+    create = add_verb(verbs, "create", "create a group of channels", run_create, output=False)
+    create.add_argument("group", help="the group's name")
+    create.add_argument("channels", nargs="+", metavar="CHANNEL", help="the name of a member")
+    create.add_argument(
+        "--reference",
+        default="oldest",
+        metavar="CHANNEL",
+        help="the channel whose cut is the group's; default: the smallest cut of all",
+    )
+    create.add_argument(
+        "--bound",
+        choices=("start", "end"),
+        default="start",
+        help="a channel's cut: the start of its newest item (default), or its end",
+    )
+    create.add_argument(
+        "--idle-after", metavar="DURATION", help='do not wait for a member that is silent for this time, such as "2s"'
+    )
+    create.add_argument(
+        "--max-lead",
+        default="5s",
+        metavar="DURATION",
+        help='with --bound end: the cut is at most this far after the start; default "5s"',
+    )
     for name, what, run in (
-        ("status", "the cut, who holds it back, and each member's place", run_status),
-        ("newest", "the newest visible item of each channel", run_newest),
-        ("watch", "print what becomes visible, cut by cut", run_watch),
-        ("delete", "forget a group; its channels stay", run_delete),
+        ("status", "print the cut, the members that hold it back, and each member's time", run_status),
+        ("newest", "print the newest visible item of each channel", run_newest),
+        ("watch", "print items as they become visible, until Ctrl-C", run_watch),
+        ("delete", "delete a group; its channels stay", run_delete),
     ):
         verb = add_verb(verbs, name, what, run, output=name != "delete")
-        verb.add_argument("group")
+        verb.add_argument("group", help="the group's name")
         if name == "watch":
-            verb.add_argument("--max-wait", default="1s", metavar="DURATION", help="for members that lag; default 1s")
-            verb.add_argument("--lateness", default="0s", metavar="DURATION", help="how long late items are waited for")
-            verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="end after N cuts")
-    get = add_verb(verbs, "get", "what each channel shows in an interval", run_get)
-    get.add_argument("group")
+            verb.add_argument(
+                "--max-wait", default="1s", metavar="DURATION", help="wait this long for members that lag; default 1s"
+            )
+            verb.add_argument(
+                "--lateness", default="0s", metavar="DURATION", help="wait this long for late items; default 0s"
+            )
+            verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N cuts")
+    get = add_verb(verbs, "get", "print the visible items of each channel in an interval", run_get)
+    get.add_argument("group", help="the group's name")
     get.add_argument(
-        "start", type=checked(parse_bound_text), help='a time, or now, newest, oldest with an offset: "newest-1s"'
+        "start",
+        type=checked(parse_bound_text),
+        help='a time, or now, newest or oldest, also with an offset, such as "newest-1s"',
     )
-    get.add_argument("end", type=checked(parse_bound_text))
-    match = add_verb(verbs, "match", "print the items that belong together", run_match)
-    match.add_argument("group")
-    match.add_argument("--per", required=True, metavar="CHANNEL", help="whose items each get a match")
-    match.add_argument("--tolerance", required=True, metavar="DURATION", help='how far apart at the most, "10ms"')
-    match.add_argument("--unique", action="store_true", help="each item in one match at the most, nearest pairs first")
-    match.add_argument("--lateness", default="0s", metavar="DURATION", help="how long late items are waited for")
-    match.add_argument("-n", "--count", type=parse_count, metavar="N", help="end after N matches")
-    for name, what in (("add", "make a channel a member"), ("remove", "make a channel leave")):
+    get.add_argument("end", type=checked(parse_bound_text), help="as the start")
+    match = add_verb(verbs, "match", "print items of the same time together, until Ctrl-C", run_match)
+    match.add_argument("group", help="the group's name")
+    match.add_argument("--per", required=True, metavar="CHANNEL", help="the channel whose items each get a match")
+    match.add_argument(
+        "--tolerance", required=True, metavar="DURATION", help='the greatest distance in time, such as "10ms"'
+    )
+    match.add_argument("--unique", action="store_true", help="use each item in at most one match, the nearest")
+    match.add_argument("--lateness", default="0s", metavar="DURATION", help="wait this long for late items; default 0s")
+    match.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N matches")
+    for name, what in (("add", "add a channel to a group"), ("remove", "remove a channel from a group")):
         change = add_verb(verbs, name, what, run_change, output=False)
-        change.add_argument("group")
-        change.add_argument("channel")
+        change.add_argument("group", help="the group's name")
+        change.add_argument("channel", help="the channel's name")
         change.set_defaults(change=name)
 
 
@@ -96,7 +121,7 @@ def _group_row(info: GroupInfo, names: dict[bytes, str]) -> dict[str, Any]:
 
 
 def run_create(arguments: argparse.Namespace) -> int:
-    """Make a group."""
+    """Create a group."""
     with connected(arguments) as rt:
         members = [existing(rt, name) for name in arguments.channels]
         group = rt.group(
@@ -112,18 +137,18 @@ def run_create(arguments: argparse.Namespace) -> int:
 
 
 def _existing(rt: Connection, name: str) -> Group:
-    """A group that must be there. Raises GroupNotFound in the words of the command line."""
+    """Open an existing group. Raises GroupNotFound in the words of the command line."""
     try:
         return rt.group(name)
     except GroupNotFound as error:
         raise GroupNotFound(
-            f"there is no group {name}; `stampede group ls` lists those there are, `stampede group create {name} "
-            "CHANNEL ...` makes it"
+            f"there is no group {name}; `stampede group ls` lists the groups, `stampede group create {name} "
+            "CHANNEL ...` creates it"
         ) from error
 
 
 def run_status(arguments: argparse.Namespace) -> int:
-    """Tell a group's cut and its members' places."""
+    """Print a group's cut and its members' status."""
     with connected(arguments) as rt:
         status = _existing(rt, arguments.group).status()
     if arguments.output == "table":
@@ -138,7 +163,11 @@ def _status_line(status: GroupStatus[Channel]) -> str:
     if status.cut is None:
         return f"nothing is visible yet; waiting for {waiting or 'its members'}"
     ago = format_duration(status.host_time - status.cut)
-    return f"cut at {format_instant(status.cut)}, {ago} ago; " + (f"held by {waiting}" if waiting else "held by nobody")
+    return f"cut at {format_instant(status.cut)}, {ago} ago; " + (
+        f"{waiting} {'hold' if len(status.waiting_on) > 1 else 'holds'} it back"
+        if waiting
+        else "no member holds it back"
+    )
 
 
 def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> dict[str, Any]:
@@ -184,7 +213,7 @@ def run_get(arguments: argparse.Namespace) -> int:
 
 
 def _print_items(items: dict[str, list[Item]], reasons: dict[str, Reason], form: str) -> int:
-    """What each channel shows, and on standard error why one shows nothing, or not all."""
+    """Print what each channel shows, and on standard error why a channel shows nothing or not all."""
     if form == "table":
         for name, held in items.items():
             print("\n".join(f"{name}  {item_line(item)}" for item in held) or f"{name}  nothing visible")
@@ -258,7 +287,7 @@ def _match_row(matched: Matched[Channel]) -> dict[str, Any]:
 
 
 def run_change(arguments: argparse.Namespace) -> int:
-    """Let a channel in, or out."""
+    """Add a channel to a group, or remove one."""
     with connected(arguments) as rt:
         group, channel = _group_and_channel(rt, arguments)
         if arguments.change == "add":
@@ -274,7 +303,7 @@ def _group_and_channel(rt: Connection, arguments: argparse.Namespace) -> tuple[G
 
 
 def run_delete(arguments: argparse.Namespace) -> int:
-    """Forget a group."""
+    """Delete a group."""
     with connected(arguments) as rt:
         _existing(rt, arguments.group).delete()
     print(f"{arguments.group} is deleted; its channels stay")

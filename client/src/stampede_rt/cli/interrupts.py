@@ -1,9 +1,9 @@
-"""What Ctrl-C does to a command.
+"""Ctrl-C in commands.
 
-Python's own handler raises KeyboardInterrupt wherever the main thread happens to be. Inside gRPC or `threading` that
-may be just after a lock was taken and before its `with` guards it. The lock is then never released, and the call that
-ends the stream waits for it for good. In a weakref callback the exception is dropped. So a command does its work on
-another thread. The main thread only waits, and its handler raises nothing.
+Python's own handler raises KeyboardInterrupt wherever the main thread is. Inside gRPC or `threading` that may be just
+after the thread took a lock, before its `with` guards it. The lock is then never released, and the call that ends the
+stream waits for it for ever. In a weakref callback Python drops the exception. So a command works on another thread.
+The main thread only waits, and its handler raises nothing.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
 INTERRUPTED = 130
-CLOSE_S = 2.0  # how long a command may take to leave the cluster after Ctrl-C
+CLOSE_S = 2.0  # the time for a command to leave the cluster after Ctrl-C
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
-UNWIND_S = 20.0  # how long `unwinding` may take: it stops processes in order
+UNWIND_S = 20.0  # the time for `unwinding`, which stops processes in order
 
 
 class Interruption:
-    """Whether Ctrl-C was pressed, and what is then to be closed."""
+    """Whether the user pressed Ctrl-C, and what to close then."""
 
     def __init__(self) -> None:
         self.asked = False
         self._closes: list[Callable[[], object]] = []
 
     def closes(self, close: Callable[[], object]) -> None:
-        """Call `close` when Ctrl-C is pressed, on a thread of its own."""
+        """Call `close` after Ctrl-C, on a thread of its own."""
         self._closes.append(close)
 
     def close(self) -> None:
-        """Close what was named, the latest first."""
+        """Close everything, the latest first."""
         while self._closes:
             with suppress(Exception):  # the process ends in any case
                 self._closes.pop()()
 
     def begin(self) -> None:
-        """A new command begins."""
+        """Begin a new command."""
         self.asked = False
         self._closes.clear()
 
@@ -80,14 +80,14 @@ def run_interruptibly(work: Callable[[], int]) -> int:
 
 
 def _next(events: SimpleQueue[Any]) -> Any:
-    """The next event. The system may tell another thread of a signal, which does not wake this one: so it looks."""
+    """Return the next event. A signal may go to another thread, which does not wake this one; so it also looks."""
     while True:
         with suppress(Empty):
             return events.get(timeout=LOOK_S)
 
 
 def _begin(work: Callable[[], int], events: SimpleQueue[Any]) -> None:
-    """Start `work`; `events` gets what returns its status, or raises what it raised."""
+    """Start `work`. `events` gets a function that returns its status or raises its error."""
 
     def run() -> None:
         try:
@@ -108,16 +108,16 @@ def _raising(error: BaseException) -> Callable[[], int]:
 
 
 def _close(events: SimpleQueue[Any]) -> NoReturn:
-    """Close the connections, wait for the work's end and its output, all for CLOSE_S at the most, and end the process.
+    """Close the connections, wait for the work and its output, all for at most CLOSE_S, and end the process.
 
-    The interpreter's own end would wait for locks that threads of gRPC's hold, which do not go on then.
+    The interpreter's own end would wait for locks of gRPC's threads, which no longer run then.
     """
     closed: SimpleQueue[None] = SimpleQueue()
 
     def close() -> None:
         interruption.close()
         events.get()
-        with suppress(OSError):  # whoever read it has seen enough
+        with suppress(OSError):  # the reader of the output has ended
             sys.stdout.flush()
         closed.put(None)
 
@@ -129,7 +129,7 @@ def _close(events: SimpleQueue[Any]) -> NoReturn:
 
 @contextmanager
 def ended_at_once() -> Iterator[None]:
-    """Ctrl-C ends the process at once: for a service that is still loaded and sets up its own way to stop."""
+    """Let Ctrl-C end the process at once, while a service loads. The service then sets up its own way to stop."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -145,9 +145,9 @@ def ended_at_once() -> Iterator[None]:
 
 @contextmanager
 def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[None]:
-    """The first of these signals raises KeyboardInterrupt, for what has processes to stop in order.
+    """The first of these signals raises KeyboardInterrupt, for a command that has processes to stop in order.
 
-    The process then has `limit_s` to end, wherever the exception was lost. A second signal ends it at once.
+    The process then has `limit_s` to end, even if the exception is lost. A second signal ends it at once.
     """
     asked: list[int] = []
 
@@ -156,7 +156,7 @@ def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[N
             os._exit(INTERRUPTED)
         asked.append(number)
         signal.signal(signal.SIGALRM, _exit)
-        signal.setitimer(signal.ITIMER_REAL, limit_s)  # a thread could not be started here: it needs locks
+        signal.setitimer(signal.ITIMER_REAL, limit_s)  # a thread would need locks, which this handler must not take
         raise KeyboardInterrupt
 
     before = {number: signal.getsignal(number) for number in numbers}

@@ -1,4 +1,4 @@
-"""`stampede mailbox ...` and `stampede peers`: participants, and what is sent to them."""
+"""`stampede mailbox ...` and `stampede peers`: peers, and the messages for them."""
 
 from __future__ import annotations
 
@@ -28,36 +28,42 @@ if TYPE_CHECKING:
 
 def add_verbs(subparsers: Any) -> None:
     """Add the noun of this module and its verbs, and `peers`."""
-    peers = add_verb(subparsers, "peers", "list participants", run_peers)
+    peers = add_verb(subparsers, "peers", "list peers: connections with a name", run_peers)
     peers.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "robot/*"')
-    peers.add_argument("--all", action="store_true", help="those whose leases have ended, too")
-    text = "what is sent to participants by their names"
+    peers.add_argument("--all", action="store_true", help="also list peers whose leases have ended")
+    text = "messages to peers, by their names"
     noun = subparsers.add_parser("mailbox", help=text, description=text)
     verbs = noun.add_subparsers(dest="mailbox_verb", metavar="VERB", required=True, parser_class=VerbParser)
-    send = add_verb(verbs, "send", "send one message to a participant", run_send)
-    send.add_argument("peer")
-    add_payload(send)
+    send = add_verb(verbs, "send", "send one message to a peer", run_send)
+    send.add_argument("peer", help="the peer's name")
+    add_payload(send, message_id=True)
     send.add_argument(
-        "--attribute", type=checked(parse_attribute), action="append", metavar="KEY=VALUE", help="may be repeated"
+        "--attribute",
+        type=checked(parse_attribute),
+        action="append",
+        metavar="KEY=VALUE",
+        help="an attribute of the message; may be repeated",
     )
-    send.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait so long for room; default 1")
-    get = add_verb(verbs, "get", "be a participant of that name for a while, and take what is sent to it", run_get)
-    get.add_argument("name", help="which no live participant may have")
+    send.add_argument(
+        "--timeout", type=float, default=1.0, metavar="SECONDS", help="wait this long for room; default 1"
+    )
+    get = add_verb(verbs, "get", "register as the peer NAME, and take messages that others send to it", run_get)
+    get.add_argument("name", metavar="NAME", help="the peer name; no live peer may have it")
     add_taking(get)
-    pending = add_verb(verbs, "pending", "tell what a participant has taken and not settled", run_pending)
-    pending.add_argument("peer")
+    pending = add_verb(verbs, "pending", "list the messages that a peer has taken and not settled", run_pending)
+    pending.add_argument("peer", help="the peer's name")
     add_pending(pending)
-    info = add_verb(verbs, "info", "tell the counters of a participant's mailbox", run_info)
-    info.add_argument("peer")
+    info = add_verb(verbs, "info", "print the counters of a peer's mailbox", run_info)
+    info.add_argument("peer", help="the peer's name")
 
 
 def run_peers(arguments: argparse.Namespace) -> int:
-    """List participants from the directory."""
+    """List peers from the directory."""
     with connected(arguments) as rt:
         peers = rt.peers(arguments.glob, include_dead=arguments.all)
         hosts = {host.host_id: host.name for host in rt.hosts()}
     rows = [_row(peer, hosts, arguments.output) for peer in peers]
-    print_rows(rows, arguments.output, none=f"no participant matches {arguments.glob!r}")
+    print_rows(rows, arguments.output, none=f"no peer matches {arguments.glob!r}")
     advice = _advice(peers)
     if advice and arguments.output == "table":
         print("\n" + "\n".join(advice))
@@ -65,10 +71,10 @@ def run_peers(arguments: argparse.Namespace) -> int:
 
 
 def _advice(peers: list[PeerInfo]) -> list[str]:
-    """What to do about clocks that are off, by the rule of `stampede doctor`, which knows whose is right."""
+    """What to do about wrong clocks. `stampede doctor` has the same rule, and also knows which clock is wrong."""
     return [
         f"{peer.name or peer.peer_id.hex()}: its clock is {ahead(peer.clock.offset_nanos)} that of supernode "
-        f"{peer.clock.supernode}; synchronise it (chrony, ntpd), or see `stampede doctor` for which of the two is wrong"
+        f"{peer.clock.supernode}; synchronise it (chrony, ntpd), or ask `stampede doctor` which of the two is wrong"
         for peer in peers
         if peer.clock is not None and is_off(peer.clock.offset_nanos, peer.clock.uncertainty_nanos)
     ]
@@ -88,7 +94,7 @@ def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
 
 
 def _clock(peer: PeerInfo, people: bool) -> dict[str, Any]:
-    """Against the supernode that it was compared with: that of the leader, as a rule."""
+    """The offset from the clock of a supernode, nearly always the leader."""
     if not people:
         return {"clock": None if peer.clock is None else asdict(peer.clock)}
     if peer.clock is None:
@@ -98,7 +104,7 @@ def _clock(peer: PeerInfo, people: bool) -> dict[str, Any]:
 
 
 def run_send(arguments: argparse.Namespace) -> int:
-    """Send one message and say where it went."""
+    """Send one message and print its place."""
     payload = payload_of(arguments)
     with connected(arguments) as rt:
         try:
@@ -122,7 +128,7 @@ def run_get(arguments: argparse.Namespace) -> int:
 
 
 def run_pending(arguments: argparse.Namespace) -> int:
-    """List what a participant has in its hands."""
+    """List the messages that a peer has taken and not settled."""
     with connected(arguments) as rt:
         try:
             found = rt.mailbox_pending(arguments.peer, arguments.count)
@@ -133,7 +139,7 @@ def run_pending(arguments: argparse.Namespace) -> int:
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Tell the counters of a mailbox."""
+    """Print the counters of a mailbox."""
     with connected(arguments) as rt:
         try:
             stats = rt.mailbox_stats(arguments.peer)
@@ -145,4 +151,4 @@ def run_info(arguments: argparse.Namespace) -> int:
 
 
 def _nobody(name: str) -> PeerNotFound:
-    return PeerNotFound(f"no live participant is named {name}; `stampede peers` lists those there are")
+    return PeerNotFound(f"no live peer is named {name}; `stampede peers` lists the live ones")

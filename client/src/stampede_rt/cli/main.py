@@ -1,4 +1,4 @@
-"""The entry of the command line: small, so that an interrupt finds it ready while all the rest is still loaded.
+"""The entry of the command line. It is small, so that it can handle Ctrl-C while the rest still loads.
 
 Exit status: 0 done, 1 failed, 2 used wrongly, 3 nothing there to return, 130 interrupted.
 """
@@ -9,12 +9,12 @@ import sys
 
 from stampede_rt.cli.interrupts import INTERRUPTED, ended_at_once, run_interruptibly
 
-# These stop in ways of their own, and need the main thread for it.
+# These stop in their own ways, and need the main thread for that.
 ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "certs", "demo", "bench")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; the exit status is returned."""
+    """Run one command and return its exit status."""
     words = sys.argv[1:] if argv is None else argv
 
     def work() -> int:

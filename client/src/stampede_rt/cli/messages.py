@@ -1,4 +1,4 @@
-"""How the messages and counters of queues and mailboxes are printed, and what their verbs share."""
+"""How the verbs of queues and mailboxes print messages and counters."""
 
 from __future__ import annotations
 
@@ -23,49 +23,57 @@ STDIN_BYTES_MAX = 16 * 1024 * 1024
 
 
 class MessageSource(Protocol):
-    """What messages are taken from."""
+    """A handle that gives messages."""
 
     def get(self, timeout: float | None = None) -> Message | None:
-        """The next message."""
+        """Return the next message, or None."""
 
 
-def add_payload(parser: argparse.ArgumentParser) -> None:
-    """What is sent."""
-    parser.add_argument("payload", nargs="?", help="the payload as text; without it, standard input is read")
-    parser.add_argument("--message-id", metavar="ID", help="a second one of the same id is not put, for 10 minutes")
+def add_payload(parser: argparse.ArgumentParser, *, message_id: bool = False) -> None:
+    """Add the payload argument, and for queues and mailboxes the message id."""
+    parser.add_argument("payload", nargs="?", help="the payload as text; default: standard input")
+    if message_id:
+        text = "for 10 minutes the queue stores no second message of the same id"
+        parser.add_argument("--message-id", metavar="ID", help=text)
 
 
 def add_pending(parser: argparse.ArgumentParser) -> None:
-    """How many leased messages are listed."""
-    parser.add_argument("-n", "--count", type=parse_count, default=1000, metavar="N", help="the N oldest; default 1000")
+    """Add the option for the number of messages to list."""
+    parser.add_argument(
+        "-n", "--count", type=parse_count, default=1000, metavar="N", help="list the N oldest; default 1000"
+    )
 
 
 def payload_of(arguments: argparse.Namespace) -> bytes:
-    """What is to be sent. Raises InvalidArgument if standard input holds more than one item can."""
+    """The payload to send. Raises InvalidArgument if standard input holds more than one item can."""
     if arguments.payload is not None:
         return str(arguments.payload).encode()
     payload = sys.stdin.buffer.read(STDIN_BYTES_MAX + 1)
     if len(payload) > STDIN_BYTES_MAX:
-        raise InvalidArgument(f"standard input has more than {STDIN_BYTES_MAX} bytes, the most of one item; split it")
+        raise InvalidArgument(
+            f"standard input has more than {STDIN_BYTES_MAX} bytes, the greatest size of one item; split it"
+        )
     return payload
 
 
 def print_sent(thing: dict[str, Any], enqueued: Enqueued, form: str) -> None:
-    """Say where an item went; `thing` is its kind and name."""
+    """Print the place of an accepted message; `thing` is the kind and name of its queue or mailbox."""
     (name,) = thing.values()
-    known = " (put before under this id)" if enqueued.duplicate else ""
+    known = " (the queue has this message id already)" if enqueued.duplicate else ""
     told = thing | {"seq": enqueued.seq, "duplicate": enqueued.duplicate}
     print(f"{name} #{enqueued.seq}{known}" if form == "table" else json.dumps(told))
 
 
 def take(source: MessageSource, arguments: argparse.Namespace) -> int:
-    """Take and print messages, each acknowledged once it is printed; the exit status."""
+    """Take and print messages, and settle each one after it is printed. Returns the exit status."""
     for count in range(arguments.count):
         message = source.get(timeout=arguments.timeout)
         if message is None:
             if count == 0:
-                within = f"came within {arguments.timeout:g} s" if arguments.timeout else "is there"
-                print(f"stampede: nothing {within}", file=sys.stderr)
+                within = (
+                    f"no message came within {arguments.timeout:g} s" if arguments.timeout else "there is no message"
+                )
+                print(f"stampede: {within}", file=sys.stderr)
             return 0 if count else NOTHING
         with message:
             _print_message(message, arguments)
@@ -105,7 +113,7 @@ def _row(message: Message) -> dict[str, Any]:
 
 
 def _origin_text(origin: DeadLetterOrigin) -> str:
-    """Where a dead letter comes from, in a line."""
+    """The origin of a dead letter, in one line."""
     ended = origin.ended.replace("_", " ") or "for an unknown reason"
     by = f" by {escaped(origin.taker)}" if origin.taker else ""
     why = f": {escaped(origin.reason)}" if origin.reason else ""
@@ -121,7 +129,7 @@ def _origin_row(origin: DeadLetterOrigin) -> dict[str, Any]:
 
 
 def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> None:
-    """List what is leased to whom."""
+    """List leased messages and their takers."""
     people = form == "table"
     rows = [
         {
@@ -134,7 +142,7 @@ def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> No
         }
         for one in pending
     ]
-    print_rows(rows, form, none=f"nothing of {name} is leased")
+    print_rows(rows, form, none=f"no message of {name} is leased")
 
 
 def counted(stats: QueueStats, form: str) -> dict[str, Any]:
@@ -168,12 +176,14 @@ def _rejected(stats: QueueStats) -> str:
 
 
 def add_taking(parser: argparse.ArgumentParser) -> None:
-    """How messages are taken."""
-    parser.add_argument("-n", "--count", type=parse_count, default=1, metavar="N", help="so many; default 1")
+    """Add the options for taking messages."""
+    parser.add_argument("-n", "--count", type=parse_count, default=1, metavar="N", help="take N messages; default 1")
     parser.add_argument(
-        "--timeout", type=float, default=1.0, metavar="SECONDS", help="wait so long for each; default 1"
+        "--timeout", type=float, default=1.0, metavar="SECONDS", help="wait this long for each; default 1"
     )
     settled = parser.add_mutually_exclusive_group()
-    settled.add_argument("--keep", action="store_true", help="give them back instead of acknowledging them")
-    settled.add_argument("--term", metavar="REASON", help="give them up for good, for the dead-letter queue")
-    parser.add_argument("--raw", action="store_true", help="write the payloads alone, one behind the other")
+    settled.add_argument("--keep", action="store_true", help="give the messages back instead of acknowledging them")
+    settled.add_argument(
+        "--term", metavar="REASON", help="give the messages up: they go to the dead-letter queue, if there is one"
+    )
+    parser.add_argument("--raw", action="store_true", help="write only the payloads, without separators")

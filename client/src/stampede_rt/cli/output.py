@@ -1,4 +1,4 @@
-"""What the command line prints: tables for people, JSON for programs."""
+"""The output of the command line: tables for people, JSON for programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PREVIEW_CHARACTERS_MAX = 60
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], form: str, *, none: str) -> None:
-    """Rows of the same keys as a table, a JSON array or JSON lines; `none` says what an empty table means."""
+    """Print rows of the same keys as a table, a JSON array or JSON lines; `none` stands for an empty table."""
     if form == "json":
         print(json.dumps(rows, indent=2))
     elif form == "jsonl":
@@ -34,7 +34,7 @@ def _cell(value: Any) -> str:
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Columns as wide as their widest cell, or as the terminal lets them be; numbers to the right."""
+    """Print columns as wide as their widest cell, within the terminal; numbers stand on the right."""
     cells = [[head.replace("_", " ").upper() for head in heads], *rows]
     right = [all(_is_number(row[i]) for row in cells[1:]) for i in range(len(heads))]
     for line in table_lines(cells, right, columns_max()):
@@ -46,7 +46,7 @@ def _is_number(cell: str) -> bool:
 
 
 def print_facts(facts: Mapping[str, Any], form: str) -> None:
-    """One thing: a line for each fact, or a JSON object."""
+    """Print one thing: a line for each fact, or a JSON object."""
     if form != "table":
         print(json.dumps(facts, indent=2 if form == "json" else None))
         return
@@ -88,7 +88,7 @@ def attributes_text(attributes: Mapping[str, str]) -> str:
 
 
 def preview(payload: bytes | None, length_bytes: int, content_type: str) -> str:
-    """A payload for people: the beginning of a text, escaped; of anything else its length and content type."""
+    """A payload for people: the beginning of a text, escaped; for other payloads the length and content type."""
     kind = f" {escaped(content_type)}" if content_type else ""
     text = None if payload is None else _text(payload)
     if text is None or "\0" in text:
@@ -105,7 +105,7 @@ def _text(payload: bytes) -> str | None:
 
 
 def policy_text(policy: Policy) -> str:
-    """A set-up in a few words."""
+    """A policy in a few words."""
     parts = []
     if policy.max_age_nanos is not None:
         longest = policy.max_age_unconsumed_nanos
@@ -123,7 +123,7 @@ def policy_text(policy: Policy) -> str:
 
 
 def bytes_text(count: float) -> str:
-    """A number of bytes as people write it."""
+    """A number of bytes for people."""
     for unit in ("B", "KiB", "MiB"):
         if count < 1024:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"

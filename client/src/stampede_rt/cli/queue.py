@@ -30,40 +30,46 @@ STATED = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliverie
 
 def add_verbs(subparsers: Any) -> None:
     """Add the noun of this module and its verbs."""
-    text = "first in, first out, each item to one taker"
+    text = "queues: first in, first out, each message to one taker"
     noun = subparsers.add_parser("queue", help=text, description=text)
     verbs = noun.add_subparsers(dest="queue_verb", metavar="VERB", required=True, parser_class=VerbParser)
     ls = add_verb(verbs, "ls", "list queues", run_ls)
     ls.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "work/*"')
-    ls.add_argument("-l", "--long", action="store_true", help="with counters, which the hosts are asked for")
-    info = add_verb(verbs, "info", "tell everything about one queue", run_info)
-    info.add_argument("queue")
-    put = add_verb(verbs, "put", "put one item; the queue is created if it is absent", run_put)
-    put.add_argument("queue")
-    add_payload(put)
+    ls.add_argument("-l", "--long", action="store_true", help="also print counters, which the hosts give")
+    info = add_verb(verbs, "info", "print a queue's policy and counters", run_info)
+    info.add_argument("queue", help="the queue's name")
+    put = add_verb(verbs, "put", "put one message; creates an absent queue", run_put)
+    put.add_argument("queue", help="the queue's name")
+    add_payload(put, message_id=True)
     put.add_argument(
-        "--attribute", type=checked(parse_attribute), action="append", metavar="KEY=VALUE", help="may be repeated"
+        "--attribute",
+        type=checked(parse_attribute),
+        action="append",
+        metavar="KEY=VALUE",
+        help="an attribute of the message; may be repeated",
     )
-    put.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait so long for room; default 1")
+    put.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait this long for room; default 1")
     _add_policy(put)
-    get = add_verb(verbs, "get", "take items and acknowledge them", run_get)
-    get.add_argument("queue")
+    get = add_verb(verbs, "get", "take messages, print and acknowledge them", run_get)
+    get.add_argument("queue", help="the queue's name")
     add_taking(get)
-    pending = add_verb(verbs, "pending", "tell what is leased to whom, and until when", run_pending)
-    pending.add_argument("queue")
+    pending = add_verb(verbs, "pending", "list the leased messages and their takers", run_pending)
+    pending.add_argument("queue", help="the queue's name")
     add_pending(pending)
-    delete = add_verb(verbs, "delete", "forget a queue with all that it holds", run_delete, output=False)
-    delete.add_argument("queue")
+    delete = add_verb(verbs, "delete", "delete a queue with its messages", run_delete, output=False)
+    delete.add_argument("queue", help="the queue's name")
 
 
 def _add_policy(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--max-items", type=parse_count, metavar="N", help="hold so many items at the most")
-    parser.add_argument("--max-bytes", type=parse_count, metavar="N", help="hold so many bytes at the most")
-    parser.add_argument("--copies", type=parse_count, metavar="K", help="each item to K distinct takers")
-    parser.add_argument("--on-full", choices=ON_FULL, help="what a put into a full queue does")
-    parser.add_argument("--lease", metavar="DURATION", help='how long a taker has to acknowledge, such as "30s"')
-    parser.add_argument("--max-deliveries", type=parse_count, metavar="N", help="then an item leaves the queue")
-    parser.add_argument("--dead-letter", metavar="QUEUE", help="where it goes then")
+    parser.add_argument("--max-items", type=parse_count, metavar="N", help="hold at most N messages")
+    parser.add_argument("--max-bytes", type=parse_count, metavar="N", help="hold at most N bytes")
+    parser.add_argument("--copies", type=parse_count, metavar="K", help="each message goes to K distinct takers")
+    parser.add_argument("--on-full", choices=ON_FULL, help="what the host does with a put into a full queue")
+    parser.add_argument("--lease", metavar="DURATION", help='the time that a taker has to acknowledge, such as "30s"')
+    parser.add_argument(
+        "--max-deliveries", type=parse_count, metavar="N", help="a message leaves the queue after N deliveries"
+    )
+    parser.add_argument("--dead-letter", metavar="QUEUE", help="the queue to which it goes then")
 
 
 def _existing(rt: Connection, name: str) -> Queue:
@@ -71,7 +77,7 @@ def _existing(rt: Connection, name: str) -> Queue:
         return rt.queue(name, create=False)
     except QueueNotFound as error:
         raise QueueNotFound(
-            f"there is no queue {name}; `stampede queue ls` lists those there are, `stampede queue put {name}` makes it"
+            f"there is no queue {name}; `stampede queue ls` lists the queues, `stampede queue put {name}` creates it"
         ) from error
 
 
@@ -105,7 +111,7 @@ def _row(rt: Connection, info: QueueInfo, names: Mapping[bytes, str], arguments:
 
 
 def policy_text(policy: QueuePolicy, names: Mapping[bytes, str]) -> str:
-    """A set-up in a few words; `names` are those of queues by their ids."""
+    """A policy in a few words; `names` are the names of queues by their ids."""
     dead = policy.dead_letter_queue_id
     lease_nanos = LEASE_NANOS_DEFAULT if policy.lease_nanos is None else policy.lease_nanos
     parts = [
@@ -121,7 +127,7 @@ def policy_text(policy: QueuePolicy, names: Mapping[bytes, str]) -> str:
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """Tell a queue's counters."""
+    """Print a queue's policy and counters."""
     with connected(arguments) as rt:
         queue = _existing(rt, arguments.queue)
         stats, info = queue.stats(), queue.info
@@ -138,7 +144,7 @@ def run_info(arguments: argparse.Namespace) -> int:
 
 
 def run_put(arguments: argparse.Namespace) -> int:
-    """Put one item and say where it went."""
+    """Put one message and print its place."""
     payload = payload_of(arguments)
     with connected(arguments) as rt:
         queue = rt.queue(arguments.queue, **{name: getattr(arguments, name) for name in STATED})
@@ -150,13 +156,13 @@ def run_put(arguments: argparse.Namespace) -> int:
 
 
 def run_get(arguments: argparse.Namespace) -> int:
-    """Take items and print them."""
+    """Take messages and print them."""
     with connected(arguments) as rt, _existing(rt, arguments.queue) as queue:
         return take(queue, arguments)
 
 
 def run_pending(arguments: argparse.Namespace) -> int:
-    """List what takers of a queue have in their hands."""
+    """List the leased messages of a queue and their takers."""
     with connected(arguments) as rt:
         found = _existing(rt, arguments.queue).pending(arguments.count)
     print_pending(found, arguments.queue, arguments.output)
@@ -164,7 +170,7 @@ def run_pending(arguments: argparse.Namespace) -> int:
 
 
 def run_delete(arguments: argparse.Namespace) -> int:
-    """Forget a queue."""
+    """Delete a queue."""
     with connected(arguments) as rt:
         _existing(rt, arguments.queue).delete()
     return 0

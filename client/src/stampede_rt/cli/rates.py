@@ -1,4 +1,4 @@
-"""`stampede hz` and `stampede bw`: rates from the host's counters; no payload travels for them."""
+"""`stampede hz` and `stampede bw`: rates from the host's counters. No payload travels for them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ def add_verbs(subparsers: Any) -> None:
         ("bw", "print a channel's bytes per second, in and out", run_bw),
     ):
         verb = add_verb(subparsers, name, f"{text}, until Ctrl-C", run)
-        verb.add_argument("channel")
-        verb.add_argument("--every", type=_seconds, default=1.0, metavar="SECONDS", help="how often; default 1")
+        verb.add_argument("channel", help="the channel's name")
+        verb.add_argument(
+            "--every", type=_seconds, default=1.0, metavar="SECONDS", help="print a line this often; default 1"
+        )
         verb.add_argument("--count", type=parse_count, metavar="N", help="stop after N lines")
 
 
@@ -36,7 +38,7 @@ def _seconds(text: str) -> float:
 
 
 def _samples(channel: Channel, every_s: float, count: int | None) -> Iterator[tuple[ChannelStats, ChannelStats]]:
-    """Counters and those before them, `every_s` apart by the host's clock."""
+    """Yield the counters with those before them, `every_s` apart by the host's clock."""
     before = channel.stats()
     made = 0
     while count is None or made < count:

@@ -1,4 +1,4 @@
-"""`stampede supernode status|add|remove|snapshot`: look at a running cluster's supernodes, and take care of them."""
+"""`stampede supernode status|add|remove|snapshot`: see and change the supernodes of a running cluster."""
 
 from __future__ import annotations
 
@@ -26,21 +26,27 @@ ID_BYTES = 4
 
 
 def administer(argv: Sequence[str]) -> int:
-    """Run one of ADMINISTRATIVE_VERBS; returns the exit code."""
+    """Run one of ADMINISTRATIVE_VERBS and return the exit status."""
     parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
     verbs = parser.add_subparsers(required=True, metavar="VERB")
-    status = _verb(verbs, "status", "who is a member, who leads, and how they do", _run_status)
-    add = _verb(verbs, "add", "make a token that lets one supernode in, and say how to use it", _run_add)
-    add.add_argument("address", metavar="HOST:PORT", help="where it will listen, and the members will reach it")
-    add.add_argument("--id", help="its name among the members, never used before; left out: a random one")
-    add.add_argument("--valid-hours", type=_hours, default=1.0, metavar="HOURS", help="how long it can be used; 1")
-    remove = _verb(verbs, "remove", "remove a supernode for ever", _run_remove)
-    remove.add_argument("id", help="its id, see `stampede supernode status`")
-    snapshot = _verb(verbs, "snapshot", "have a supernode write a snapshot now, and fetch it as a backup", run_snapshot)
-    snapshot.add_argument("id", nargs="?", help="the supernode; left out: the leader")
-    snapshot.add_argument("--out", type=Path, metavar="FILE", help="write a backup there, for `init --restore`")
+    status = _verb(verbs, "status", "list the supernodes, which one leads, and their state", _run_status)
+    add = _verb(verbs, "add", "make a token that lets one supernode join, and print the command for it", _run_add)
+    add.add_argument("address", metavar="HOST:PORT", help="the address at which it will listen and the others reach it")
+    add.add_argument("--id", help="its id, never used before; default: a random one")
+    add.add_argument(
+        "--valid-hours", type=_hours, default=1.0, metavar="HOURS", help="the token holds for this time; default 1"
+    )
+    remove = _verb(verbs, "remove", "remove a supernode for good; its id is never used again", _run_remove)
+    remove.add_argument("id", help="the supernode's id, see `stampede supernode status`")
+    snapshot = _verb(
+        verbs, "snapshot", "make a supernode write a snapshot now; with --out fetch it as a backup", run_snapshot
+    )
+    snapshot.add_argument("id", nargs="?", help="the supernode's id; default: the leader")
     snapshot.add_argument(
-        "--stale-ok", action="store_true", help="what this replica holds will do; works without a majority, too"
+        "--out", type=Path, metavar="FILE", help="write a backup to FILE, for `stampede supernode init --restore`"
+    )
+    snapshot.add_argument(
+        "--stale-ok", action="store_true", help="take this supernode's own state; works without a majority"
     )
     for each in (status, add, remove, snapshot):
         add_cluster_options(each)
@@ -51,7 +57,7 @@ def administer(argv: Sequence[str]) -> int:
         print(f"stampede supernode: {error.message}", file=sys.stderr)
         return FAILED
     except OSError as error:
-        file = error.filename or parsed.out  # an open file does not know its name
+        file = error.filename or parsed.out  # the error of an open file has no name
         print(f"stampede supernode: {file} cannot be written: {error.strerror}", file=sys.stderr)
         return FAILED
 
@@ -61,8 +67,10 @@ def _hours(text: str) -> float:
         hours = float(text)
     except ValueError:
         hours = 0.0
-    if not 0 < hours <= TOKEN_HOURS_MAX:  # not a number is neither
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: more than 0, and at most {TOKEN_HOURS_MAX}")
+    if not 0 < hours <= TOKEN_HOURS_MAX:  # also refuses NaN
+        raise argparse.ArgumentTypeError(
+            f"{text!r} cannot be used; write a number of hours above 0, at most {TOKEN_HOURS_MAX}"
+        )
     return hours
 
 
@@ -77,7 +85,7 @@ def _run_status(arguments: argparse.Namespace) -> int:
     with reached(arguments.url, arguments.member) as cluster:
         listed = cluster.members()
         pongs = {record.supernode_id: _ping(cluster, record) for record in listed.supernodes}
-    # Not what a copy of a member says at the address of another one.
+    # Without the answer of a copy of a member at another one's address.
     heard = (pong for name, (pong, _) in pongs.items() if pong and pong.supernode_id == name)
     refused = gathered(pong.refused_supernodes for pong in heard)
     rows = [_row(record, *pongs[record.supernode_id], refused, arguments.output) for record in listed.supernodes]
@@ -97,7 +105,10 @@ def _run_status(arguments: argparse.Namespace) -> int:
 
 
 def _cluster_levels(pongs: Mapping[str, tuple[Any, int | None]]) -> list[int]:
-    """The cluster's feature level, as each one that answers has it; it never falls, so that the highest holds."""
+    """The cluster's feature level, as each supernode that answers knows it.
+
+    It never falls, so the highest one holds.
+    """
     return [pong.feature_level for pong, _ in pongs.values() if pong is not None]
 
 
@@ -107,7 +118,7 @@ def _level_line(level: int, highest: Mapping[str, int | None]) -> str:
 
 
 def _ping(cluster: Cluster, record: SupernodeRecord) -> tuple[Any, int | None]:
-    """What it says of itself, and how long that took; None if it says nothing."""
+    """The supernode's own state and the time of the answer; None if it does not answer."""
     began = time.monotonic_ns()
     pong = cluster.ping(record.endpoint.target)
     return pong, time.monotonic_ns() - began if pong is not None else None
@@ -127,7 +138,7 @@ def _row(
 
 
 def _highest_level(record: SupernodeRecord, pong: Any) -> int | None:
-    """What it says itself, or has told the one that lists it; None: it has not told."""
+    """The supernode's own word, or what it told the one that lists it; None: it has not told."""
     said = pong.highest_feature_level if pong is not None and is_there(record, pong) else 0
     return said or record.highest_feature_level or None
 
@@ -156,9 +167,9 @@ def _run_add(arguments: argparse.Namespace) -> int:
         print_facts({"token": made.token, "id": name, "cluster_id": made.cluster_id, "join": command}, "json")
         return 0
     until = format_instant(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
-    print(f"The token lets supernode {name} in, at {arguments.address}, once, until {until}.")
+    print(f"The token lets supernode {name} join at {arguments.address}, once, until {until}.")
     if is_secured:
-        print("It needs a certificate of its own, named there in $STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY:\n")
+        print("It needs its own certificate. Name the files there in $STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY:\n")
         host = arguments.address.rpartition(":")[0]
         print(f"  stampede certs issue --role supernode --name {name} --address {host}\n")
     print(f"On its machine, run:\n\n  {command}")
@@ -172,12 +183,12 @@ def _run_remove(arguments: argparse.Namespace) -> int:
     if arguments.output == "json":
         print_facts({"removed": arguments.id, "supernodes": remaining, "index": removed.index}, "json")
     else:
-        print(f"{arguments.id} is no member any more; there remain {', '.join(remaining)}.")
+        print(f"{arguments.id} is no longer a member; the members are {', '.join(remaining)}.")
     return 0
 
 
 def run_snapshot(arguments: argparse.Namespace) -> int:
-    """Have a snapshot written, and fetch it if a file is named."""
+    """Make a supernode write a snapshot, and fetch it if the command names a file."""
     with reached(arguments.url, arguments.member) as cluster:
         address = _address_of(cluster.members().supernodes, arguments.id)
         responses = cluster.snapshot(address, include_data=arguments.out is not None, stale_ok=arguments.stale_ok)
@@ -196,11 +207,11 @@ def run_snapshot(arguments: argparse.Namespace) -> int:
 
 
 def _address_of(members: Sequence[SupernodeRecord], supernode_id: str | None) -> str:
-    """Where to ask: at the member with that id, or the leader. Raises StampedeError."""
+    """The address of the member with that id, or of the leader. Raises StampedeError."""
     for member in members:
         if member.supernode_id == supernode_id or (supernode_id is None and member.is_leader):
             return member.endpoint.target
     if supernode_id is not None:
         raise no_member(supernode_id, members)
     known = ", ".join(member.supernode_id for member in members)
-    raise Unavailable(f"nobody leads; name one of {known}, and say --stale-ok, for what it holds by itself")
+    raise Unavailable(f"no supernode leads; name one of {known} with --stale-ok to get its own state")

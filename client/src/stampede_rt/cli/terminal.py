@@ -1,4 +1,4 @@
-"""What may reach a terminal: text whose control characters are escaped, in lines that fit."""
+"""Text for terminals: control characters are escaped, and lines fit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def escaped(text: str) -> str:
 
 
 def check_raw_output(payload: bytes) -> None:
-    """Raises InvalidArgument if standard output is a terminal that `payload` could give commands to."""
+    """Raise InvalidArgument if standard output is a terminal and `payload` could give it commands."""
     if not sys.stdout.isatty():
         return
     try:
@@ -35,20 +35,20 @@ def check_raw_output(payload: bytes) -> None:
         text = "\0"
     if not text.replace("\n", "").replace("\t", "").isprintable():
         raise InvalidArgument(
-            "--raw: this payload is not plain text, and the terminal could take it for commands; send it to a file or "
-            "a program, as in `... --raw > FILE`"
+            "--raw: this payload is not plain text and could give the terminal commands; write it to a file or a "
+            "program, as in `... --raw > FILE`"
         )
 
 
 def columns_max() -> int | None:
-    """How many characters a line of output may have; None if no terminal shows it."""
+    """The greatest length of a line; None if the output is no terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool], width_max: int | None) -> list[str]:
-    """`rows` as lines of aligned columns; `right` says which are aligned to the right.
+    """`rows` as lines of aligned columns; `right` says which columns are aligned to the right.
 
-    The widest columns of text are wrapped until a line has `width_max` characters; None: nothing is wrapped.
+    The widest text columns are wrapped until a line has at most `width_max` characters; None: none is wrapped.
     """
     widths = [max(len(row[i]) for row in rows) for i in range(len(right))]
     if width_max is not None:
@@ -63,7 +63,7 @@ def table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool], width_max:
 
 
 def _fitted(widths: Sequence[int], right: Sequence[bool], sum_max: int) -> list[int]:
-    """`widths` with the widest columns of text narrowed until their sum is `sum_max`, or none can be narrowed more."""
+    """`widths` with the widest text columns narrowed until their sum is at most `sum_max`, as far as possible."""
     fitted = list(widths)
     while sum(fitted) > sum_max:
         widest = max((i for i, is_right in enumerate(right) if not is_right), key=lambda i: fitted[i], default=None)

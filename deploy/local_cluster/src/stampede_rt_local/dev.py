@@ -28,25 +28,36 @@ _WILDCARDS = frozenset({"0.0.0.0", "::"})
 
 @dataclass(frozen=True, kw_only=True)
 class DevSettings:
-    """The whole system on this machine, in memory. Ctrl-C stops it; what it held is gone then."""
+    """Runs the whole system on this machine, in memory. Ctrl-C stops it, and its items are lost."""
 
     listen: str = field(
         default=DEFAULT_ADDRESS,
-        metadata=setting(metavar="HOST:PORT", parse=parse_address_text, help="where clients find it; port 0: any"),
+        metadata=setting(
+            metavar="HOST:PORT", parse=parse_address_text, help="the front-end's address; port 0: any free one"
+        ),
     )
-    hosts: int = field(default=1, metadata=setting(metavar="N", minimum=1, maximum=16, help="channel hosts"))
+    hosts: int = field(
+        default=1, metadata=setting(metavar="N", minimum=1, maximum=16, help="the number of channel hosts")
+    )
     supernodes: int = field(
-        default=1, metadata=setting(metavar="N", minimum=1, maximum=7, help="replicas of the directory")
+        default=1, metadata=setting(metavar="N", minimum=1, maximum=7, help="the number of supernodes")
     )
     secret_file: Path | None = field(
         default=None,
-        metadata=setting(metavar="FILE", help="the shared secret, made if it is not there; without it: the user's own"),
+        metadata=setting(
+            metavar="FILE", help="the file of the shared secret, made if absent; without it: the user's own file"
+        ),
     )
     allow_insecure_anywhere: bool = field(
         default=False,
-        metadata=setting(help="listen beyond this machine without encryption; all the network can read along"),
+        metadata=setting(
+            help="listen beyond this machine without encryption, although the whole network can read the items"
+        ),
     )
-    log_level: str = field(default="warning", metadata=setting(metavar="LEVEL", choices=LEVELS, help="what is logged"))
+    log_level: str = field(
+        default="warning",
+        metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above"),
+    )
 
     def __post_init__(self) -> None:
         if parse_address(self.listen).host in _WILDCARDS:

@@ -17,39 +17,42 @@ MEMORY_BYTES_MIN = 2**20
 
 @dataclass(frozen=True, kw_only=True)
 class HostSettings(ServiceSettings):
-    """Stores channels and serves their items. Run one on each machine, or several."""
+    """Holds channels and queues and serves them. Run one on each machine, or several."""
 
     listen: str = field(
         default="",
         metadata=setting(
             metavar="HOST:PORT",
             parse=parse_address_text,
-            help="where it listens, port 0: any free one; left out: localhost, or, with the front-end on another "
-            "machine, the address that leads there",
+            help="the address at which it listens, port 0: any free one; without it: localhost, or, if the front-end "
+            "is on another machine, this machine's address towards it",
         ),
     )
     advertise: str = field(
         default="",
         metadata=setting(
-            metavar="HOST:PORT", parse=parse_target, help="where others reach it, if that is not where it listens"
+            metavar="HOST:PORT", parse=parse_target, help="the address at which others reach it; default: --listen"
         ),
     )
     name: str = field(
         default="",
-        metadata=setting(metavar="NAME", help="its name in the directory; without it: the machine's and a random end"),
+        metadata=setting(
+            metavar="NAME", help="its name in the directory; without it: the machine's name with a random end"
+        ),
     )
     frontend: tuple[str, ...] = field(
         default=("localhost:7580",),
-        metadata=setting(
-            metavar="HOST:PORT,...", parse=parse_list(parse_target), help="front-ends, which lead to the directory"
-        ),
+        metadata=setting(metavar="HOST:PORT,...", parse=parse_list(parse_target), help="front-ends of the cluster"),
     )
     zone: str = field(
-        default="", metadata=setting(metavar="ZONE", help="the network or site it is in; its callers prefer it")
+        default="",
+        metadata=setting(metavar="ZONE", help="the network or site of this host; it prefers supernodes of its zone"),
     )
     data_dir: Path | None = field(
         default=None,
-        metadata=setting(metavar="FOLDER", help="keeps its identity over restarts; without it, it enters as a new one"),
+        metadata=setting(
+            metavar="FOLDER", help="the folder that keeps its identity over restarts; without it: a new host each time"
+        ),
     )
     memory_bytes_max: int = field(
         default=4 * 2**30,
@@ -57,7 +60,7 @@ class HostSettings(ServiceSettings):
             metavar="SIZE",
             parse=parse_size,
             minimum=MEMORY_BYTES_MIN,
-            help="items of all channels together; puts beyond it are refused until some go",
+            help="the bound on all channels and queues together; the host refuses puts beyond it",
         ),
     )
 

@@ -20,22 +20,24 @@ from stampede_rt_runtime.values import parse_address_text, parse_list, parse_tar
 
 @dataclass(frozen=True, kw_only=True)
 class FrontendSettings(ServiceSettings):
-    """Tells callers which supernodes there are. Keeps nothing: run as many as you like."""
+    """Tells callers the addresses of the supernodes. It keeps no state: run as many as you like."""
 
     listen: str = field(
         default="localhost:7580",
-        metadata=setting(metavar="HOST:PORT", parse=parse_address_text, help="where callers find it; port 0: any"),
+        metadata=setting(
+            metavar="HOST:PORT", parse=parse_address_text, help="the address at which it listens; port 0: any free one"
+        ),
     )
     supernodes: tuple[str, ...] = field(
         metadata=setting(
             metavar="HOST:PORT,...",
             parse=parse_list(parse_target),
-            help="supernodes to start with; the others are learned from them",
+            help="supernodes to start with; they name the others",
         ),
     )
     zone: str = field(
         default="",
-        metadata=setting(metavar="ZONE", help="stands for the zone of callers that name none"),
+        metadata=setting(metavar="ZONE", help="the zone of callers that name none"),
     )
 
     def __post_init__(self) -> None:

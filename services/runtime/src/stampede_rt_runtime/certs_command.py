@@ -51,15 +51,25 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="stampede certs", description=__doc__, allow_abbrev=False)
     verbs = parser.add_subparsers(metavar="VERB", required=True)
-    init = verbs.add_parser("init", help="make the cluster's authority, in a folder that only this user may open")
-    init.add_argument("folder", nargs="?", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="default: certs")
+    init = verbs.add_parser("init", help="make the cluster's authority in a folder that only this user may open")
+    init.add_argument(
+        "folder", nargs="?", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the new folder; default: certs"
+    )
     init.add_argument("--cluster", default="stampede", metavar="NAME", help="the cluster's name; default: stampede")
-    init.add_argument("--days", type=_days, default=AUTHORITY_DAYS, metavar="N", help=f"default: {AUTHORITY_DAYS}")
+    init.add_argument(
+        "--days",
+        type=_days,
+        default=AUTHORITY_DAYS,
+        metavar="N",
+        help=f"it holds for N days; default: {AUTHORITY_DAYS}",
+    )
     init.set_defaults(run=_init)
-    one = verbs.add_parser("issue", help="make the certificate of one part; again, to renew it")
-    one.add_argument("--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's; default: certs")
+    one = verbs.add_parser("issue", help="make the certificate of one part, or renew it")
+    one.add_argument(
+        "--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's folder; default: certs"
+    )
     one.add_argument("--name", required=True, help="the part's name: a supernode's --id, a host's --name")
-    one.add_argument("--role", required=True, choices=[str(role) for role in Role], help="what it is for")
+    one.add_argument("--role", required=True, choices=[str(role) for role in Role], help="the part that it is for")
     one.add_argument(
         "--address",
         nargs="+",
@@ -68,10 +78,16 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HOST",
         help="names and IP addresses at which a service is called; default: this machine's name and localhost",
     )
-    one.add_argument("--out", type=Path, metavar="DIR", help="where it is written; default: beside the authority")
-    one.add_argument("--days", type=_days, default=CERTIFICATE_DAYS, metavar="N", help=f"default: {CERTIFICATE_DAYS}")
+    one.add_argument("--out", type=Path, metavar="DIR", help="write it to DIR; default: the authority's folder")
+    one.add_argument(
+        "--days",
+        type=_days,
+        default=CERTIFICATE_DAYS,
+        metavar="N",
+        help=f"it holds for N days; default: {CERTIFICATE_DAYS}",
+    )
     one.set_defaults(run=_issue)
-    show = verbs.add_parser("show", help="tell who certificates are for, and until when")
+    show = verbs.add_parser("show", help="print for whom certificates are, and until when they hold")
     show.add_argument("files", nargs="+", type=Path, metavar="FILE")
     show.set_defaults(run=_show)
     return parser

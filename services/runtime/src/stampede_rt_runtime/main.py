@@ -35,24 +35,28 @@ class ServiceSettings:
         default=None,
         metadata=setting(
             metavar="FILE",
-            help="the shared secret; without it: stampede/secret in the user's config folder, if that is there",
+            help="the file of the shared secret; without it: stampede/secret in the user's config folder, if it exists",
         ),
     )
     client_secret_file: Path | None = field(
         default=None,
         metadata=setting(
             metavar="FILE",
-            help="the clients' secret; whoever brings it may do what clients do, and nothing that members do",
+            help="the file of the clients' secret; a caller with this secret may do what clients do, but not join",
         ),
     )
     allow_insecure_anywhere: bool = field(
         default=False,
-        metadata=setting(help="listen beyond this machine without encryption; all the network can read along"),
+        metadata=setting(
+            help="listen beyond this machine without encryption, although the whole network can read the items"
+        ),
     )
     tls_ca: Path | None = field(
         default=None,
         metadata=setting(
-            metavar="FILE", shared=False, help="the cluster's authorities (PEM); with it, all must bring certificates"
+            metavar="FILE",
+            shared=False,
+            help="the cluster's authorities (PEM); with it every caller needs a certificate",
         ),
     )
     tls_certificate: Path | None = field(
@@ -60,9 +64,11 @@ class ServiceSettings:
     )
     tls_key: Path | None = field(
         default=None,
-        metadata=setting(metavar="FILE", shared=False, help="its private key (PEM), for its user's eyes only"),
+        metadata=setting(metavar="FILE", shared=False, help="its private key (PEM), readable by its user only"),
     )
-    log_level: str = field(default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="what is logged"))
+    log_level: str = field(
+        default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above")
+    )
 
     def load_secret(self) -> Secret | None:
         """The secret, or None if none is set up. Reads a file. Raises PermissionDenied.

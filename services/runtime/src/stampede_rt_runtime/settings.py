@@ -179,7 +179,7 @@ def _read_flags(cls: type, known: list[_Setting], service: str, argv: Sequence[s
         add_help=False,
         allow_abbrev=False,
     )
-    parser.add_argument("-h", "--help", action="store_true", help="this text")
+    parser.add_argument("-h", "--help", action="store_true", help="show this text")
     parser.add_argument("--config", metavar="FILE", help="a TOML file with settings")
     for one in known:
         if one.takes(bool):
@@ -198,18 +198,17 @@ def _epilog(service: str, example: _Setting) -> str:
     own, shared = example.variables
     tail = shared.removeprefix("STAMPEDE_")
     return (
-        f"A setting can also come from the environment ({example.flag} from {own}, or from {shared}, "
-        f"which all services read; those of certificates from {own.removesuffix(tail)}TLS_... alone, since "
-        f"$STAMPEDE_TLS_... is for clients), or from the TOML file (as {example.name}, in its table [{service}] or at "
-        "its top). "
-        "A flag wins over the environment, the environment over the file."
+        f"A setting can also come from the environment: {example.flag} from ${own}, or from ${shared}, which all "
+        f"services read. Certificates come from ${own.removesuffix(tail)}TLS_... alone, because $STAMPEDE_TLS_... is "
+        f"for clients. A setting can also stand in the TOML file, as {example.name} in its table [{service}] or at the "
+        "top. A flag wins over the environment, and the environment over the file."
     )
 
 
 def _unknown(word: str, known: list[str], what: str) -> str:
     name = word.partition("=")[0]
     if what == "flag" and not name.startswith("-"):
-        return f"{name!r} is one word too many: every setting is a flag; see --help"
+        return f"{name!r} is not expected here: every setting is a flag; see --help"
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
     return f"there is no {what} {name}; {hint}"
@@ -235,9 +234,7 @@ def _read_file(
         raise SettingsError(f"{path}: {service} must be a table, [{service}]")
     names = sorted(one.name for one in known)
     _check_keys(table, names, f"{path}: [{service}]", "")
-    _check_keys(
-        top, names, f"{path}:", f"; what only another service knows belongs into its table, such as [{TABLES[0]}]"
-    )
+    _check_keys(top, names, f"{path}:", f"; a setting of another service belongs into its table, such as [{TABLES[0]}]")
     return {key.replace("_", "-"): (_toml_text(value), f"{path}: {key}") for key, value in (top | table).items()}
 
 

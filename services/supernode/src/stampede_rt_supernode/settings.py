@@ -33,41 +33,52 @@ def parse_member(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class SupernodeSettings(ServiceSettings):
-    """One replica of the directory. Alone, or with the members that are named; together they need a majority.
+    """Runs one replica of the directory: alone, or with the other members, of which a majority must run.
 
-    Its data folder is prepared by `stampede supernode init` or `join`; `status`, `add`, `remove` and `snapshot` take
-    care of those that run. Each has --help.
+    `stampede supernode init` or `join` prepares its data folder. `status`, `add`, `remove` and `snapshot` are for
+    supernodes that run. Each has --help.
     """
 
     listen: str = field(
         default="localhost:7590",
-        metadata=setting(metavar="HOST:PORT", parse=parse_address_text, help="where it serves; alone, port 0: any"),
+        metadata=setting(
+            metavar="HOST:PORT",
+            parse=parse_address_text,
+            help="the address at which it listens; a supernode alone may use port 0: any free one",
+        ),
     )
     advertise: str = field(
         default="",
         metadata=setting(
             metavar="HOST:PORT",
             parse=parse_target,
-            help="where others reach it; left out: its address among the members, or else where it listens",
+            help="the address at which others reach it; without it: its address in --members, then --listen",
         ),
     )
     id: str = field(
         default="",
-        metadata=setting(metavar="ID", help=f"its name among the members, never used again; alone: {DEFAULT_ID}"),
+        metadata=setting(
+            metavar="ID", help=f"its id among the members, never used again; a supernode alone: {DEFAULT_ID}"
+        ),
     )
     members: tuple[str, ...] = field(
         default=(),
         metadata=setting(
             metavar="ID=HOST:PORT,...",
             parse=parse_list(parse_member),
-            help="all members, this one included, the same list for each of them; left out: it is alone",
+            help="all members with this one, the same list at each of them; without it: this supernode alone",
         ),
     )
     data_dir: Path | None = field(
         default=None,
-        metadata=setting(metavar="DIR", help="where its log is kept; left out: in memory, gone when it stops"),
+        metadata=setting(metavar="DIR", help="the folder of its log; without it: in memory, lost when it stops"),
     )
-    zone: str = field(default="", metadata=setting(metavar="ZONE", help="the network or site that it is in"))
+    zone: str = field(
+        default="",
+        metadata=setting(
+            metavar="ZONE", help="the network or site of this supernode; callers prefer supernodes of their zone"
+        ),
+    )
     lease_ttl_nanos: int = field(
         default=LEASE_TTL_NANOS,
         metadata=setting(
@@ -75,7 +86,7 @@ class SupernodeSettings(ServiceSettings):
             parse=parse_duration,
             minimum=LEASE_TTL_NANOS_MIN,
             maximum=LEASE_TTL_NANOS_MAX,
-            help="how long a host's lease lasts; counts when the cluster is founded, and holds from then on",
+            help="the lease of a host; a new cluster takes it from here and keeps it",
         ),
     )
 

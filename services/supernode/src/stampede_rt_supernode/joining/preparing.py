@@ -31,7 +31,9 @@ def prepare(argv: Sequence[str]) -> int:
     """Run one of PREPARING; returns the exit code."""
     parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
     verbs = parser.add_subparsers(required=True, metavar="VERB")
-    init = verbs.add_parser("init", help="found a cluster, once", description="Found a cluster of one, once.")
+    init = verbs.add_parser(
+        "init", help="found a cluster of one supernode", description="Found a cluster of one supernode. Do this once."
+    )
     init.set_defaults(run=_run_init)
     init.add_argument(
         "--restore",
@@ -44,15 +46,17 @@ def prepare(argv: Sequence[str]) -> int:
         action="store_true",
         help="with --restore: the former cluster is gone for good, and its hosts and front-ends go over to this one",
     )
-    join = verbs.add_parser("join", help="enter a cluster", description="Enter a running cluster, under a new id.")
+    join = verbs.add_parser("join", help="join a cluster", description="Join a running cluster under a new id.")
     join.set_defaults(run=_run_join)
     add_cluster_options(join)
-    join.add_argument("--token", help="from `stampede supernode add`; left out, one is asked for")
+    join.add_argument("--token", help="the token of `stampede supernode add`; without it the command asks for one")
     for verb in (init, join):
-        verb.add_argument("--data-dir", type=Path, required=True, metavar="DIR", help="where its log will be kept")
-        verb.add_argument("--listen", required=True, metavar="HOST:PORT", help="where it will serve")
-        verb.add_argument("--advertise", metavar="HOST:PORT", help="where others reach it; left out: as --listen")
-        verb.add_argument("--id", help="its name among the members, never used before; left out: a random one")
+        verb.add_argument("--data-dir", type=Path, required=True, metavar="DIR", help="the new folder of its log")
+        verb.add_argument("--listen", required=True, metavar="HOST:PORT", help="the address at which it will listen")
+        verb.add_argument(
+            "--advertise", metavar="HOST:PORT", help="the address at which others reach it; default: --listen"
+        )
+        verb.add_argument("--id", help="its id, never used before; default: a random one")
     parsed = parser.parse_args(argv)
     try:
         return int(parsed.run(parsed))
