@@ -10,6 +10,7 @@ import pytest
 from stampede_rt.cluster.cluster_ids import cluster_metadata
 from stampede_rt.errors import Unavailable, WrongCluster
 from stampede_rt.v1 import directory_service_pb2 as pb
+from tests.support.supernode.commands import cluster_id, command, prepared
 from tests.unit.supernode.processes import (
     Supernode,
     attempts,
@@ -20,7 +21,6 @@ from tests.unit.supernode.processes import (
     resolve,
     running_cluster,
 )
-from tests.unit.supernode.test_coming_and_going import cluster_id, command, prepared
 
 pytestmark = pytest.mark.timeout(120)
 

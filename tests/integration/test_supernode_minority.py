@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.supernode.commands import command
 from tests.unit.supernode.processes import Supernode, free_ports, open_channel, register, resolve, running_cluster
-from tests.unit.supernode.test_coming_and_going import command
 
 pytestmark = pytest.mark.timeout(120)
 

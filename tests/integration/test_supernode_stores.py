@@ -13,6 +13,7 @@ import pytest
 
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME, WATERMARK_NAME
+from tests.support.supernode.commands import command, prepared, status_has
 from tests.unit.supernode.processes import (
     Cluster,
     Supernode,
@@ -24,7 +25,6 @@ from tests.unit.supernode.processes import (
     resolve,
     running_cluster,
 )
-from tests.unit.supernode.test_coming_and_going import command, prepared, status_has
 
 pytestmark = pytest.mark.timeout(120)
 WRITES = 20

@@ -10,14 +10,12 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.errors import HostExists, LeaseExpired, NotLeader, PermissionDenied, Unavailable
+from stampede_rt.errors import HostExists, LeaseExpired, NotLeader, PermissionDenied, Unavailable, VersionMismatch
+from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1.directory_service_pb2 import RegisterHostResponse, RenewHostLeaseResponse
 from stampede_rt_channel_host.cluster.identity import (
     HomeCluster,
     HostIdentity,
-    default_name,
-    load_host_id,
-    new_boot_incarnation,
 )
 from stampede_rt_channel_host.cluster.registration import Registration
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
@@ -287,18 +285,22 @@ async def test_an_ended_lease_is_reported_to_the_fence_before_registering_again(
         await host.supernodes.aclose()
 
 
-def test_the_host_id_lasts_as_long_as_the_data_folder(tmp_path: Any) -> None:
-    assert load_host_id(tmp_path / "new") == load_host_id(tmp_path / "new")
-    assert load_host_id(None) != load_host_id(None)
+class NewerDirectory(FakeDirectory):
+    """Answers registrations in a later protocol."""
+
+    async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:  # noqa: N802
+        assert request.protocol_version == 1
+        response = await super().RegisterHost(request, context)
+        response.protocol_version = 2
+        return response
 
 
-def test_a_damaged_id_file_is_refused_with_the_way_out(tmp_path: Any) -> None:
-    (tmp_path / "host-id").write_text("what")
-    with pytest.raises(ValueError, match="holds no host id; remove it"):
-        load_host_id(tmp_path)
-
-
-def test_default_names_are_valid_and_differ() -> None:
-    assert default_name() != default_name()
-    assert default_name()[0].isalnum()
-    assert new_boot_incarnation() != 0
+async def test_a_host_does_not_enter_a_directory_of_another_protocol() -> None:
+    fake = NewerDirectory()
+    async with serving(fake.register) as server:
+        fake.target = server.address
+        host = Host(server.address)
+        with pytest.raises(VersionMismatch, match="the directory speaks protocol 2, this host 1"):
+            await host.registration.enter("localhost:1", 5)
+        assert not host.registration.lease_held()
+        await host.supernodes.aclose()

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import re
 import signal
-import sys
 from pathlib import Path
 
 import pytest
 
-from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
+from tests.support.supernode.commands import cluster_id, command, prepared, status_has
 from tests.unit.supernode.processes import (
-    PATIENCE_SECONDS,
     Supernode,
     attempts,
-    clean_environment,
     free_ports,
     open_channel,
     register,
@@ -27,43 +23,6 @@ from tests.unit.supernode.processes import (
 )
 
 pytestmark = pytest.mark.timeout(120)
-
-
-async def command(*words: str) -> tuple[int, str]:
-    """Run `stampede supernode ...` to its end: the exit code, and what it printed."""
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "stampede_rt.cli", "supernode", *words),
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.STDOUT,
-        env=clean_environment(),
-    )
-    try:
-        async with asyncio.timeout(PATIENCE_SECONDS):
-            printed, _ = await process.communicate()
-    finally:
-        if process.returncode is None:
-            process.kill()
-            await process.wait()
-    return process.returncode or 0, printed.decode()
-
-
-async def prepared(verb: str, name: str, port: int, folder: Path, *words: str) -> Supernode:
-    address, data_dir = f"127.0.0.1:{port}", str(folder / name)
-    code, printed = await command(verb, "--data-dir", data_dir, "--listen", address, "--id", name, *words)
-    assert code == 0, printed
-    return Supernode(name, address, ["--listen", address, "--data-dir", data_dir])
-
-
-async def status_has(address: str, text: str) -> None:
-    """Wait until `status` says it."""
-    async for _ in attempts():
-        _, printed = await command("status", "--member", address)
-        if text in printed:
-            return
-
-
-async def cluster_id(one: Supernode) -> str:
-    return str((await one.stub.Ping(pb.DirectoryServicePingRequest(), timeout=5)).cluster_id)
 
 
 async def test_a_cluster_is_founded_joined_and_left_and_no_id_comes_back(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
 from stampede_rt_supernode.settings import SupernodeSettings
 from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.commands import prepared, status_has
 from tests.unit.supernode.processes import free_ports
-from tests.unit.supernode.test_coming_and_going import prepared, status_has
 
 FOUNDER = Member(member_id="r", address="r:1")
 

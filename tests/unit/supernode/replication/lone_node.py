@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import random
 
+from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
@@ -22,9 +24,11 @@ from stampede_rt_supernode.replication.wire.messages import (
     SnapshotChunk,
     VoteReply,
 )
+from stampede_rt_supernode.replication.wire.records import encode_snapshot
 from tests.robustness.replication.machine import ListMachine
 
 LIBRARY_COMMAND = b"\x00"
+ABC = Configuration.of([Member(member_id=name, address=f"{name}:1") for name in "abc"])
 
 
 def command(text: str) -> bytes:
@@ -124,3 +128,26 @@ def vote(term: int) -> VoteReply:
 
 def acknowledgement(term: int, next_index: int, *, success: bool = True) -> AppendReply:
     return AppendReply(term=term, next_index=next_index, reset=False, success=success)
+
+
+def snapshot_pieces(*, last: int, term: int, size: int = 100) -> list[SnapshotChunk]:
+    """A snapshot of members a, b and c up to position `last`, cut into pieces."""
+    machine = ListMachine()
+    for index in range(2, last + 1):
+        machine.apply(index, f"{index}/{term}".encode())
+    record = encode_snapshot(
+        previous=Entry(command(f"{last - 1}/{term}"), last - 1, term),
+        last=Entry(command(f"{last}/{term}"), last, term),
+        configuration=ABC,
+        state=machine.snapshot(),
+    )
+    return [
+        SnapshotChunk(
+            last_log_index=last,
+            offset_bytes=offset,
+            total_bytes=len(record),
+            sha256=hashlib.sha256(record).digest(),
+            data=record[offset : offset + size],
+        )
+        for offset in range(0, len(record), size)
+    ]

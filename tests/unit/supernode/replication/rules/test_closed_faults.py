@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from typing import NoReturn
 
 import pytest
 
-from stampede_rt_supernode.replication.configuration import Configuration
-from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.library.node import LibraryNode
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import MemoryStore, StoredSnapshot, StoredState
-from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, SnapshotChunk, VoteReply, VoteRequest
+from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, VoteReply, VoteRequest
 from stampede_rt_supernode.replication.wire.records import encode_snapshot
 from tests.robustness.replication.machine import ListMachine
-from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement, append, command, piece, vote
-
-ABC = Configuration.of([Member(member_id=name, address=f"{name}:1") for name in "abc"])
+from tests.unit.supernode.replication.lone_node import (
+    ABC,
+    LoneNode,
+    acknowledgement,
+    append,
+    command,
+    piece,
+    snapshot_pieces,
+    vote,
+)
 
 ON_BOTH = pytest.mark.parametrize(
     "rules",
@@ -29,28 +33,6 @@ ON_BOTH = pytest.mark.parametrize(
         pytest.param(LibraryNode, id="bare library", marks=pytest.mark.xfail(strict=True, reason="PySyncObj 0.3.17")),
     ],
 )
-
-
-def snapshot_pieces(*, last: int, term: int, size: int = 100) -> list[SnapshotChunk]:
-    machine = ListMachine()
-    for index in range(2, last + 1):
-        machine.apply(index, f"{index}/{term}".encode())
-    record = encode_snapshot(
-        previous=Entry(command(f"{last - 1}/{term}"), last - 1, term),
-        last=Entry(command(f"{last}/{term}"), last, term),
-        configuration=ABC,
-        state=machine.snapshot(),
-    )
-    return [
-        SnapshotChunk(
-            last_log_index=last,
-            offset_bytes=offset,
-            total_bytes=len(record),
-            sha256=hashlib.sha256(record).digest(),
-            data=record[offset : offset + size],
-        )
-        for offset in range(0, len(record), size)
-    ]
 
 
 def says_success(message: Message) -> bool:

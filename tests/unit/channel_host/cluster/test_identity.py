@@ -1,0 +1,26 @@
+"""Who a host is: its id in the data folder, and its name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from stampede_rt_channel_host.cluster.identity import default_name, load_host_id, new_boot_incarnation
+
+
+def test_the_host_id_lasts_as_long_as_the_data_folder(tmp_path: Any) -> None:
+    assert load_host_id(tmp_path / "new") == load_host_id(tmp_path / "new")
+    assert load_host_id(None) != load_host_id(None)
+
+
+def test_a_damaged_id_file_is_refused_with_the_way_out(tmp_path: Any) -> None:
+    (tmp_path / "host-id").write_text("what")
+    with pytest.raises(ValueError, match="holds no host id; remove it"):
+        load_host_id(tmp_path)
+
+
+def test_default_names_are_valid_and_differ() -> None:
+    assert default_name() != default_name()
+    assert default_name()[0].isalnum()
+    assert new_boot_incarnation() != 0
