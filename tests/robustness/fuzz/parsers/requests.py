@@ -11,7 +11,8 @@ from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels import requests
-from stampede_rt_channel_host.groups.messages import definition_of, times_from_message
+from stampede_rt_channel_host.cluster.records import recorded_group
+from stampede_rt_channel_host.groups.messages import floor_from_message, floor_to_message, times_from_message
 from stampede_rt_channel_host.queues.incoming import EnqueueRun, enqueue_of
 from stampede_rt_channel_host.queues.requests import page_size_of, settlements_of, taker_of
 from tests.robustness.fuzz.drawing import ByteSource
@@ -99,7 +100,9 @@ def pending(source: ByteSource) -> None:
 
 
 def group_definition(source: ByteSource) -> None:
-    definition_of(drawn_message(source, group_pb2.GroupRecord.DESCRIPTOR, KNOWN))  # type: ignore[arg-type]
+    recorded_group(drawn_message(source, group_pb2.GroupRecord.DESCRIPTOR, KNOWN))  # type: ignore[arg-type]
+    floor = drawn_message(source, group_pb2.CutFloor.DESCRIPTOR, KNOWN)
+    floor_to_message(floor_from_message(floor))  # type: ignore[arg-type]
     times_from_message(drawn_message(source, group_pb2.ChannelTimes.DESCRIPTOR, KNOWN))  # type: ignore[arg-type]
 
 
