@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import gc
 import json
 import random
@@ -20,6 +21,7 @@ from typing import Any
 
 import grpc
 
+from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1 import channel_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
@@ -28,14 +30,18 @@ from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_bench.tables import Table
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.core.channel import Offer
-from stampede_rt_channel_host.core.group import CutFollower
+from stampede_rt_channel_host.core.group import CutFollower, GroupDefinition, TimesBoard
 from stampede_rt_channel_host.core.queue import Enqueue, QueueCore, QueueLimits, TakerState
+from stampede_rt_channel_host.core.records import RecordedGroup, ResolvedGroup
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.queues.frames import take_response
 from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
 
 ITEMS, LATE_ITEMS, BUCKET_ITEMS = 500_000, 300_000, 50_000
 BLOCKED_GETS, CALLS, CHANNELS, QUEUED_ITEMS = 10_000, 1000, 20_000, 100_000
 RUN_ITEMS = 200
+SUBSCRIBERS, FOLLOWED_ITEMS = 1000, 5
 PAGE_ITEMS = 100
 READ_ITEMS = 20_000
 PATIENCE_SECONDS = 120.0
@@ -63,6 +69,12 @@ class Watch:
         await task
         gc.unfreeze()
         return (time.thread_time() - begun) * 1000
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Nothing is done meanwhile but what others do."""
+    while not condition():  # noqa: ASYNC110  (there is no event for it)
+        await asyncio.sleep(0)
 
 
 async def opened(rig: Rig, **spec: object) -> tuple[Opened, HostedChannel]:
@@ -327,6 +339,80 @@ async def listing(rig: Rig, channels: int) -> tuple[str, Work]:
     return f"a page of 1000 of {channels:,} channels", work
 
 
+async def subscribers(rig: Rig, count: int) -> tuple[str, Work]:
+    """Each of them has a message sent."""
+    channel, hosted = await opened(rig)
+    client = asyncio.create_task(asked(rig, channel, "follow")())  # type: ignore[arg-type]
+    async with asyncio.timeout(PATIENCE_SECONDS):
+        await until(lambda: len(hosted.listeners) == count)
+
+    async def work() -> None:
+        for _ in range(FOLLOWED_ITEMS):
+            await channel.put(run_of(b"x"))
+        await client
+
+    return f"{FOLLOWED_ITEMS} puts to a channel with {count:,} subscriptions", work
+
+
+async def short_waits(rig: Rig, gets: int) -> tuple[str, Work]:
+    """Their time is over at about the same instant."""
+    channel, _ = await opened(rig)
+    fill(rig.host.store.find(channel.channel_id, channel.epoch), rig.now(), [rig.now()])
+    end_nanos = time.monotonic_ns() + 12 * S
+    calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
+    for call in calls:
+        for call_id in range(1, CALLS + 1):
+            wait_nanos = max(1, end_nanos - time.monotonic_ns())
+            await call.write(channel.get_request(call_id, interval=channel.future(), wait_nanos=wait_nanos))
+    await channel.until(lambda status: status.waiting_gets == len(calls) * CALLS)
+
+    async def read(call: Any) -> None:
+        answered = 0
+        while answered < CALLS:
+            answered += (await call.read()).HasField("summary")
+
+    async def work() -> None:
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            await asyncio.gather(*map(read, calls))
+
+    return f"{len(calls) * CALLS:,} blocked gets whose time is over at the same instant", work
+
+
+async def group_readers(rig: Rig, count: int) -> tuple[str, Work]:
+    """As subscriptions to cuts wait for a group, which moves, and then goes."""
+    hosted = group_of(rig)
+    heard = 0
+
+    async def wait(waiter: Waiter) -> None:
+        nonlocal heard
+        for _ in range(2):
+            with contextlib.suppress(StampedeError):
+                await waiter.wait(None)
+            heard += 1
+
+    waiters = [Waiter() for _ in range(count)]
+    waiting = [asyncio.create_task(wait(one)) for one in waiters]
+    for one in waiters:
+        hosted.listeners.add(one)
+    await asyncio.sleep(0)  # they wait
+
+    async def work() -> None:
+        hosted.arrangement += 1
+        hosted.changed()
+        await until(lambda: heard == count)
+        hosted.end(Unavailable("gone"))
+        await until(lambda: heard == count + len(waiting))
+
+    return f"a group with {count:,} readers moves, and ends", work
+
+
+def group_of(rig: Rig) -> HostedGroup:
+    group = RecordedGroup(group_id=b"g" * 16, name="g", definition=GroupDefinition(members=frozenset()), message=b"")
+    told = ResolvedGroup(group=group, channels={}, targets={}, host_names={})
+    begin = rig.host.store.scheduler.begin
+    return HostedGroup(told, TimesBoard(), rig.now, on_moved=lambda _: None, on_idle=lambda _: None, begin=begin)
+
+
 async def batches(rig: Rig, items: int) -> tuple[str, Work]:
     """The core alone, as its shell moves it: `tick` when it is due."""
     queue = QueueCore(QueueLimits(max_items=items, max_bytes=2**40), incarnation=1)
@@ -367,6 +453,9 @@ CASES: dict[str, tuple[Case, int]] = {
     "release": (release, BLOCKED_GETS),
     "list": (listing, CHANNELS),
     "batches": (batches, QUEUED_ITEMS),
+    "subscribers": (subscribers, SUBSCRIBERS),
+    "short-waits": (short_waits, BLOCKED_GETS),
+    "group-readers": (group_readers, 4096),
 }
 
 
@@ -381,12 +470,33 @@ def ask(target: str, verb: str, channel_id: str, epoch: str) -> None:
             get = pb.GetRequest(call_id=1, interval=interval, without_payloads=True, **about)  # type: ignore[arg-type]
             assert [*stub.Get(iter((get,)))][-1].HasField("summary")
             return
+        if verb == "follow":
+            asyncio.run(follow(target, pb.SubscribeOpen(**about)))  # type: ignore[arg-type]
+            return
         begun = pb.SubscribeOpen(start=oldest, **about)  # type: ignore[arg-type]
         items = 0
         for response in stub.Subscribe(iter((pb.SubscribeRequest(open=begun, credit_bytes=2**60),))):
             items += sum(len(one.run.payload_length_bytes) for one in response.runs)
             if items >= READ_ITEMS:
                 return
+
+
+async def follow(target: str, begun: pb.SubscribeOpen) -> None:
+    """Many subscriptions, each of which takes a few items."""
+
+    async def one(connection: grpc.aio.Channel) -> None:
+        items = 0
+        call = ChannelServiceStub(connection).Subscribe(iter((pb.SubscribeRequest(open=begun, credit_bytes=2**60),)))
+        async for response in call:
+            items += sum(len(one.run.payload_length_bytes) for one in response.runs)
+            if items >= FOLLOWED_ITEMS:
+                return
+
+    options = [("grpc.use_local_subchannel_pool", 1)]
+    connections = [grpc.aio.insecure_channel(target, options=options) for _ in range(20)]
+    await asyncio.gather(*(one(connections[at % 20]) for at in range(SUBSCRIBERS)))
+    for connection in connections:
+        await connection.close()
 
 
 async def measure(names: Sequence[str], share: float) -> None:

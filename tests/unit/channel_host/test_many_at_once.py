@@ -14,8 +14,9 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run
-from stampede_rt_channel_host.channels.hosted_channels import LISTENERS_PER_PIECE, HostedChannel
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_PER_PIECE, page_of
+from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE, IncomingRun
 from stampede_rt_channel_host.channels.store import CHANNELS_PER_PIECE
@@ -168,10 +169,11 @@ async def test_subscriptions_are_ended_in_pieces(rig: Rig) -> None:
         def end(self, error: StampedeError) -> None:
             ended.append(error)
 
-    for _ in range(3 * LISTENERS_PER_PIECE):
-        hosted.listeners[Reader()] = None
+    for _ in range(3 * OBSERVERS_PER_PIECE):
+        hosted.listeners.add(Reader())
     counts = [len(ended) for _ in hosted.ending(Unavailable("gone"))]
-    assert counts == [LISTENERS_PER_PIECE * pieces for pieces in (1, 2, 3)]
+    assert counts == [OBSERVERS_PER_PIECE * pieces for pieces in (1, 2)]
+    assert len(ended) == 3 * OBSERVERS_PER_PIECE
 
 
 async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece(rig: Rig) -> None:

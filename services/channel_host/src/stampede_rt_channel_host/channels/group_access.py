@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels.hosted_channels import ChannelObserver, HostedChannel
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.observers import ChannelObserver
 from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor, SubscriptionBatch
 
 

@@ -4,30 +4,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces, at_once
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 SUBSCRIPTIONS_MAX = 4096
-LISTENERS_PER_PIECE = 256
 _orders = itertools.count()
-
-
-class ChannelObserver(Protocol):
-    """A subscription, as the channel knows it."""
-
-    def wake(self) -> None:
-        """There may be something to send."""
-
-    def end(self, error: StampedeError) -> None:
-        """The channel is not served any more."""
 
 
 class HostedChannel:
@@ -58,8 +47,9 @@ class HostedChannel:
         )
         self.gets = WaitingGets(self.channel, Coming(self.channel), now, begin=begin)
         self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched, may_serve)
-        self.listeners: dict[ChannelObserver, None] = {}
-        self.followers: dict[ChannelObserver, None] = {}  # as listeners, but no subscriptions: groups
+        self.listeners = Observers(begin)  # subscriptions
+        self.matches = Observers(begin)  # subscriptions to matches of its items
+        self.followers: dict[ChannelObserver, None] = {}  # groups: they look at each change before another one comes
         self.group_gets: set[object] = set()  # blocked gets through groups
         self.group_readers: set[object] = set()  # cut events and matches that take its items
         self.messages = SharedMessages()
@@ -103,12 +93,10 @@ class HostedChannel:
         """Whoever waits for the channel or listens to it hears `error`, in pieces."""
         for follower in [*self.followers]:  # which only take note
             follower.end(error)
-        listeners = [*self.listeners]
+        listeners, matches = self.listeners.ending(error), self.matches.ending(error)
         yield from self.puts.ending(error)  # first, so that none of them is taken any more
-        for at, listener in enumerate(listeners, 1):
-            listener.end(error)
-            if at % LISTENERS_PER_PIECE == 0:
-                yield
+        yield from listeners
+        yield from matches
         yield from self.gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
@@ -149,10 +137,10 @@ class HostedChannel:
     def _announce(self, now: int) -> None:
         if len(self.gets):
             self.gets.changed(now)
-        for follower in self.followers:
+        for follower in [*self.followers]:
             follower.wake()
-        for listener in self.listeners:
-            listener.wake()
+        self.matches.wake()
+        self.listeners.wake()
 
 
 def _ignore(hosted: HostedChannel) -> None:

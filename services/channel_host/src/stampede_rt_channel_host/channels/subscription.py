@@ -140,14 +140,14 @@ class Subscription:
     async def _serve(self, cursor: Cursor, begun: pb.SubscribeOpen) -> None:
         channel = self._hosted.channel
         opened = pb.SubscriptionOpened(incarnation=channel.incarnation, next_seq=channel.next_seq)
-        self._hosted.listeners[self] = None
+        self._hosted.listeners.add(self)
         self._owes_progress = begun.HasField("start")
         try:
             await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._standing(cursor))
             while not self._credit.is_over:
                 await self._step(cursor, without_payloads=begun.without_payloads)
         finally:
-            del self._hosted.listeners[self]
+            self._hosted.listeners.discard(self)
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
         """Send what there is, or wait for more; after an advance, and after a long silence, say how far it is.

@@ -53,6 +53,7 @@ class CutEvents:
         self._writer = EventWriter(context, "cut event")
         self._waiter = Waiter()
         self._arrangement = 0  # of the group, as of the last look
+        self._incarnation = 0  # of the group, when the subscription began
         self._spec_version = 0  # that the subscription began with
         self._followed: dict[bytes, _Followed] = {}
         self._kept: dict[bytes, pb.ChannelCursor] = {}  # cursors from the reader, of channels that are not followed yet
@@ -74,14 +75,14 @@ class CutEvents:
         group = await self._groups.find(begun.group_id, begun.spec_version)
         await self._begin(group, begun)
         hearing = group.watchers if begun.decides else group.listeners
-        hearing[self._waiter] = None
+        hearing.add(self._waiter)
         reading = self._stream.spawn(self._read(group, decides=begun.decides))
         try:
             await self._writer.write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())
             await self._serve(group, begun)
         finally:
             reading.cancel()
-            hearing.pop(self._waiter, None)
+            hearing.discard(self._waiter)
             for followed in self._followed.values():
                 followed.hosted.group_readers.discard(self)
 
@@ -100,6 +101,7 @@ class CutEvents:
                 f"group {group.record.name} is not as far as the reader was, {group.held_by()}; try again"
             )
         self._cut = floor if resumes else group.cut.cut
+        self._incarnation = group.record.incarnation
         self._kept = {one.channel_id: one for one in begun.after.channels}
         self._spec_version = begun.spec_version or group.record.spec_version
         self._follow(group)
@@ -119,6 +121,7 @@ class CutEvents:
         if group.arrangement == self._arrangement:
             return
         self._arrangement = group.arrangement
+        group.check_incarnation(self._incarnation)
         if group.record.spec_version != self._spec_version:
             raise Unavailable(
                 f"group {group.record.name} has other members now; subscribe at all their hosts behind the last event"

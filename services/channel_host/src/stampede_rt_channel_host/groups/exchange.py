@@ -8,6 +8,7 @@ from collections.abc import Callable
 from stampede_rt.errors import HostNotFound
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt_channel_host.channels.observers import Backlog
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.core.group import CutFloor
@@ -19,6 +20,7 @@ from stampede_rt_channel_host.groups.table import HostedGroups
 
 FLOORS_MAX = 10_000  # of groups that are to be learned first, from all hosts together
 FLOORS_MAX_PER_HOST = 1000
+GROUPS_PER_PIECE = 16
 
 
 class Exchange:
@@ -39,6 +41,7 @@ class Exchange:
         on_stale: Callable[[bytes], None],
         on_asked: Callable[[set[bytes]], None],
     ) -> None:
+        self._to_look_at: Backlog[bytes] = Backlog(self._look_at, channels.scheduler.begin, GROUPS_PER_PIECE)
         self.peers = PeerHosts(identity, self, dial, cluster_id, channels.lease_held)
         self._identity = identity
         self._channels = channels
@@ -129,8 +132,12 @@ class Exchange:
         if is_first:
             self._told_all.add(host_id)
             news |= {one for one, group in table.groups.items() if host_id in group.unheard}
-        for group_id in news:
-            self.look(table.groups[group_id])
+        self._to_look_at.add(news)
+
+    def _look_at(self, group_id: bytes) -> None:
+        group = self._table.groups.get(group_id)
+        if group is not None:
+            self.look(group)
 
     def _merge(self, host_id: bytes, floor: CutFloor) -> bool:
         """Take in another host's floor; True if it is further. What is new or newer is asked of the directory."""

@@ -10,9 +10,10 @@ from typing import Any
 
 from sortedcontainers import SortedKeyList
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import StampedeError, error_for
 from stampede_rt.values.timeline import MIN_INSTANT
-from stampede_rt_channel_host.channels.hosted_channels import ChannelObserver
+from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE, ChannelObserver, Observers
+from stampede_rt_channel_host.core.channel import Pieces, batched
 from stampede_rt_channel_host.core.channel.limits import DEFAULT_MAX_FUTURE_NANOS
 from stampede_rt_channel_host.core.group import CutFloor, CutMember, GroupCut, Horizon, TimesBoard
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
@@ -26,7 +27,7 @@ class HostedGroup:
     """`record` is the directory's, as last told; `owners` gives each member's host, `targets` where such hosts listen.
 
     `unheard`: live hosts of members that have not told how far the cut was; until they have, nothing is shown.
-    `listeners` are woken when the group shows more or is arranged anew, `watchers` by every news of a member, too.
+    `listeners` and `gets` are woken when the group shows more or is arranged anew, `watchers` by all news of a member.
     `arrangement` grows whenever members, their hosts, or what this host serves of them may have changed.
     """
 
@@ -38,13 +39,17 @@ class HostedGroup:
         *,
         on_moved: Callable[[bytes], None],
         on_idle: Callable[[bytes], None],
+        begin: Callable[[Pieces[None]], None],
     ) -> None:
-        """`on_moved` hears whenever the cut has moved, `on_idle` of each member of this host that falls idle."""
+        """`on_moved` hears whenever the cut has moved, `on_idle` of each member of this host that falls idle; `begin`
+        does long work that nobody waits for (`PieceScheduler.begin`)."""
         self.cut = GroupCut(told.group.definition, board)
-        self.listeners: dict[ChannelObserver, None] = {}
-        self.watchers: dict[ChannelObserver, None] = {}
+        self.listeners = Observers(begin)
+        self.watchers = Observers(begin)
         self.gets: dict[object, ChannelObserver] = {}  # by channel, whoever has blocked gets of it
         self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))  # floors that are waited for, with their futures
+        self._is_releasing = False
+        self._begin = begin
         self.unheard: set[bytes] = set()
         self.arrangement = 0
         self.looked_up_s = 0.0  # on the loop's clock: when the directory was asked last, and when somebody named it
@@ -71,6 +76,11 @@ class HostedGroup:
         self.cut.define(definition)
         self.arrangement += 1
         return anew
+
+    def check_incarnation(self, incarnation: int) -> None:
+        """Raises IncarnationLost if the group began anew since then: of many readers some are ended a moment later."""
+        if self.record.incarnation != incarnation:
+            raise began_anew(self.record)
 
     def merge_floor(self, host_id: bytes, floor: CutFloor) -> bool:
         """Take in another host's floor, if it can be true; True if it is further.
@@ -120,22 +130,34 @@ class HostedGroup:
         if self.cut.refresh(self._now()):
             self._on_moved(self.record.group_id)
         shown = self.cut.cut, self.cut.is_confirmed, self.arrangement
-        woken = [*self.watchers] if shown == self._shown else [*self.listeners, *self.watchers]
-        self._shown = shown
+        has_changed, self._shown = shown != self._shown, shown
         self._release_reached()
-        for listener in woken:
-            listener.wake()
+        if has_changed:
+            for gets in [*self.gets.values()]:
+                gets.wake()
+            self.listeners.wake()
+        self.watchers.wake()
         self._arm()
 
     def end(self, error: StampedeError) -> None:
-        """Whoever waits for the group or listens to it hears `error`."""
+        """Whoever waits for the group or listens to it hears `error`; of many, the last ones a moment later."""
+        self._begin(self.ending(error))
+
+    def ending(self, error: StampedeError) -> Pieces[None]:
+        """The same in pieces: those that are there when it begins."""
         if self._idle_timer is not None:
             self._idle_timer.cancel()
-        for listener in [*self.listeners, *self.watchers]:
-            listener.end(error)
-        for _, _, reached in self._reaching:
-            if not reached.done():
-                reached.set_exception(error)
+        for gets in [*self.gets.values()]:
+            gets.end(error)
+        reaching = [reached for _, _, reached in self._reaching]
+        listeners, watchers = self.listeners.ending(error), self.watchers.ending(error)
+        yield from listeners
+        yield from watchers
+        for part in batched(reaching, OBSERVERS_PER_PIECE):
+            yield
+            for reached in part:
+                if not reached.done():
+                    reached.set_exception(error)
 
     async def reach(self, floor: int | None, timeout_s: float | None) -> bool:
         """Block until the group's cut is confirmed and has come to `floor`. Returns False after `timeout_s`, if given.
@@ -157,10 +179,26 @@ class HostedGroup:
         return True
 
     def _release_reached(self) -> None:
-        while self._reaching and self.has_reached(self._reaching[0][0]):
+        if self._reaching and not self._is_releasing and self.has_reached(self._reaching[0][0]):
+            self._is_releasing = True
+            self._begin(self._releasing())
+
+    def _releasing(self) -> Pieces[None]:
+        try:
+            while self._release_some():
+                yield
+        finally:
+            self._is_releasing = False
+
+    def _release_some(self) -> bool:
+        """True if there may be others."""
+        for _ in range(OBSERVERS_PER_PIECE):
+            if not self._reaching or not self.has_reached(self._reaching[0][0]):
+                return False
             _, _, reached = self._reaching.pop(0)
             if not reached.done():
                 reached.set_result(None)
+        return True
 
     def has_reached(self, floor: int | None) -> bool:
         """The group's cut is confirmed and its cut is at or past `floor`."""
@@ -195,6 +233,16 @@ class HostedGroup:
             if member.is_idle and member.heard is not None and member.heard.known_until is None:
                 self._on_idle(member.channel_id)
         self.changed()
+
+
+def began_anew(record: RecordedGroup) -> StampedeError:
+    """What its readers hear."""
+    return error_for(
+        "INCARNATION_LOST",
+        f"group {record.name} began anew, since all hosts of its members were restarted: where its cut was is not "
+        "known any more; read it from now on",
+        {"group": record.name},
+    )
 
 
 def _future_nanos(channel: RecordedChannel) -> int:

@@ -62,14 +62,15 @@ class MatchStream:
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
         _check_life(group, request.after.group_incarnation)
         hosted = self._groups.channels.find(request.per_channel_id, request.epoch)
-        group.watchers[self._waiter] = hosted.followers[self._waiter] = None
+        group.watchers.add(self._waiter)
+        hosted.matches.add(self._waiter)
         reading = self._stream.spawn(self._read())
         try:
             await self._serve(group, hosted, request)
         finally:
             reading.cancel()
-            group.watchers.pop(self._waiter, None)
-            hosted.followers.pop(self._waiter, None)
+            group.watchers.discard(self._waiter)
+            hosted.matches.discard(self._waiter)
             for near in self._near.values():
                 near.group_readers.discard(self)
             for _, following in self._far.values():
@@ -86,11 +87,12 @@ class MatchStream:
     async def _serve(self, group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeMatchesOpen) -> None:
         now = self._groups.channels.now()
         matcher = _matcher(hosted, request, now)
-        arrangement = 0
+        arrangement, incarnation = 0, group.record.incarnation
         counted: tuple[int, int] | None = None  # no response yet; the first one says that every member is followed
         while counted is None or not self._credit.is_over:
             if arrangement != group.arrangement:
                 arrangement = group.arrangement
+                group.check_incarnation(incarnation)
                 matcher.set_tracks(self._arrange(group, member_of(group, hosted), matcher.earliest))
             found = self._take(matcher, group, request)
             holds = counted is not None or all(far.is_followed for far, _ in self._far.values())

@@ -14,7 +14,8 @@ from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupAsk
-from stampede_rt_channel_host.channels.hosted_channels import ChannelObserver, HostedChannel
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.observers import ChannelObserver
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.core.channel import (
@@ -112,11 +113,11 @@ class GroupReads:
             raise Unavailable(f"group {group.record.name} shows nothing new {group.held_by()}; subscribe again")
         self._check_served(hosted)
         cursor = _cursor(group, hosted, begun, self._groups.channels.now())
-        group.listeners[listener] = None
+        group.listeners.add(listener)
         try:
             yield cursor
         finally:
-            group.listeners.pop(listener, None)
+            group.listeners.discard(listener)
 
     def _check_served(self, hosted: HostedChannel) -> None:
         """After a wait: the channel may have gone elsewhere meanwhile. Raises StaleBinding."""
@@ -132,6 +133,7 @@ class _All:
 
     def __init__(self, group: HostedGroup, hosted: HostedChannel, cursor: VisibleAll) -> None:
         self._group = group
+        self._incarnation = group.record.incarnation
         self._hosted = hosted
         self._cursor = cursor
 
@@ -140,6 +142,7 @@ class _All:
         return self._cursor.saved
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
+        self._group.check_incarnation(self._incarnation)
         member_of(self._group, self._hosted)
         return self._cursor.take(self._group.horizon(), now, limit_bytes)
 
@@ -152,6 +155,7 @@ class _Newest:
 
     def __init__(self, group: HostedGroup, hosted: HostedChannel, cursor: VisibleNewest) -> None:
         self._group = group
+        self._incarnation = group.record.incarnation
         self._hosted = hosted
         self._cursor = cursor
 
@@ -164,6 +168,7 @@ class _Newest:
         return self._cursor.skipped
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
+        self._group.check_incarnation(self._incarnation)
         member_of(self._group, self._hosted)
         return self._cursor.take(self._group.horizon(), now)
 

@@ -10,15 +10,16 @@ from typing import NoReturn
 from stampede_rt.errors import Overloaded, StampedeError, error_for
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.observers import Backlog
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import Pieces, batched
-from stampede_rt_channel_host.core.records import RecordedChange, RecordedGroup, ResolvedGroup
+from stampede_rt_channel_host.core.records import RecordedChange, ResolvedGroup
 from stampede_rt_channel_host.groups.background_lookups import BackgroundLookups
 from stampede_rt_channel_host.groups.exchange import Exchange
 from stampede_rt_channel_host.groups.group_directory import GroupDirectory
-from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup, began_anew
 from stampede_rt_channel_host.groups.own_channels import OwnChannel
 from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.table import HostedGroups
@@ -27,6 +28,7 @@ logger = logging.getLogger(__name__)
 
 GROUPS_MAX = 10_000
 GROUPS_PER_PIECE = 16
+GROUPS_PER_LOOK = 256
 ROUND_SECONDS = 0.5
 LOOK_UP_SECONDS = 30.0  # the directory tells of changes by itself; this is for what goes missing
 LOOK_UP_SECONDS_IN_TROUBLE = 0.5
@@ -53,6 +55,9 @@ class GroupStore:
         )
         self._single_flight = SingleFlight()
         self._lookups = BackgroundLookups()
+        self._changed_groups: Backlog[HostedGroup] = Backlog(
+            HostedGroup.changed, channels.scheduler.begin, GROUPS_PER_PIECE
+        )
         self._to_learn: set[bytes] = set()  # channels that others ask for, and that no group known here has
         self.in_use = asyncio.Event()
 
@@ -87,9 +92,11 @@ class GroupStore:
         while True:  # paced
             await asyncio.sleep(ROUND_SECONDS)
             self._learn_of(set())
-            for group_id, group in list(self._table.groups.items()):
-                if self._is_due(group):
-                    await self._look_up_again(group_id)
+            for part in batched(list(self._table.groups.items()), GROUPS_PER_LOOK):
+                for group_id, group in part:
+                    if self._is_due(group):
+                        await self._look_up_again(group_id)
+                await asyncio.sleep(0)
 
     async def aclose(self) -> None:
         """Forget everything."""
@@ -159,7 +166,7 @@ class GroupStore:
             return False
         if group.is_stale:
             return True  # others may wait for this host, though nobody reads the group here
-        if not (group.listeners or group.watchers) and _now_s() - group.named_s > IN_USE_SECONDS:
+        if not (group.listeners or group.watchers or group.gets) and _now_s() - group.named_s > IN_USE_SECONDS:
             return False
         return since_s >= LOOK_UP_SECONDS or self._misses_a_host(group)
 
@@ -207,6 +214,7 @@ class GroupStore:
         self.exchange.take_floors(group_id)
         if known is not None:
             self._table.forget(group_id)
+            self._changed_groups.drop(known)
             self.exchange.share()
             known.end(error)
 
@@ -215,7 +223,12 @@ class GroupStore:
         if group is None:
             tell = self.exchange.peers
             group = HostedGroup(
-                told, self._table.board, self.channels.now, on_moved=tell.tell_floor, on_idle=tell.tell_times
+                told,
+                self._table.board,
+                self.channels.now,
+                on_moved=tell.tell_floor,
+                on_idle=tell.tell_times,
+                begin=self.channels.scheduler.begin,
             )
             group.named_s = _now_s()
             self._table.enter(group)
@@ -223,7 +236,7 @@ class GroupStore:
         else:
             version = group.record.spec_version, group.record.incarnation
             if self._table.adopt(group, told):
-                group.end(_anew(told.group))
+                group.end(began_anew(told.group))
             if version != (told.group.spec_version, told.group.incarnation):
                 self.exchange.peers.tell_floor(group_id)  # with it goes the version, so that the others ask, too
         for host_id, floor in self.exchange.take_floors(group_id).items():
@@ -261,8 +274,7 @@ class GroupStore:
     def _changed(self, channel_id: bytes) -> None:
         """A channel of this host has changed."""
         self.exchange.peers.tell_times(channel_id)
-        for group in self._table.groups_of(channel_id):
-            group.changed()
+        self._changed_groups.add(self._table.groups_of(channel_id))
 
     def _ended(self, channel_id: bytes) -> None:
         """A channel is not served here any more; who owns it now is asked soon."""
@@ -274,13 +286,13 @@ class GroupStore:
     def _rearranged(self, channel_id: bytes) -> None:
         for group in self._table.groups_of(channel_id):
             group.arrangement += 1
-            group.changed()
+        self._changed_groups.add(self._table.groups_of(channel_id))
 
 
 def _ending(groups: Sequence[HostedGroup], error: StampedeError) -> Pieces[None]:
     for part in batched(groups, GROUPS_PER_PIECE):
         for group in part:
-            group.end(error)
+            yield from group.ending(error)
         yield
 
 
@@ -291,12 +303,3 @@ def _now_s() -> float:
 def _not_found(group_id: bytes) -> StampedeError:
     shown = group_id.hex()
     return error_for("GROUP_NOT_FOUND", f"there is no group {shown}; it may have been deleted", {"group_id": shown})
-
-
-def _anew(record: RecordedGroup) -> StampedeError:
-    return error_for(
-        "INCARNATION_LOST",
-        f"group {record.name} began anew, since all hosts of its members were restarted: where its cut was is not "
-        "known any more; read it from now on",
-        {"group": record.name},
-    )

@@ -110,7 +110,7 @@ class GroupGets:
 
         get = self.gets.add(pending, wake, wait_nanos, self._now(), finish)
         self._group.gets[self._hosted] = self
-        self._group.listeners[self] = self._hosted.followers[self] = None
+        self._hosted.followers[self] = None
         self._hosted.group_gets.add(get)
         try:
             return await released
@@ -155,7 +155,6 @@ class GroupGets:
     def _leave(self) -> None:
         if self._group.gets.get(self._hosted) is self:
             del self._group.gets[self._hosted]
-        self._group.listeners.pop(self, None)
         self._hosted.followers.pop(self, None)
 
     def _visible_to(self) -> int:

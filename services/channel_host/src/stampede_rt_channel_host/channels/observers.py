@@ -1,0 +1,110 @@
+"""Whoever is told of a change: woken or ended a few at a time, however many there are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from itertools import islice
+from typing import Generic, Protocol, TypeVar
+
+from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.core.channel import Pieces, at_once, batched
+
+OBSERVERS_PER_PIECE = 16
+"""Each of them may have a message to send in the turn of the event loop behind the one that wakes it."""
+
+Thing = TypeVar("Thing")
+
+
+class ChannelObserver(Protocol):
+    """A subscription, as the channel knows it."""
+
+    def wake(self) -> None:
+        """There may be something to send."""
+
+    def end(self, error: StampedeError) -> None:
+        """The channel is not served any more."""
+
+
+class Backlog(Generic[Thing]):
+    """Things that are to be looked at, each of them once, the first ones at once and the others in pieces.
+
+    A thing that waits keeps its place, whatever happens meanwhile: it is looked at after all of that. `look` may add
+    and drop things. `begin` does long work that nobody waits for (`PieceScheduler.begin`).
+    """
+
+    def __init__(
+        self, look: Callable[[Thing], None], begin: Callable[[Pieces[None]], None], per_piece: int = OBSERVERS_PER_PIECE
+    ) -> None:
+        self._look = look
+        self._begin = begin
+        self._per_piece = per_piece
+        self._waiting: dict[Thing, None] = {}
+        self._working = False
+
+    def add(self, things: Iterable[Thing]) -> None:
+        """Look at all of these, behind those that wait."""
+        self._waiting.update(dict.fromkeys(things))
+        if self._waiting and not self._working:
+            self._working = True
+            self._begin(self._pieces())
+
+    def drop(self, thing: Thing) -> None:
+        """It need not be looked at any more. Idempotent."""
+        self._waiting.pop(thing, None)
+
+    def _pieces(self) -> Pieces[None]:
+        try:
+            while self._look_at_some():
+                yield
+        finally:
+            self._working = False
+
+    def _look_at_some(self) -> bool:
+        """True if others are left."""
+        for thing in [*islice(self._waiting, self._per_piece)]:
+            if thing in self._waiting:  # else a look at another one has dropped it
+                del self._waiting[thing]
+                self._look(thing)
+        return bool(self._waiting)
+
+
+class Observers:
+    """They hear of changes in the order in which they came. One that still waits to be woken hears of several once."""
+
+    def __init__(self, begin: Callable[[Pieces[None]], None] = at_once) -> None:
+        """`begin`: as that of a `Backlog`."""
+        self._observers: dict[ChannelObserver, None] = {}
+        self._to_wake: Backlog[ChannelObserver] = Backlog(_wake, begin)
+
+    def __len__(self) -> int:
+        return len(self._observers)
+
+    def add(self, observer: ChannelObserver) -> None:
+        """It hears of what happens from now on. Idempotent."""
+        self._observers[observer] = None
+
+    def discard(self, observer: ChannelObserver) -> None:
+        """It hears of nothing any more. Idempotent."""
+        self._observers.pop(observer, None)
+        self._to_wake.drop(observer)
+
+    def wake(self) -> None:
+        """Wake all of them: the first few at once, and the others a few in each turn of the event loop."""
+        if self._observers:
+            self._to_wake.add(self._observers)
+
+    def ending(self, error: StampedeError) -> Pieces[None]:
+        """Those that are there now hear `error`, in pieces."""
+        return self._ending([*self._observers], error)
+
+    def _ending(self, observers: Sequence[ChannelObserver], error: StampedeError) -> Pieces[None]:
+        for at, part in enumerate(batched(observers, OBSERVERS_PER_PIECE)):
+            if at:
+                yield
+            for observer in part:
+                if observer in self._observers:  # else it has gone since
+                    observer.end(error)
+
+
+def _wake(observer: ChannelObserver) -> None:
+    observer.wake()
