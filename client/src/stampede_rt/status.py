@@ -10,6 +10,8 @@ import re
 from collections.abc import Iterable
 from typing import Any, NoReturn
 
+from google.protobuf.message import DecodeError
+
 from stampede_rt.cluster.majority import UNREACHED
 from stampede_rt.errors import DeadlineExceeded, PermissionDenied, StampedeError, Unavailable, error_for
 from stampede_rt.grpc_quiet import grpc
@@ -124,12 +126,13 @@ def _trailers(error: grpc.RpcError) -> Iterable[tuple[str, str | bytes]]:
 
 
 def _from_status(encoded: bytes) -> StampedeError | None:
-    status = rpc_status_pb2.Status.FromString(encoded)
-    for detail in status.details:
-        if detail.type_url == _ERROR_INFO_URL:
-            info = rpc_status_pb2.ErrorInfo.FromString(detail.value)
-            return error_for(info.reason, status.message, dict(info.metadata))
-    return None
+    try:
+        status = rpc_status_pb2.Status.FromString(encoded)
+        found = next((one for one in status.details if one.type_url == _ERROR_INFO_URL), None)
+        info = None if found is None else rpc_status_pb2.ErrorInfo.FromString(found.value)
+    except DecodeError:  # the status code tells enough
+        return None
+    return None if info is None else error_for(info.reason, status.message, dict(info.metadata))
 
 
 def _brief(details: str) -> str:

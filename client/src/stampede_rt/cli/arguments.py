@@ -10,6 +10,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.interrupts import interruption
+from stampede_rt.cli.terminal import TerminalParser
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
 from stampede_rt.values.policy import ON_FULL
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_instant
@@ -21,7 +22,7 @@ _META = {"now": NOW, "newest": NEWEST, "oldest": OLDEST}
 _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
 
 
-class VerbParser(argparse.ArgumentParser):
+class VerbParser(TerminalParser):
     """The parser of one verb. It allows options between the words, and refuses words that it does not know."""
 
     _intermixed = False
@@ -98,7 +99,7 @@ def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
 
 def parse_time(text: str) -> int:
     """Return an instant: nanoseconds since the epoch, or ISO 8601, without a timezone in this machine's local time."""
-    if re.fullmatch(r"[+-]?\d+", text):
+    if re.fullmatch(r"[+-]?\d{1,20}", text):
         return parse_instant(int(text))
     try:
         return parse_instant(datetime.fromisoformat(text).astimezone())

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from stampede_rt.cli.interrupts import INTERRUPTED, interruption
-from stampede_rt.cli.terminal import escaped
+from stampede_rt.cli.terminal import TerminalParser, escaped
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.version import VERSION
 
@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     from stampede_rt.cli.arguments import VerbParser
 
     verbs = "\n".join(f"  {verb:<10}{text}" for verb, text in SERVICE_VERBS.items())
-    parser = argparse.ArgumentParser(
+    parser = TerminalParser(
         prog="stampede",
         description="Stampede RT: a distributed store of time-indexed live streams.",
         epilog=f"verbs that run parts of the system (each has --help):\n{verbs}",

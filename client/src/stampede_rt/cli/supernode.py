@@ -15,6 +15,7 @@ from stampede_rt.administration.running_cluster import Cluster, is_there, no_mem
 from stampede_rt.cli.backup_file import write_backup
 from stampede_rt.cli.diagnosis import gathered, level_finding, refusal
 from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.terminal import TerminalParser
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
 from stampede_rt.values.timeline import format_duration, format_instant
@@ -27,7 +28,7 @@ ID_BYTES = 4
 
 def administer(argv: Sequence[str]) -> int:
     """Run one of ADMINISTRATIVE_VERBS and return the exit status."""
-    parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
+    parser = TerminalParser(prog="stampede supernode", description=__doc__)
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     status = _verb(verbs, "status", "list the supernodes, which one leads, and their state", _run_status)
     add = _verb(verbs, "add", "make a token that lets one supernode join, and print the command for it", _run_add)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
 import textwrap
 from collections.abc import Sequence
 from itertools import zip_longest
+from typing import NoReturn
 
 from stampede_rt.errors import InvalidArgument
 
@@ -23,6 +25,14 @@ def escaped(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
+
+
+class TerminalParser(argparse.ArgumentParser):
+    """A parser of arguments that shows those it refuses escaped: a script may pass on what others wrote."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong, and exit with status 2."""
+        super().error(escaped(message))
 
 
 def check_raw_output(payload: bytes) -> None:

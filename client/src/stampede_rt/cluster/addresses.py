@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 
 from stampede_rt.errors import InvalidArgument
 
@@ -47,8 +48,15 @@ def _parse_one(address: str) -> str:
     if "/" in address:
         raise InvalidArgument(f'the address is {address!r}; write a host and a port alone, as in "rig:7580"')
     host, separator, port = address.rpartition(":")
-    if not separator or (host.count(":") and not host.endswith("]")):
-        return f"{address if address.count(':') < 2 else f'[{address}]'}:{DEFAULT_PORT}"
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+    if not separator or (":" in host and not host.endswith("]")):
+        host, port = f"[{address}]" if ":" in address else address, str(DEFAULT_PORT)
+    if not _is_host(host) or not re.fullmatch(r"[0-9]{1,5}", port) or not 0 < int(port) < 65536:
         raise InvalidArgument(f'the address is {address!r}; write a host and a port from 1 to 65535, as in "rig:7580"')
-    return address
+    return f"{host}:{port}"
+
+
+def _is_host(host: str) -> bool:
+    """Whether services take it, too: a name, an IPv4 address, or an IPv6 address in brackets."""
+    bracketed = host.startswith("[") and host.endswith("]")
+    bare = host[1:-1] if bracketed else host
+    return bool(bare) and (bracketed or ":" not in bare) and bare.isprintable() and not re.search(r"[\s/\[\]]", bare)

@@ -49,15 +49,26 @@ def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
         raise PermissionDenied(
             f"the secret file {path} cannot be read: {error.strerror}; give this user the right to read it"
         ) from error
+    except UnicodeDecodeError as error:
+        raise _no_secret(path) from error
     if stat.S_IMODE(mode) & 0o007:
         raise PermissionDenied(f"the secret file {path} can be read by every user; run: chmod 600 {path}")
     values = tuple(line.strip() for line in text.splitlines() if line.strip())
+    if not all(value.isascii() and value.isprintable() for value in values):
+        raise _no_secret(path)
     if len(values) > SECRETS_MAX:
         raise PermissionDenied(
             f"the secret file {path} has {len(values)} lines; write one secret, or two while one takes the place "
             "of the other"
         )
     return values
+
+
+def _no_secret(path: Path) -> PermissionDenied:
+    """A secret travels in a header, which has printable ASCII characters alone."""
+    return PermissionDenied(
+        f"the secret file {path} holds other characters than printable ASCII; copy the file of the cluster again"
+    )
 
 
 def call_metadata(secret: str | None) -> tuple[tuple[str, str], ...]:

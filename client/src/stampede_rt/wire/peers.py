@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from stampede_rt.v1 import peer_pb2
 from stampede_rt.values.peering import ClockOffset, PeerChange, PeerInfo
-from stampede_rt.wire.records import CHANGE_KINDS
+from stampede_rt.wire.records import change_kind
 
 
 def peer_info(record: peer_pb2.PeerRecord) -> PeerInfo:
@@ -46,4 +46,4 @@ def clock_message(clock: ClockOffset | None) -> peer_pb2.ClockOffset | None:
 
 def peer_change(message: peer_pb2.PeerChange) -> PeerChange:
     """One change among the peers."""
-    return PeerChange(index=message.index, kind=CHANGE_KINDS[message.kind], peer=peer_info(message.peer))
+    return PeerChange(index=message.index, kind=change_kind(message.kind), peer=peer_info(message.peer))

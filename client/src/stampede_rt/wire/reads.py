@@ -99,7 +99,8 @@ def reason_from_message(reason: int, detail: str) -> Reason | None:
     """Why an answer is empty or partial; None if nothing is missing."""
     if reason == error_pb2.ABSENCE_REASON_UNSPECIFIED:
         return None
-    name = error_pb2.AbsenceReason.Name(reason)
+    known = error_pb2.AbsenceReason.DESCRIPTOR.values_by_number.get(reason)
+    name = "UNKNOWN" if known is None else known.name  # a newer host's reason: its detail explains it
     return Reason(name.removeprefix(_REASON_PREFIX), detail)
 
 

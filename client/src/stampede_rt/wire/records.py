@@ -23,11 +23,18 @@ _ON_FULL: dict[OnFull, channel_pb2.OnFull] = {
     "reject": channel_pb2.ON_FULL_REJECT,
 }
 _FROM_ON_FULL = {value: key for key, value in _ON_FULL.items()}
-CHANGE_KINDS: dict[directory_pb2.ChangeKind, ChangeKind] = {
+_CHANGE_KINDS: dict[directory_pb2.ChangeKind, ChangeKind] = {
     directory_pb2.CHANGE_KIND_ADDED: "added",
     directory_pb2.CHANGE_KIND_UPDATED: "updated",
     directory_pb2.CHANGE_KIND_REMOVED: "removed",
 }
+
+
+def change_kind(kind: directory_pb2.ChangeKind) -> ChangeKind:
+    """What happened, as far as this release knows kinds of it: whatever else it is, the thing is different now."""
+    return _CHANGE_KINDS.get(kind, "updated")
+
+
 COLLECTED_CAUSES = ("age", "count", "bytes", "consumption")
 REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed", "overloaded")
 
@@ -137,6 +144,6 @@ def channel_stats(status: channel_pb2.ChannelStatus, clock_offset_nanos: int | N
 def change(message: directory_pb2.DirectoryChange, hosts: Mapping[bytes, directory_pb2.HostRecord]) -> Change:
     """One change of the directory. `hosts` are the known hosts by id; they give a channel's owner its name."""
     if message.WhichOneof("subject") == "host":
-        return Change(index=message.index, kind=CHANGE_KINDS[message.kind], subject=host_info(message.host))
+        return Change(index=message.index, kind=change_kind(message.kind), subject=host_info(message.host))
     info = channel_info(message.channel, hosts.get(message.channel.host_id))
-    return Change(index=message.index, kind=CHANGE_KINDS[message.kind], subject=info)
+    return Change(index=message.index, kind=change_kind(message.kind), subject=info)

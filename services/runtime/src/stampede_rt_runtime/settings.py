@@ -224,7 +224,7 @@ def _read_file(
         return {}
     try:
         document = tomllib.loads(Path(path).expanduser().read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise SettingsError(f"the settings file {path} cannot be read: {error}") from error
     top = {key: value for key, value in document.items() if not isinstance(value, dict)}
     for name in document.keys() - top.keys() - {service, *TABLES}:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from tests.robustness.fuzz.parsers import directory, requests
+from typing import Any
+
+from tests.robustness.fuzz.parsers import answers, command_line, directory, files, requests, texts
 from tests.robustness.fuzz.parsers.target import Target
 
-BY_NAME: dict[str, Target] = {target.name: target for module in (requests, directory) for target in module.TARGETS}
+MODULES: tuple[Any, ...] = (requests, directory, texts, command_line, files, answers)
+BY_NAME: dict[str, Target] = {target.name: target for module in MODULES for target in module.TARGETS}

@@ -50,8 +50,7 @@ class HomeCluster:
 
     def __init__(self, folder: Path | None = None) -> None:
         self._path = None if folder is None else folder / _CLUSTER_FILE
-        kept = self._path is not None and self._path.exists()
-        self.cluster_id = self._path.read_text().strip() if kept and self._path else ""
+        self.cluster_id = _kept_text(self._path, "cluster id") if self._path and self._path.exists() else ""
         self._former: tuple[str, ...] = ()  # the clusters whose place that one has taken
 
     def judge(self, callers: str) -> StampedeError | None:
@@ -83,9 +82,17 @@ def _write_once(path: Path, text: str) -> None:
     draft.rename(path)
 
 
+def _kept_text(path: Path, what: str) -> str:
+    """Raises InvalidArgument."""
+    try:
+        return path.read_text().strip()
+    except UnicodeDecodeError as error:
+        raise InvalidArgument(f"{path} holds no {what}; remove it, and the host enters as a new one") from error
+
+
 def _read(path: Path) -> bytes:
     try:
-        host_id = bytes.fromhex(path.read_text().strip())
+        host_id = bytes.fromhex(_kept_text(path, "host id"))
     except ValueError:
         host_id = b""
     if len(host_id) != ID_BYTES:

@@ -68,10 +68,12 @@ def read_founding(data_dir: Path) -> Founding | None:
         facts: dict[str, Any] = json.loads(path.read_text())
         if facts.pop("format_version", None) != FORMAT_VERSION:
             raise StampedeError(f"{path} is of another version; run the version that wrote it")
-        return Founding(**facts)
+        founding = Founding(**facts)
+        founding.replication_settings(data_dir)  # which checks what it says
+        return founding
     except FileNotFoundError:
         return None
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, TypeError, ValueError, RecursionError) as error:
         raise StampedeError(
             f"{path} cannot be read ({error}): empty the folder, and let this member join again under a new id"
         ) from error

@@ -73,7 +73,7 @@ def read_backup(path: Path) -> tuple[BackupHeader, StoredState]:
     line, _, record = body[len(MAGIC) :].partition(b"\n")
     try:
         header, snapshot = BackupHeader(**json.loads(line)), decode_snapshot(record)
-    except (TypeError, ValueError, MalformedMessage) as error:
+    except (TypeError, ValueError, RecursionError, MalformedMessage) as error:
         raise StoreDamaged(f"{path} cannot be read by this version ({error}): use the one that wrote it") from error
     return header, _state(snapshot, record)
 

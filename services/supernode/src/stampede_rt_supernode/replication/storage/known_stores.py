@@ -101,8 +101,19 @@ def _read(told: bytes, path: Path) -> dict[str, Any]:
     checksum, _, body = told.rstrip(b"\n").partition(b" ")
     if checksum != b"%08x" % zlib.crc32(body):
         raise StoreDamaged(f"{path} fails its checksum: {REJOIN}")
-    facts: dict[str, Any] = json.loads(body)
-    return facts
+    try:
+        facts: dict[str, Any] = json.loads(body)
+        if _is_sound(facts):
+            return facts
+        raise ValueError("it names no stores")
+    except (ValueError, RecursionError) as error:
+        raise StoreDamaged(f"{path} cannot be read ({error}): {REJOIN}") from error
+
+
+def _is_sound(facts: Any) -> bool:
+    if not isinstance(facts, dict) or not isinstance(facts.get("known"), dict):
+        return False
+    return all(isinstance(text, str) for text in (facts.get("own"), facts.get("refused", ""), *facts["known"].values()))
 
 
 def force_folder(folder: Path) -> None:

@@ -61,7 +61,7 @@ CREATE TABLE snapshot_piece (
 
 _HARD_STATE = "term, voted_for, commit_index, commits, first_index, last_index, last_term, promises, checksum"
 # What SQLite and a row in which a bit has changed may raise.
-_UNREADABLE = (sqlite3.Error, TypeError, ValueError, OverflowError)
+_UNREADABLE = (sqlite3.Error, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
 class _HardState(NamedTuple):

@@ -1,0 +1,83 @@
+"""What services answer, as clients read it: of a hostile or newer one nothing worse comes than our own errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from google.protobuf.message import Message
+
+from stampede_rt.errors import StampedeError
+from stampede_rt.status import DETAILS_KEY, encode_status, from_error_message, from_rpc_error
+from stampede_rt.v1 import (
+    channel_pb2,
+    channel_service_pb2,
+    directory_pb2,
+    error_pb2,
+    group_pb2,
+    peer_pb2,
+    queue_pb2,
+    rpc_status_pb2,
+)
+from stampede_rt.wire import groups, peers, queues, reads, records
+from tests.robustness.fuzz import hostile_values
+from tests.robustness.fuzz.drawing import ByteSource
+from tests.robustness.fuzz.messages import KnownValues, damaged, drawn_message
+from tests.robustness.fuzz.parsers.target import Target
+
+KNOWN = KnownValues()
+READERS: tuple[tuple[Callable[[Any], Any], type[Message]], ...] = (
+    (records.policy_from_spec, channel_pb2.ChannelSpec),
+    (records.host_info, directory_pb2.HostRecord),
+    (records.supernode_info, directory_pb2.SupernodeRecord),
+    (records.channel_stats, channel_pb2.ChannelStatus),
+    (lambda message: records.channel_info(message, None), channel_pb2.ChannelRecord),
+    (lambda message: records.change(message, {}), directory_pb2.DirectoryChange),
+    (queues.queue_policy_from_spec, queue_pb2.QueueSpec),
+    (lambda message: queues.queue_info(message, None), queue_pb2.QueueRecord),
+    (queues.queue_stats, queue_pb2.QueueStatus),
+    (queues.pending_message, queue_pb2.PendingDelivery),
+    (groups.group_info, group_pb2.GroupRecord),
+    (groups.member_status, group_pb2.GroupMemberStatus),
+    (peers.peer_info, peer_pb2.PeerRecord),
+    (peers.peer_change, peer_pb2.PeerChange),
+    (reads.summary_reason, channel_service_pb2.GetSummary),
+)
+
+
+def records_of_services(source: ByteSource) -> None:
+    read, kind = source.choice(READERS)
+    repr(read(drawn_message(source, kind.DESCRIPTOR, KNOWN)))
+
+
+class _Failed(Exception):
+    """As gRPC raises for a failed call."""
+
+    def __init__(self, code: Any, details: str | None, trailers: Any) -> None:
+        self.code = lambda: code
+        self.details = lambda: details
+        self.trailing_metadata = lambda: trailers
+
+
+def error(source: ByteSource) -> None:
+    """Any status becomes an error of the product's, with a text that can be shown."""
+    import grpc
+
+    message = drawn_message(source, error_pb2.Error.DESCRIPTOR, KNOWN)
+    raised = from_error_message(message)  # type: ignore[arg-type]
+    encoded = encode_status(raised)
+    if source.chance(50):
+        encoded = drawn_message(source, rpc_status_pb2.Status.DESCRIPTOR, KNOWN).SerializeToString()
+    if source.chance(50):
+        encoded = damaged(source, encoded)
+    trailers = ((DETAILS_KEY, encoded), ("other", hostile_values.text(source)))
+    failed: Any = _Failed(source.choice(tuple(grpc.StatusCode)), hostile_values.text(source), trailers)
+    assert str(from_rpc_error(failed, "localhost:1")) is not None
+    assert isinstance(from_rpc_error(failed, "localhost:1"), StampedeError)
+
+
+REFUSED = (StampedeError,)
+TARGETS = (
+    Target("records_of_services", records_of_services, REFUSED),
+    Target("error", error, ()),
+)
