@@ -157,6 +157,26 @@ def test_what_a_taker_was_sent_stays_leased_when_it_leaves() -> None:
     assert core.ack(1, 1) == [""]
 
 
+def test_a_taker_that_leaves_as_a_lease_ends_is_neither_dealt_the_item_nor_asked_whether_it_lives() -> None:
+    core = Core(lease_nanos=100)
+    core.put(1)
+    silent, waiting, leaving = core.taker(1, credit=2), core.taker(2), core.taker(3)
+    core.dealt()
+    core.queue.grant(leaving, 1, core.now)
+    core.now += 200  # the first taker's lease ends, and the item is the leaving one's turn
+    core.queue.leave(leaving, core.now)
+    assert core.dealt() == {}
+    core.queue.grant(waiting, 1, core.now)
+    assert core.dealt() == {2: [1]}
+    assert core.queue.take_silent() == [silent]
+    core.queue.grant(silent, 1, core.now)
+    core.put(1)
+    core.dealt()
+    core.now += 200
+    core.queue.leave(silent, core.now)
+    assert silent not in core.queue.take_silent()
+
+
 def test_a_batch_of_several_items_keeps_the_limit_of_a_message_and_a_large_item_goes_alone() -> None:
     core = Core()
     for length in (BATCH_BYTES_MAX // 2 - 100, BATCH_BYTES_MAX // 2 - 100, 10**3, 2 * BATCH_BYTES_MAX, 1):

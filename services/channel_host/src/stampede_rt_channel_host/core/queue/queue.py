@@ -150,6 +150,8 @@ class QueueCore:
         """Its stream has ended. What it was dealt and never sent goes back; what was sent stays leased. Idempotent."""
         clock = self._tick(now)
         self.drain(taker)
+        self._dispatcher.dealt = [dealt for dealt in self._dispatcher.dealt if dealt[0] is not taker]
+        self._leasing.silent = [silent for silent in self._leasing.silent if silent is not taker]
         if taker.unsent is not None:
             self._leasing.recall(taker.unsent.slices)
             taker.unsent = None
