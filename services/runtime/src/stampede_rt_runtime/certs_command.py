@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from stampede_rt.cli.terminal import TerminalParser
 from stampede_rt_runtime.certificates import (
     CertificateError,
     Described,
@@ -50,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = TerminalParser(prog="stampede certs", description=__doc__, allow_abbrev=False)
+    parser = argparse.ArgumentParser(prog="stampede certs", description=__doc__, allow_abbrev=False)
     verbs = parser.add_subparsers(metavar="VERB", required=True)
     init = verbs.add_parser("init", help="make the cluster's authority in a folder that only this user may open")
     init.add_argument(

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from stampede_rt.administration.options import add_cluster_options
 from stampede_rt.administration.running_cluster import reached
-from stampede_rt.cli.terminal import TerminalParser
 from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError
 from stampede_rt.security.tls import CLIENT_VARIABLES
@@ -30,7 +29,7 @@ ID_BYTES = 4
 
 def prepare(argv: Sequence[str]) -> int:
     """Run one of PREPARING; returns the exit code."""
-    parser = TerminalParser(prog="stampede supernode", description=__doc__)
+    parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     init = verbs.add_parser(
         "init", help="found a cluster of one supernode", description="Found a cluster of one supernode. Do this once."
