@@ -167,6 +167,12 @@ class LeaseExpired(StampedeError):
     reason = "LEASE_EXPIRED"
 
 
+class StaleRegistration(StampedeError):
+    """Another process of the same peer or host has registered with this registration epoch or a higher one."""
+
+    reason = "STALE_REGISTRATION"
+
+
 class PermissionDenied(StampedeError):
     """The secret or certificate is missing or wrong, or the caller may not do this."""
 
@@ -236,8 +242,9 @@ _BY_REASON: dict[str, type[StampedeError]] = {
     for cls in (
         InvalidArgument, InvalidInterval, InvalidName, MalformedRun, ItemTooLarge, ChannelNotFound, ChannelExists,
         GroupNotFound, GroupExists, QueueNotFound, QueueExists, PeerNotFound, PeerExists, HostNotFound, HostExists,
-        ChannelFull, QueueFull, TooOld, InFuture, IncarnationLost, LeaseExpired, PermissionDenied, Overloaded,
-        Unavailable, DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch, WatchRestart, WrongCluster,
+        ChannelFull, QueueFull, TooOld, InFuture, IncarnationLost, LeaseExpired, StaleRegistration,
+        PermissionDenied, Overloaded, Unavailable, DeadlineExceeded, StaleBinding, NotLeader, VersionMismatch,
+        WatchRestart, WrongCluster,
     )
 }  # fmt: skip
 _BY_REASON |= {

@@ -58,6 +58,7 @@ _CODES: dict[str, grpc.StatusCode] = {
     "TOO_OLD": grpc.StatusCode.FAILED_PRECONDITION,
     "IN_FUTURE": grpc.StatusCode.FAILED_PRECONDITION,
     "LEASE_EXPIRED": grpc.StatusCode.FAILED_PRECONDITION,
+    "STALE_REGISTRATION": grpc.StatusCode.FAILED_PRECONDITION,
     "NOT_LEADER": grpc.StatusCode.FAILED_PRECONDITION,
     "WRONG_CLUSTER": grpc.StatusCode.FAILED_PRECONDITION,
     "VERSION_MISMATCH": grpc.StatusCode.FAILED_PRECONDITION,

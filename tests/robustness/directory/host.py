@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-from stampede_rt.errors import LeaseExpired, StampedeError
+from stampede_rt.cluster.registration_epoch import RegistrationEpoch
+from stampede_rt.errors import LeaseExpired, StaleRegistration, StampedeError
 from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.channels.memory import MemoryBudget
@@ -65,7 +66,9 @@ class SimHost:
         self.clock = Clock(world)
         self.frozen_until = 0.0
         ownership.hosts.append(self)
-        world.counts_on_lease[self._host_id] = lambda: self.store.lease_held()
+        world.counts_on_lease[self._host_id] = lambda boot: (
+            boot == self.identity.boot_incarnation and self.store.lease_held()
+        )
         self.restart()
 
     def restart(self) -> None:
@@ -74,7 +77,7 @@ class SimHost:
         self.identity = HostIdentity(
             host_id=self._host_id, name=f"host-{number}", boot_incarnation=1000 * number + next(self._boots)
         )
-        self.lease = HostLease()
+        self.lease, self.epoch = HostLease(), RegistrationEpoch()
         self.store = ChannelStore(
             self.identity,
             self,  # type: ignore[arg-type]  # `resolve` is all that the store needs here
@@ -133,6 +136,9 @@ class SimHost:
                 await (self._renew() if self.store.lease_held() else self._enter())
             except LeaseExpired:
                 self.lease.give_up()
+            except StaleRegistration as error:
+                if self.epoch.may_overtake(error):
+                    continue
             except StampedeError:
                 pass  # tried again below
             await self.world.sleep(max(0.05, self.lease.renewal_in_nanos(self.clock.boottime_nanos()) / 1e9))
@@ -144,9 +150,11 @@ class SimHost:
             name=self.identity.name,
             gatekeepers=[directory_pb2.Endpoint(target="localhost:1")],
             boot_incarnation=self.identity.boot_incarnation,
+            registration_epoch=self.epoch.value,
         )
         sent = self.clock.boottime_nanos()
         entered = await ask(self.world, "RegisterHost", request, 4.0, caller=self)
+        self.epoch.note_registered()
         channels = map(recorded_channel, entered.channels)
         at_once(self.store.registering(channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX))
         self._granted(sent, entered.lease_ttl_nanos)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
-from stampede_rt.errors import LeaseExpired, StampedeError
+from stampede_rt.cluster.registration_epoch import RegistrationEpoch
+from stampede_rt.errors import LeaseExpired, StaleRegistration, StampedeError
 from stampede_rt.v1 import peer_service_pb2 as pb
 from stampede_rt_channel_host.cluster.host_lease import HostLease
 from stampede_rt_supernode.core.directory import Directory
@@ -55,14 +56,14 @@ class SimPeer:
         self.clock = Clock(world)
         self.frozen_until = 0.0
         ownership.peers.append(self)
-        world.counts_on_lease[self._peer_id] = self.believes
+        world.counts_on_lease[self._peer_id] = lambda boot: boot == self.boot and self.believes()
         self.restart()
 
     def restart(self) -> None:
         """Killed and started; it kept its id and proof."""
         self.boot = 1000 * (self.number + 1) + next(self._boots)
         self.name = self.world.random_source.choice(NAMES)
-        self.lease = HostLease()
+        self.lease, self.epoch = HostLease(), RegistrationEpoch()
         boot = self.boot
         drive(self._keep, alive=lambda: self.boot == boot, gate=self._when_awake)
 
@@ -84,6 +85,9 @@ class SimPeer:
                 await (self._renew() if self.believes() else self._enter())
             except LeaseExpired:
                 self.lease.give_up()
+            except StaleRegistration as error:
+                if self.epoch.may_overtake(error):
+                    continue
             except StampedeError:
                 pass  # the name is taken, or nobody answered; tried again below
             await self.world.sleep(max(0.05, self.lease.renewal_in_nanos(self.clock.boottime_nanos()) / 1e9))
@@ -95,9 +99,11 @@ class SimPeer:
             name=self.name,
             boot_incarnation=self.boot,
             proof=self._proof,
+            registration_epoch=self.epoch.value,
         )
         sent = self.clock.boottime_nanos()
         entered = await ask(self.world, "RegisterPeer", request, 4.0, caller=self)
+        self.epoch.note_registered()
         self._granted(sent, entered.lease_ttl_nanos)
 
     async def _renew(self) -> None:

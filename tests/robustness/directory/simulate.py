@@ -8,6 +8,7 @@ Made up: time, network, disks, clocks that drift and wall clocks that are set. O
 from __future__ import annotations
 
 import argparse
+import hashlib
 import logging
 import random
 import sys
@@ -18,12 +19,13 @@ from typing import Any
 from unittest import mock
 
 from stampede_rt.errors import StampedeError
+from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS as PRODUCTION_TTL_NANOS
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from tests.robustness.directory.calls import FINAL, QUEUES, host_id_of, refusal_of, request_of, shown
 from tests.robustness.directory.host import Ownership, SimHost
 from tests.robustness.directory.peer import NameOwnership, SimPeer
 from tests.robustness.directory.tasks import drive
-from tests.robustness.directory.world import DirectoryWorld, _Leases
+from tests.robustness.directory.world import LEASE_TTL_NANOS, DirectoryWorld, _Leases
 from tests.robustness.histories.channel_model import (
     Delete,
     Deleted,
@@ -142,6 +144,8 @@ class DirectoryStorm:
             (0.15, lambda: world.random_source.choice(self._hosts).restart()),
             (0.3, self._freeze_host),
             (0.15, lambda: world.random_source.choice(self._peers).restart()),
+            (0.15, self._delay_registration),
+            (0.15 if world.lease_ttl_nanos == PRODUCTION_TTL_NANOS else 0.0, self._freeze_leader),
         ):
             if rate > 0:
                 self._repeat(rate, happen)
@@ -185,7 +189,7 @@ class DirectoryStorm:
         """
         random_source, world = self.world.random_source, self.world
         leaders = self._leaders()
-        pairs = [ends for ends in world.wires if set(ends) & leaders]
+        pairs = [ends for ends in world.wires if not set(ends).isdisjoint(leaders)]
         callers: list[Any] = [*self._hosts, *self._peers]
         with_it = set() if random_source.random() < 0.5 else set(random_source.sample(callers, 2))
         ways = {(one, name) for one in callers for name in world.members if (one in with_it) != (name in leaders)}
@@ -216,8 +220,33 @@ class DirectoryStorm:
         world.unreachable |= ways
         world.after(seconds, lambda: world.unreachable.difference_update(ways))
 
-    def _leaders(self) -> set[str]:
-        return {name for name, one in self.world.members.items() if one.replica and one.replica.status().is_leader}
+    def _freeze_leader(self) -> None:
+        """Whoever leads stands still for longer than a lease, and then takes all leases for ended. Its successor has
+        renewed them."""
+        for name in self._leaders():
+            seconds = PRODUCTION_TTL_NANOS / 1e9 + self.world.random_source.uniform(0.1, 2.0)
+            self.world.members[name].frozen_until = self.world.now + seconds
+
+    def _delay_registration(self) -> None:
+        """A host or peer is killed while it registers, and started again. What it had sent comes once that one is in.
+
+        It is the first that it sent, or the one with the number that it took when it was told of its predecessor.
+        """
+        random_source, world = self.world.random_source, self.world
+        one: Any = random_source.choice([*self._hosts, *self._peers])
+        one.restart()
+        world.hold_registrations(one, random_source.choice([0, 1]))
+
+        def start_again() -> None:
+            held = world.held_registrations(one)
+            one.restart()
+            for arrive in held:
+                world.after(random_source.uniform(0.1, 4.0), arrive)
+
+        world.after(random_source.uniform(0.1, 1.5), start_again)
+
+    def _leaders(self) -> list[str]:
+        return [name for name, one in self.world.members.items() if one.replica and one.replica.status().is_leader]
 
     def _set_wall_clock(self) -> None:
         machine: Any = self.world.random_source.choice([*self.world.members.values(), *self._hosts, *self._peers])
@@ -243,7 +272,9 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> 
     size, weather = random_source.choice([3, 3, 3, 5]), weather_of(random_source)
     if seed % 5 == 3:  # nothing but leaders that are cut off or hang: somebody succeeds them each time
         weather = Weather(delay_mean=weather.delay_mean)
-    world = DirectoryWorld(seed, size=size, weather=weather, leases=leases)
+    # With every fifth seed leases last as long as in production, longer than it takes to elect a leader.
+    ttl_nanos = PRODUCTION_TTL_NANOS if seed % 5 == 1 else LEASE_TTL_NANOS
+    world = DirectoryWorld(seed, size=size, weather=weather, leases=leases, lease_ttl_nanos=ttl_nanos)
     with (
         mock.patch("secrets.token_bytes", world.random_source.randbytes),
         mock.patch("secrets.randbits", world.random_source.getrandbits),
@@ -259,6 +290,13 @@ def run(seed: int, *, leases: type[LeaseKeeper] = _Leases, forgets: int = 0) -> 
         _calm(storm)
     check_channel_histories(storm.recorder.operations)
     return storm
+
+
+def digest_of(storm: DirectoryStorm) -> str:
+    """Stands for all that happened: runs that differ anywhere drew other random numbers from then on."""
+    random_state = storm.world.random_source.getstate()
+    happened = (storm.recorder.operations, storm.ownership.puts, storm.name_ownership.grants, random_state)
+    return hashlib.sha256(repr(happened).encode()).hexdigest()
 
 
 def _revive(world: DirectoryWorld) -> None:

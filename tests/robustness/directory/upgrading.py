@@ -226,13 +226,15 @@ class Upgrade:
         return sum(isinstance(outcome, kind) for outcomes in self._asked for outcome in outcomes)
 
     def _register(self) -> None:
+        process = next(self._numbers)
         self._do(
             RegisterHost(
                 host_id=HOST_ID,
                 name="host",
                 gatekeepers=(Endpoint(target="localhost:7600", zone=""),),
-                boot_incarnation=next(self._numbers),
+                boot_incarnation=process,
                 new_incarnation=next(self._numbers),
+                registration_epoch=process,
             )
         )
 

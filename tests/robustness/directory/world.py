@@ -135,10 +135,14 @@ class _Leases(LeaseKeeper):
             await self._end(*lease)
 
 
-class WatchedDirectory(DirectoryReplica):
-    """The production one; says whose lease a command has ended."""
+# A process of a host or peer: the holder of the lease, and its boot incarnation.
+Process = tuple[bytes, int]
 
-    def __init__(self, ended: Callable[[int, set[bytes]], None]) -> None:
+
+class WatchedDirectory(DirectoryReplica):
+    """The production one; says which processes a command has taken out of the directory."""
+
+    def __init__(self, ended: Callable[[int, set[Process]], None]) -> None:
         super().__init__()
         self._ended = ended
 
@@ -149,9 +153,9 @@ class WatchedDirectory(DirectoryReplica):
         self._ended(index, before - self._alive())
         return encoded
 
-    def _alive(self) -> set[bytes]:
+    def _alive(self) -> set[Process]:
         tables = self._directory.tables
-        return {one.holder_id for one in (*tables.live_hosts(), *tables.peers.live())}
+        return {(one.holder_id, one.boot_incarnation) for one in (*tables.live_hosts(), *tables.peers.live())}
 
 
 class DirectoryMember(SimMember):
@@ -183,7 +187,7 @@ class DirectoryMember(SimMember):
             self._directory,
             submission,  # type: ignore[arg-type]  # the same methods
             clock=self.clock,
-            founding_ttl_nanos=LEASE_TTL_NANOS,
+            founding_ttl_nanos=self.world.lease_ttl_nanos,
         )
         calls = DirectoryCalls(self._directory, submission)  # type: ignore[arg-type]
         self.services = (
@@ -222,14 +226,18 @@ class DirectoryWorld(World):
         size: int,
         weather: Weather,
         leases: type[LeaseKeeper] = _Leases,
+        lease_ttl_nanos: int = LEASE_TTL_NANOS,
     ) -> None:
-        self.leases = leases
+        self.leases, self.lease_ttl_nanos = leases, lease_ttl_nanos
         # Who cannot reach which supernode at present.
         self.unreachable: set[tuple[object, str]] = set()
         # Which supernode answered whom last.
         self.last_answered: dict[object, DirectoryMember] = {}
-        # Hosts and peers by id: whether they count on their lease at this moment.
-        self.counts_on_lease: dict[bytes, Callable[[], bool]] = {}
+        # Hosts and peers by id: whether their process of that boot incarnation counts on its lease at this moment.
+        self.counts_on_lease: dict[bytes, Callable[[int], bool]] = {}
+        # Whose registrations the network holds: those with this registration epoch or a higher one; and the held ones.
+        self._held_from: dict[object, int] = {}
+        self._held: dict[object, list[Callable[[], None]]] = {}
         self._applied_first = 0
         super().__init__(seed, size=size, weather=weather)
         self.members = {
@@ -244,7 +252,7 @@ class DirectoryWorld(World):
         """`resume`, but through the event loop of the process, a moment later."""
         return lambda value: self.after(self.random_source.random() * 0.002, lambda: resume(value))
 
-    def leases_ended(self, index: int, holders: set[bytes]) -> None:
+    def leases_ended(self, index: int, processes: set[Process]) -> None:
         """The command at this position has taken these out of the directory. Raises PromiseBroken.
 
         Only the first member to apply it shows when it was committed.
@@ -252,9 +260,18 @@ class DirectoryWorld(World):
         if index <= self._applied_first:
             return
         self._applied_first = index
-        for one in holders:
-            if self.counts_on_lease[one]():
+        for one, boot in sorted(processes):
+            if self.counts_on_lease[one](boot):
                 raise PromiseBroken(f"command {index} ends the lease of {one.hex()}, which counts on it at this moment")
+
+    def hold_registrations(self, caller: object, from_epoch: int) -> None:
+        """From now on the network holds what `caller` sends to register with this registration epoch or a higher one."""
+        self._held_from[caller] = from_epoch
+
+    def held_registrations(self, caller: object) -> list[Callable[[], None]]:
+        """Hold no more of them; each of those held arrives when it is called."""
+        self._held_from.pop(caller, None)
+        return self._held.pop(caller, [])
 
     # -- calls -------------------------------------------------------------------------------------------------
 
@@ -274,8 +291,7 @@ class DirectoryWorld(World):
         way: tuple[object, str],
         resume: Resume,
     ) -> None:
-        deadline = self.now + timeout
-        self.at(deadline, lambda: resume(None))
+        self.after(timeout, lambda: resume(None))
 
         def answer(outcome: object) -> None:
             if way not in self.unreachable and (delay := self.trip()) is not None:
@@ -284,10 +300,15 @@ class DirectoryWorld(World):
         def arrive() -> None:
             if member.replica is not None:
                 service = next(one for one in member.services if hasattr(one, method))
-                member.run(lambda: _served(service, method, request, _Context(self, deadline), answer))
+                # As in gRPC: the caller sends how long it waits, and the server counts from the arrival.
+                context = _Context(self, self.now + timeout)
+                member.run(lambda: _served(service, method, request, context, answer))
 
         if way not in self.unreachable and (delay := self.trip()) is not None:
-            self.after(delay, arrive)
+            if getattr(request, "registration_epoch", -1) >= self._held_from.get(way[0], 2**64):
+                self._held.setdefault(way[0], []).append(arrive)
+            else:
+                self.after(delay, arrive)
 
     def trip(self) -> float | None:
         """How long a message between a caller and a service is on its way; None: it is lost."""

@@ -10,7 +10,7 @@ from typing import Any
 import grpc
 
 from stampede_rt.cluster.cluster_ids import told_cluster
-from stampede_rt.errors import ChannelNotFound, HostExists, LeaseExpired, StampedeError, error_for
+from stampede_rt.errors import ChannelNotFound, HostExists, LeaseExpired, StaleRegistration, StampedeError, error_for
 from stampede_rt.status import abort
 from stampede_rt.v1 import (
     channel_pb2,
@@ -96,12 +96,17 @@ class FakeDirectory(
             if held.name == request.name and held.alive and held.host_id != request.host_id:
                 await abort(context, HostExists(f"another live host has the name {request.name}"))
         before = self.hosts.get(request.host_id)
+        if before is not None and before.boot_incarnation != request.boot_incarnation:
+            if before.registration_epoch >= request.registration_epoch:
+                told = {"registration_epoch": str(before.registration_epoch), "alive": str(before.alive).lower()}
+                await abort(context, StaleRegistration("another process has registered", metadata=told))
         self.hosts[request.host_id] = directory_pb2.HostRecord(
             host_id=request.host_id,
             name=request.name,
             gatekeepers=request.gatekeepers,
             boot_incarnation=request.boot_incarnation,
             alive=True,
+            registration_epoch=request.registration_epoch,
         )
         own = [one for one in self.channels.values() if one.host_id == request.host_id]
         if before is not None and before.boot_incarnation != request.boot_incarnation:

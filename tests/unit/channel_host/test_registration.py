@@ -30,8 +30,8 @@ MS = 10**6
 class Host:
     """A registration under test, and what it was told."""
 
-    def __init__(self, frontend: str, name: str = "h1", folder: Path | None = None) -> None:
-        self.identity = HostIdentity(host_id=name.encode().ljust(16, b"."), name=name, boot_incarnation=7)
+    def __init__(self, frontend: str, name: str = "h1", folder: Path | None = None, boot: int = 7) -> None:
+        self.identity = HostIdentity(host_id=name.encode().ljust(16, b"."), name=name, boot_incarnation=boot)
         self.home = HomeCluster(folder)
         dial_home = naming_cluster(lambda target: dial(target, secret=None), lambda: self.home.cluster_id)
         self.supernodes = Supernodes([frontend], dial_home, peer_name=name)
@@ -224,6 +224,35 @@ async def test_a_name_still_held_by_a_predecessor_is_waited_for() -> None:
         await entering
         assert host.registration.lease_held()
         await host.supernodes.aclose()
+
+
+async def test_a_host_that_is_started_again_takes_its_own_place_with_the_next_number() -> None:
+    async with directory() as fake:
+        for boot in (7, 8, 9):
+            host = Host(fake.target, boot=boot)
+            await host.registration.enter("localhost:1")
+            assert fake.hosts[host.identity.host_id].boot_incarnation == boot
+            await host.supernodes.aclose()
+        assert fake.hosts[host.identity.host_id].registration_epoch == 2
+
+
+async def test_a_host_whose_newer_process_lives_does_not_take_its_place_back_until_that_one_is_gone() -> None:
+    """The two of them took the channels from each other again and again."""
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        former, newer = Host(fake.target), Host(fake.target, boot=8)
+        await former.registration.enter("localhost:1")
+        await newer.registration.enter("localhost:1")
+        tried = fake.calls["RegisterHost"]
+        async with keeping(former):
+            await fake.called("RegisterHost", times=tried + 2)
+            own = fake.hosts[newer.identity.host_id]
+            assert (own.boot_incarnation, own.registration_epoch) == (8, 1)
+            assert not former.registration.lease_held()
+            own.alive = False
+            await former.lease_becomes(False)
+            await former.lease_becomes(True)
+        assert fake.hosts[former.identity.host_id].registration_epoch == 2
+        await newer.supernodes.aclose()
 
 
 async def test_a_refusal_that_stays_ends_the_start_at_once() -> None:

@@ -71,6 +71,7 @@ def registrations(draw: st.DrawFn, directory: Directory, new_mailbox_id: bytes) 
         attributes=draw(st.sampled_from([(), (("role", "driver"),)])),
         new_mailbox_id=new_mailbox_id,
         new_incarnation=draw(incarnations),
+        registration_epoch=draw(st.integers(0, 3)),
     )
 
 

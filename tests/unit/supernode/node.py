@@ -72,6 +72,7 @@ class Node:
             name=name or f"host-{number}",
             gatekeepers=[directory_pb2.Endpoint(target=f"localhost:{7000 + number}")],
             boot_incarnation=boot,
+            registration_epoch=boot - 1,
         )
         return await self.call(self.stub.RegisterHost(request, timeout=10))
 

@@ -50,7 +50,10 @@ def begin_tenure(tenure: int = 1) -> BeginTenure:
     return BeginTenure(tenure=tenure, supernode_id="s1", new_cluster_id=f"c{tenure}", new_lease_ttl_nanos=TTL_NANOS)
 
 
-def register(number: int, *, name: str = "", boot: int = 1, incarnation: int = 900) -> RegisterHost:
+def register(
+    number: int, *, name: str = "", boot: int = 1, epoch: int | None = None, incarnation: int = 900
+) -> RegisterHost:
+    """`epoch` None: that of a process which has heard of those with lower boots."""
     return RegisterHost(
         host_id=id_of(number),
         name=name or f"host-{number}",
@@ -58,6 +61,7 @@ def register(number: int, *, name: str = "", boot: int = 1, incarnation: int = 9
         boot_incarnation=boot,
         version="0.1.0",
         new_incarnation=incarnation,
+        registration_epoch=boot - 1 if epoch is None else epoch,
     )
 
 
@@ -162,9 +166,16 @@ def delete_queue(queue_id: bytes) -> DeleteQueue:
 
 
 def register_peer(
-    number: int, name: str = "", *, boot: int = 1, proof: int = 0, incarnation: int = 55, **fields: Any
+    number: int,
+    name: str = "",
+    *,
+    boot: int = 1,
+    epoch: int | None = None,
+    proof: int = 0,
+    incarnation: int = 55,
+    **fields: Any,
 ) -> RegisterPeer:
-    """`proof` 0: none."""
+    """`proof` 0: none. `epoch` None: that of a process which has heard of those with lower boots."""
     return RegisterPeer(
         peer_id=id_of(number),
         name=name,
@@ -172,6 +183,7 @@ def register_peer(
         proof_sha256=bytes([proof]) * 32 if proof else b"",
         new_mailbox_id=id_of(next(_made)),
         new_incarnation=incarnation,
+        registration_epoch=boot - 1 if epoch is None else epoch,
         **fields,
     )
 

@@ -8,8 +8,7 @@ had been under way all the time, comes to be applied; nobody remembered the requ
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from functools import partial
+from collections.abc import AsyncIterator
 
 import pytest
 import pytest_asyncio
@@ -32,7 +31,6 @@ from tests.unit.supernode.operations import (
     open_group,
     open_queue,
     register,
-    register_peer,
 )
 
 
@@ -147,18 +145,3 @@ def test_an_open_of_what_is_there_is_never_late(log: Log) -> None:
     again = log.apply(open_channel("x"), as_of_index=1)
     assert isinstance(again, ChannelOpened)
     assert (again.channel, again.created) == (there.channel, False)
-
-
-@pytest.mark.parametrize("made", [register, partial(register_peer, proof=1)])
-def test_a_registration_of_a_process_that_was_started_again_since_is_refused(made: Callable[..., Operation]) -> None:
-    log = Log()
-    log.apply(register(9, name="nine"))
-    before = log.apply(made(1, name="it", boot=1))
-    asked_at = log.directory.applied_index
-    log.apply(made(1, name="it", boot=2))
-    late = log.apply(made(1, name="it", boot=3), as_of_index=asked_at)
-    assert not isinstance(before, Refused)
-    assert isinstance(late, Refused)
-    assert (late.reason, "register" in late.message) == ("AMBIGUOUS", True)
-    again = log.apply(made(1, name="it", boot=3), as_of_index=log.directory.applied_index)
-    assert not isinstance(again, Refused)

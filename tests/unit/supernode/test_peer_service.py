@@ -28,7 +28,12 @@ _numbers = iter(range(1000, 10**6))
 
 def entering(number: int, name: str = "", *, boot: int = 1, **fields: Any) -> pb.RegisterPeerRequest:
     return pb.RegisterPeerRequest(
-        request_id=id_of(next(_numbers)), peer_id=id_of(number), name=name, boot_incarnation=boot, **fields
+        request_id=id_of(next(_numbers)),
+        peer_id=id_of(number),
+        name=name,
+        boot_incarnation=boot,
+        registration_epoch=boot - 1,
+        **fields,
     )
 
 

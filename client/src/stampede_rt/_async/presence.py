@@ -13,11 +13,13 @@ from stampede_rt._async.queue import MessageTaking
 from stampede_rt._async.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._async.session import Session, request_id
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.cluster.registration_epoch import RegistrationEpoch
 from stampede_rt.errors import (
     DeadlineExceeded,
     LeaseExpired,
     PeerExists,
     QueueNotFound,
+    StaleRegistration,
     StampedeError,
     Unavailable,
 )
@@ -44,6 +46,7 @@ class Presence:
         self._session = session
         self._identity = PeerIdentity.parse(name, proof, os.urandom(48))
         self._boot_incarnation = int.from_bytes(os.urandom(8), "little") | 1
+        self._epoch = RegistrationEpoch()
         self._name = name
         self._lease_s = 0.0
         self._wake = Signal()
@@ -69,6 +72,18 @@ class Presence:
         return mailbox
 
     async def _register(self, timeout_s: float) -> QueueState:
+        """With a number above that of every other process of this participant. Raises PeerExists, Unavailable."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:  # once more for each process that registers meanwhile; ends with the deadline
+            try:
+                return await self._register_once(deadline_s - time.monotonic())
+            except StaleRegistration as error:
+                if not self._epoch.may_overtake(error):
+                    raise self._taken_over() from error
+                if time.monotonic() >= deadline_s:
+                    raise Unavailable(str(error)) from error
+
+    async def _register_once(self, timeout_s: float) -> QueueState:
         request = peer_pb.RegisterPeerRequest(
             request_id=request_id(),
             peer_id=self.peer_id,
@@ -78,6 +93,7 @@ class Presence:
             zone=self._session.zone,
             version=VERSION,
             clock=clock_message(self._session.supernodes.clock),
+            registration_epoch=self._epoch.value,
         )
         try:
             response = await self._session.supernodes.call("RegisterPeer", request, timeout_s)
@@ -91,6 +107,7 @@ class Presence:
         return self._learn(response)
 
     def _learn(self, response: peer_pb.RegisterPeerResponse) -> QueueState:
+        self._epoch.note_registered()
         self._lease_s = response.lease_ttl_nanos / 1e9
         info = learn_queue(self._session, response.mailbox, response.mailbox_host)
         if self._mailbox is None:
@@ -129,7 +146,7 @@ class Presence:
                 await self._renew(timeout_s)
                 self._failures = 0
         except LeaseExpired as error:
-            if _taken_over(error):
+            if self._epoch.is_overtaken(error):
                 self._lose(self._taken_over())
                 return
             _log.warning("the lease of peer %r has ended; it registers again", self._name)
@@ -202,14 +219,9 @@ class Presence:
         try:
             await self._session.supernodes.call("DeregisterPeer", request, LEAVE_TIMEOUT_S)
         except StampedeError as error:
-            if _taken_over(error):
+            if isinstance(error, LeaseExpired) and self._epoch.is_overtaken(error):
                 return  # another process has the name
             _log.warning("the peer %r could not deregister; its lease ends by itself: %s", self._name, error)
-
-
-def _taken_over(error: StampedeError) -> bool:
-    """Whether another process with the same proof holds the name."""
-    return isinstance(error, LeaseExpired) and "held_by" in error.metadata
 
 
 class MailboxLocator(QueueLocator):

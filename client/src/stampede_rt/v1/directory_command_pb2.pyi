@@ -112,20 +112,22 @@ class DeleteChannelCommand(_message.Message):
     def __init__(self, channel_id: _Optional[bytes] = ...) -> None: ...
 
 class RegisterHostCommand(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "version", "new_incarnation", "registration_epoch")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[_directory_pb2.Endpoint]
     boot_incarnation: int
     version: str
     new_incarnation: int
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+    registration_epoch: int
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
 
 class DeregisterHostCommand(_message.Message):
     __slots__ = ("host_id", "boot_incarnation")
@@ -270,7 +272,7 @@ class DeleteQueueCommand(_message.Message):
     def __init__(self, queue_id: _Optional[bytes] = ...) -> None: ...
 
 class RegisterPeerCommand(_message.Message):
-    __slots__ = ("peer_id", "name", "boot_incarnation", "proof_sha256", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "new_mailbox_id", "new_incarnation")
+    __slots__ = ("peer_id", "name", "boot_incarnation", "proof_sha256", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "new_mailbox_id", "new_incarnation", "registration_epoch")
     class AttributesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -290,6 +292,7 @@ class RegisterPeerCommand(_message.Message):
     ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
     NEW_MAILBOX_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
     peer_id: bytes
     name: str
     boot_incarnation: int
@@ -302,7 +305,8 @@ class RegisterPeerCommand(_message.Message):
     attributes: _containers.ScalarMap[str, str]
     new_mailbox_id: bytes
     new_incarnation: int
-    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof_sha256: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., new_mailbox_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+    registration_epoch: int
+    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof_sha256: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., new_mailbox_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
 
 class DeregisterPeerCommand(_message.Message):
     __slots__ = ("peer_id", "boot_incarnation")

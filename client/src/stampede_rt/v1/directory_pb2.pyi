@@ -30,7 +30,7 @@ class Endpoint(_message.Message):
     def __init__(self, target: _Optional[str] = ..., zone: _Optional[str] = ...) -> None: ...
 
 class HostRecord(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version", "lease_ended_unix_nano")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version", "lease_ended_unix_nano", "registration_epoch")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
@@ -39,6 +39,7 @@ class HostRecord(_message.Message):
     CHANNELS_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     LEASE_ENDED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[Endpoint]
@@ -47,7 +48,8 @@ class HostRecord(_message.Message):
     channels: int
     version: str
     lease_ended_unix_nano: int
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ..., lease_ended_unix_nano: _Optional[int] = ...) -> None: ...
+    registration_epoch: int
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ..., lease_ended_unix_nano: _Optional[int] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
 
 class SupernodeRecord(_message.Message):
     __slots__ = ("supernode_id", "endpoint", "is_leader", "healthy", "round_trip_nanos", "highest_feature_level")

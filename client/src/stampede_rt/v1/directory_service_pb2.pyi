@@ -141,7 +141,7 @@ class DeleteChannelResponse(_message.Message):
     def __init__(self) -> None: ...
 
 class RegisterHostRequest(_message.Message):
-    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version")
+    __slots__ = ("request_id", "host_id", "name", "gatekeepers", "boot_incarnation", "version", "protocol_version", "registration_epoch")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -149,6 +149,7 @@ class RegisterHostRequest(_message.Message):
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
+    REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     host_id: bytes
     name: str
@@ -156,7 +157,8 @@ class RegisterHostRequest(_message.Message):
     boot_incarnation: int
     version: str
     protocol_version: int
-    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ...) -> None: ...
+    registration_epoch: int
+    def __init__(self, request_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[_directory_pb2.Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., version: _Optional[str] = ..., protocol_version: _Optional[int] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
 
 class RegisterHostResponse(_message.Message):
     __slots__ = ("host", "lease_ttl_nanos", "channels", "cluster_id", "protocol_version", "queues", "former_cluster_ids")

@@ -27,7 +27,7 @@ from stampede_rt.v1 import peer_pb2 as stampede__rt_dot_v1_dot_peer__pb2
 from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n!stampede_rt/v1/peer_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\x1a\x19stampede_rt/v1/peer.proto\x1a\x1astampede_rt/v1/queue.proto\"\xb0\x03\n\x13RegisterPeerRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07peer_id\x18\x02 \x01(\x0c\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x18\n\x10\x62oot_incarnation\x18\x04 \x01(\x06\x12\r\n\x05proof\x18\x05 \x01(\x0c\x12*\n\x07mailbox\x18\x06 \x01(\x0b\x32\x19.stampede_rt.v1.QueueSpec\x12\x19\n\x11mailbox_host_name\x18\x07 \x01(\t\x12\x14\n\x07host_id\x18\x08 \x01(\x0cH\x00\x88\x01\x01\x12\x0c\n\x04zone\x18\t \x01(\t\x12\x0f\n\x07version\x18\n \x01(\t\x12G\n\nattributes\x18\x0b \x03(\x0b\x32\x33.stampede_rt.v1.RegisterPeerRequest.AttributesEntry\x12/\n\x05\x63lock\x18\x0c \x01(\x0b\x32\x1b.stampede_rt.v1.ClockOffsetH\x01\x88\x01\x01\x1a\x31\n\x0f\x41ttributesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\x42\n\n\x08_host_idB\x08\n\x06_clock\"\xe3\x01\n\x14RegisterPeerResponse\x12(\n\x04peer\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.PeerRecord\x12\x17\n\x0flease_ttl_nanos\x18\x02 \x01(\x03\x12,\n\x07mailbox\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x30\n\x0cmailbox_host\x18\x04 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x14\n\x0cmailbox_kept\x18\x05 \x01(\x08\x12\x12\n\ncluster_id\x18\x06 \x01(\t\"}\n\x15RenewPeerLeaseRequest\x12\x0f\n\x07peer_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06\x12/\n\x05\x63lock\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.ClockOffsetH\x00\x88\x01\x01\x42\x08\n\x06_clock\"\x83\x01\n\x16RenewPeerLeaseResponse\x12\x17\n\x0flease_ttl_nanos\x18\x01 \x01(\x03\x12\x0e\n\x06tenure\x18\x02 \x01(\x04\x12\x16\n\x0etime_unix_nano\x18\x03 \x01(\x10\x12\x14\n\x0csupernode_id\x18\x04 \x01(\t\x12\x12\n\nheld_nanos\x18\x05 \x01(\x03\"V\n\x15\x44\x65registerPeerRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07peer_id\x18\x02 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\"\x18\n\x16\x44\x65registerPeerResponse\"e\n\x12ResolvePeerRequest\x12\x11\n\x07peer_id\x18\x01 \x01(\x0cH\x00\x12\x0e\n\x04name\x18\x02 \x01(\tH\x00\x12\x10\n\x08stale_ok\x18\x03 \x01(\x08\x12\x13\n\x0bwith_clocks\x18\x04 \x01(\x08\x42\x05\n\x03key\"V\n\x13ResolvePeerResponse\x12(\n\x04peer\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.PeerRecord\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\"\x89\x01\n\x10ListPeersRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\x12\x10\n\x08stale_ok\x18\x04 \x01(\x08\x12\x14\n\x0cinclude_dead\x18\x05 \x01(\x08\x12\x13\n\x0bwith_clocks\x18\x06 \x01(\x08\"n\n\x11ListPeersResponse\x12)\n\x05peers\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.PeerRecord\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x15\n\rapplied_index\x18\x03 \x01(\x04\";\n\x11WatchPeersRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x13\n\x0b\x61\x66ter_index\x18\x02 \x01(\x04\"X\n\x12WatchPeersResponse\x12+\n\x07\x63hanges\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.PeerChange\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\x32\xab\x04\n\x0bPeerService\x12Y\n\x0cRegisterPeer\x12#.stampede_rt.v1.RegisterPeerRequest\x1a$.stampede_rt.v1.RegisterPeerResponse\x12_\n\x0eRenewPeerLease\x12%.stampede_rt.v1.RenewPeerLeaseRequest\x1a&.stampede_rt.v1.RenewPeerLeaseResponse\x12_\n\x0e\x44\x65registerPeer\x12%.stampede_rt.v1.DeregisterPeerRequest\x1a&.stampede_rt.v1.DeregisterPeerResponse\x12V\n\x0bResolvePeer\x12\".stampede_rt.v1.ResolvePeerRequest\x1a#.stampede_rt.v1.ResolvePeerResponse\x12P\n\tListPeers\x12 .stampede_rt.v1.ListPeersRequest\x1a!.stampede_rt.v1.ListPeersResponse\x12U\n\nWatchPeers\x12!.stampede_rt.v1.WatchPeersRequest\x1a\".stampede_rt.v1.WatchPeersResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n!stampede_rt/v1/peer_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\x1a\x19stampede_rt/v1/peer.proto\x1a\x1astampede_rt/v1/queue.proto\"\xcc\x03\n\x13RegisterPeerRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07peer_id\x18\x02 \x01(\x0c\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x18\n\x10\x62oot_incarnation\x18\x04 \x01(\x06\x12\r\n\x05proof\x18\x05 \x01(\x0c\x12*\n\x07mailbox\x18\x06 \x01(\x0b\x32\x19.stampede_rt.v1.QueueSpec\x12\x19\n\x11mailbox_host_name\x18\x07 \x01(\t\x12\x14\n\x07host_id\x18\x08 \x01(\x0cH\x00\x88\x01\x01\x12\x0c\n\x04zone\x18\t \x01(\t\x12\x0f\n\x07version\x18\n \x01(\t\x12G\n\nattributes\x18\x0b \x03(\x0b\x32\x33.stampede_rt.v1.RegisterPeerRequest.AttributesEntry\x12/\n\x05\x63lock\x18\x0c \x01(\x0b\x32\x1b.stampede_rt.v1.ClockOffsetH\x01\x88\x01\x01\x12\x1a\n\x12registration_epoch\x18\r \x01(\x04\x1a\x31\n\x0f\x41ttributesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\x42\n\n\x08_host_idB\x08\n\x06_clock\"\xe3\x01\n\x14RegisterPeerResponse\x12(\n\x04peer\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.PeerRecord\x12\x17\n\x0flease_ttl_nanos\x18\x02 \x01(\x03\x12,\n\x07mailbox\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x30\n\x0cmailbox_host\x18\x04 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x14\n\x0cmailbox_kept\x18\x05 \x01(\x08\x12\x12\n\ncluster_id\x18\x06 \x01(\t\"}\n\x15RenewPeerLeaseRequest\x12\x0f\n\x07peer_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06\x12/\n\x05\x63lock\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.ClockOffsetH\x00\x88\x01\x01\x42\x08\n\x06_clock\"\x83\x01\n\x16RenewPeerLeaseResponse\x12\x17\n\x0flease_ttl_nanos\x18\x01 \x01(\x03\x12\x0e\n\x06tenure\x18\x02 \x01(\x04\x12\x16\n\x0etime_unix_nano\x18\x03 \x01(\x10\x12\x14\n\x0csupernode_id\x18\x04 \x01(\t\x12\x12\n\nheld_nanos\x18\x05 \x01(\x03\"V\n\x15\x44\x65registerPeerRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07peer_id\x18\x02 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\"\x18\n\x16\x44\x65registerPeerResponse\"e\n\x12ResolvePeerRequest\x12\x11\n\x07peer_id\x18\x01 \x01(\x0cH\x00\x12\x0e\n\x04name\x18\x02 \x01(\tH\x00\x12\x10\n\x08stale_ok\x18\x03 \x01(\x08\x12\x13\n\x0bwith_clocks\x18\x04 \x01(\x08\x42\x05\n\x03key\"V\n\x13ResolvePeerResponse\x12(\n\x04peer\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.PeerRecord\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\"\x89\x01\n\x10ListPeersRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\x12\x10\n\x08stale_ok\x18\x04 \x01(\x08\x12\x14\n\x0cinclude_dead\x18\x05 \x01(\x08\x12\x13\n\x0bwith_clocks\x18\x06 \x01(\x08\"n\n\x11ListPeersResponse\x12)\n\x05peers\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.PeerRecord\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x15\n\rapplied_index\x18\x03 \x01(\x04\";\n\x11WatchPeersRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x13\n\x0b\x61\x66ter_index\x18\x02 \x01(\x04\"X\n\x12WatchPeersResponse\x12+\n\x07\x63hanges\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.PeerChange\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\x32\xab\x04\n\x0bPeerService\x12Y\n\x0cRegisterPeer\x12#.stampede_rt.v1.RegisterPeerRequest\x1a$.stampede_rt.v1.RegisterPeerResponse\x12_\n\x0eRenewPeerLease\x12%.stampede_rt.v1.RenewPeerLeaseRequest\x1a&.stampede_rt.v1.RenewPeerLeaseResponse\x12_\n\x0e\x44\x65registerPeer\x12%.stampede_rt.v1.DeregisterPeerRequest\x1a&.stampede_rt.v1.DeregisterPeerResponse\x12V\n\x0bResolvePeer\x12\".stampede_rt.v1.ResolvePeerRequest\x1a#.stampede_rt.v1.ResolvePeerResponse\x12P\n\tListPeers\x12 .stampede_rt.v1.ListPeersRequest\x1a!.stampede_rt.v1.ListPeersResponse\x12U\n\nWatchPeers\x12!.stampede_rt.v1.WatchPeersRequest\x1a\".stampede_rt.v1.WatchPeersResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -37,31 +37,31 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_REGISTERPEERREQUEST_ATTRIBUTESENTRY']._loaded_options = None
   _globals['_REGISTERPEERREQUEST_ATTRIBUTESENTRY']._serialized_options = b'8\001'
   _globals['_REGISTERPEERREQUEST']._serialized_start=141
-  _globals['_REGISTERPEERREQUEST']._serialized_end=573
-  _globals['_REGISTERPEERREQUEST_ATTRIBUTESENTRY']._serialized_start=502
-  _globals['_REGISTERPEERREQUEST_ATTRIBUTESENTRY']._serialized_end=551
-  _globals['_REGISTERPEERRESPONSE']._serialized_start=576
-  _globals['_REGISTERPEERRESPONSE']._serialized_end=803
-  _globals['_RENEWPEERLEASEREQUEST']._serialized_start=805
-  _globals['_RENEWPEERLEASEREQUEST']._serialized_end=930
-  _globals['_RENEWPEERLEASERESPONSE']._serialized_start=933
-  _globals['_RENEWPEERLEASERESPONSE']._serialized_end=1064
-  _globals['_DEREGISTERPEERREQUEST']._serialized_start=1066
-  _globals['_DEREGISTERPEERREQUEST']._serialized_end=1152
-  _globals['_DEREGISTERPEERRESPONSE']._serialized_start=1154
-  _globals['_DEREGISTERPEERRESPONSE']._serialized_end=1178
-  _globals['_RESOLVEPEERREQUEST']._serialized_start=1180
-  _globals['_RESOLVEPEERREQUEST']._serialized_end=1281
-  _globals['_RESOLVEPEERRESPONSE']._serialized_start=1283
-  _globals['_RESOLVEPEERRESPONSE']._serialized_end=1369
-  _globals['_LISTPEERSREQUEST']._serialized_start=1372
-  _globals['_LISTPEERSREQUEST']._serialized_end=1509
-  _globals['_LISTPEERSRESPONSE']._serialized_start=1511
-  _globals['_LISTPEERSRESPONSE']._serialized_end=1621
-  _globals['_WATCHPEERSREQUEST']._serialized_start=1623
-  _globals['_WATCHPEERSREQUEST']._serialized_end=1682
-  _globals['_WATCHPEERSRESPONSE']._serialized_start=1684
-  _globals['_WATCHPEERSRESPONSE']._serialized_end=1772
-  _globals['_PEERSERVICE']._serialized_start=1775
-  _globals['_PEERSERVICE']._serialized_end=2330
+  _globals['_REGISTERPEERREQUEST']._serialized_end=601
+  _globals['_REGISTERPEERREQUEST_ATTRIBUTESENTRY']._serialized_start=530
+  _globals['_REGISTERPEERREQUEST_ATTRIBUTESENTRY']._serialized_end=579
+  _globals['_REGISTERPEERRESPONSE']._serialized_start=604
+  _globals['_REGISTERPEERRESPONSE']._serialized_end=831
+  _globals['_RENEWPEERLEASEREQUEST']._serialized_start=833
+  _globals['_RENEWPEERLEASEREQUEST']._serialized_end=958
+  _globals['_RENEWPEERLEASERESPONSE']._serialized_start=961
+  _globals['_RENEWPEERLEASERESPONSE']._serialized_end=1092
+  _globals['_DEREGISTERPEERREQUEST']._serialized_start=1094
+  _globals['_DEREGISTERPEERREQUEST']._serialized_end=1180
+  _globals['_DEREGISTERPEERRESPONSE']._serialized_start=1182
+  _globals['_DEREGISTERPEERRESPONSE']._serialized_end=1206
+  _globals['_RESOLVEPEERREQUEST']._serialized_start=1208
+  _globals['_RESOLVEPEERREQUEST']._serialized_end=1309
+  _globals['_RESOLVEPEERRESPONSE']._serialized_start=1311
+  _globals['_RESOLVEPEERRESPONSE']._serialized_end=1397
+  _globals['_LISTPEERSREQUEST']._serialized_start=1400
+  _globals['_LISTPEERSREQUEST']._serialized_end=1537
+  _globals['_LISTPEERSRESPONSE']._serialized_start=1539
+  _globals['_LISTPEERSRESPONSE']._serialized_end=1649
+  _globals['_WATCHPEERSREQUEST']._serialized_start=1651
+  _globals['_WATCHPEERSREQUEST']._serialized_end=1710
+  _globals['_WATCHPEERSRESPONSE']._serialized_start=1712
+  _globals['_WATCHPEERSRESPONSE']._serialized_end=1800
+  _globals['_PEERSERVICE']._serialized_start=1803
+  _globals['_PEERSERVICE']._serialized_end=2358
 # @@protoc_insertion_point(module_scope)

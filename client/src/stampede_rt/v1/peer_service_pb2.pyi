@@ -10,7 +10,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RegisterPeerRequest(_message.Message):
-    __slots__ = ("request_id", "peer_id", "name", "boot_incarnation", "proof", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "clock")
+    __slots__ = ("request_id", "peer_id", "name", "boot_incarnation", "proof", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "clock", "registration_epoch")
     class AttributesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -30,6 +30,7 @@ class RegisterPeerRequest(_message.Message):
     VERSION_FIELD_NUMBER: _ClassVar[int]
     ATTRIBUTES_FIELD_NUMBER: _ClassVar[int]
     CLOCK_FIELD_NUMBER: _ClassVar[int]
+    REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     peer_id: bytes
     name: str
@@ -42,7 +43,8 @@ class RegisterPeerRequest(_message.Message):
     version: str
     attributes: _containers.ScalarMap[str, str]
     clock: _peer_pb2.ClockOffset
-    def __init__(self, request_id: _Optional[bytes] = ..., peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., clock: _Optional[_Union[_peer_pb2.ClockOffset, _Mapping]] = ...) -> None: ...
+    registration_epoch: int
+    def __init__(self, request_id: _Optional[bytes] = ..., peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., clock: _Optional[_Union[_peer_pb2.ClockOffset, _Mapping]] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
 
 class RegisterPeerResponse(_message.Message):
     __slots__ = ("peer", "lease_ttl_nanos", "mailbox", "mailbox_host", "mailbox_kept", "cluster_id")

@@ -14,10 +14,12 @@ from collections.abc import Awaitable, Callable
 from typing import NoReturn
 
 from stampede_rt.cluster.directory_call import may_pass
+from stampede_rt.cluster.registration_epoch import RegistrationEpoch
 from stampede_rt.errors import (
     HostExists,
     HostNotFound,
     LeaseExpired,
+    StaleRegistration,
     StampedeError,
     Unavailable,
     VersionMismatch,
@@ -68,6 +70,7 @@ class Registration:
         self._on_lease = on_lease
         self._has_hung = has_hung
         self._home = home or HomeCluster()
+        self._epoch = RegistrationEpoch()
         self._lease = HostLease()
         self._told_held = False  # what on_lease heard last
         self._unrenewed_since_s: float | None = None  # when renewals began to fail, if they do
@@ -155,7 +158,8 @@ class Registration:
         try:
             await self._renew()
         except (LeaseExpired, HostNotFound) as error:
-            logger.warning("the lease has ended", extra={"host": self._identity.name, "why": str(error)})
+            level = logging.DEBUG if self._has_ended else logging.WARNING
+            logger.log(level, "the lease has ended", extra={"host": self._identity.name, "why": str(error)})
             self._lease.give_up()
             self._check_fence()
             self._has_ended = True
@@ -172,6 +176,19 @@ class Registration:
         self._grant(sent, response.lease_ttl_nanos)
 
     async def _register(self, timeout_s: float = REGISTER_SECONDS_MAX) -> None:
+        """With a number above that of every other process of this host.
+
+        Raises StaleRegistration if a newer one lives: two processes share one data folder.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        while True:  # once more for each process that registers meanwhile; ends with the deadline
+            try:
+                return await self._register_once(deadline_s - time.monotonic())
+            except StaleRegistration as error:
+                if not self._epoch.may_overtake(error) or time.monotonic() >= deadline_s:
+                    raise
+
+    async def _register_once(self, timeout_s: float) -> None:
         """The same boot incarnation each time: what is held stays valid for the channels that nobody took meanwhile."""
         one = self._identity
         request = directory_service_pb2.RegisterHostRequest(
@@ -182,6 +199,7 @@ class Registration:
             boot_incarnation=one.boot_incarnation,
             version=software_version(),
             protocol_version=PROTOCOL_VERSION,
+            registration_epoch=self._epoch.value,
         )
         sent = self._clock.boottime_nanos()
         response: RegisterHostResponse = await self._supernodes.call("RegisterHost", request, timeout_s)
@@ -190,6 +208,7 @@ class Registration:
                 f"the directory speaks protocol {response.protocol_version}, this host {PROTOCOL_VERSION} (version "
                 f"{software_version()}); install the same release on both"
             )
+        self._epoch.note_registered()
         await asyncio.to_thread(self._home.note, response.cluster_id, response.former_cluster_ids)
         await self._on_registered(response)  # before the grant: nothing is served that went elsewhere
         self._grant(sent, response.lease_ttl_nanos)

@@ -29,6 +29,7 @@ def host_record(host: HostRecord) -> directory_pb2.HostRecord:
         channels=host.channels,
         version=host.version,
         lease_ended_unix_nano=host.lease_ended_unix_nano,
+        registration_epoch=host.registration_epoch,
     )
 
 
@@ -50,4 +51,5 @@ def host_from(entry: directory_command_pb2.HostEntry) -> HostRecord:
         channels=record.channels,
         registered_index=entry.registered_index,
         lease_ended_unix_nano=record.lease_ended_unix_nano if record.HasField("lease_ended_unix_nano") else None,
+        registration_epoch=record.registration_epoch,
     )

@@ -25,6 +25,7 @@ def _register_message(operation: RegisterHost) -> pb.RegisterHostCommand:
         boot_incarnation=operation.boot_incarnation,
         version=operation.version,
         new_incarnation=operation.new_incarnation,
+        registration_epoch=operation.registration_epoch,
     )
 
 
@@ -36,6 +37,7 @@ def _read_register(message: pb.RegisterHostCommand) -> RegisterHost:
         boot_incarnation=message.boot_incarnation,
         version=message.version,
         new_incarnation=message.new_incarnation,
+        registration_epoch=message.registration_epoch,
     )
 
 

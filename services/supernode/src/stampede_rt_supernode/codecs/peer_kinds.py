@@ -34,6 +34,7 @@ def _register_message(operation: RegisterPeer) -> pb.RegisterPeerCommand:
         attributes=dict(operation.attributes),
         new_mailbox_id=operation.new_mailbox_id,
         new_incarnation=operation.new_incarnation,
+        registration_epoch=operation.registration_epoch,
     )
 
 
@@ -51,6 +52,7 @@ def _read_register(message: pb.RegisterPeerCommand) -> RegisterPeer:
         attributes=attributes_from(message.attributes),
         new_mailbox_id=message.new_mailbox_id,
         new_incarnation=message.new_incarnation,
+        registration_epoch=message.registration_epoch,
     )
 
 

@@ -29,6 +29,7 @@ class HostRecord:
     `name` is unique among the live ones. `channels` is the number of channels that it owns. `registered_index` is the
     log position of its last registration: a lease belongs to one registration, and so does its end.
     `lease_ended_unix_nano`: when its lease was ended, by the leader's clock; None while it lives, and if it left.
+    `registration_epoch` grows with each process that takes the place of another, see `registration_epochs`.
     """
 
     host_id: bytes
@@ -40,6 +41,7 @@ class HostRecord:
     channels: int
     registered_index: int
     lease_ended_unix_nano: int | None = None
+    registration_epoch: int = 0
 
     @property
     def is_lost(self) -> bool:
@@ -167,8 +169,8 @@ class PeerRecord:
     """A participant (paper, sections 3.5 and 4.2). With a name, which is unique among the live ones, it has a mailbox
     for as long as it lives.
 
-    `proof_sha256` is empty if it gave no proof. `registered_index`: as for hosts. `ended_index`: the log position at
-    which its lease ended; 0 while it lives.
+    `proof_sha256` is empty if it gave no proof. `registered_index`, `registration_epoch`: as for hosts. `ended_index`:
+    the log position at which its lease ended; 0 while it lives.
     """
 
     peer_id: bytes
@@ -183,6 +185,7 @@ class PeerRecord:
     proof_sha256: bytes = b""
     registered_index: int
     ended_index: int = 0
+    registration_epoch: int = 0
 
     @property
     def alive(self) -> bool:

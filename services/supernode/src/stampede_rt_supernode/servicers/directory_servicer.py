@@ -158,6 +158,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             boot_incarnation=request.boot_incarnation,
             version=request.version,
             new_incarnation=_random_incarnation(),
+            registration_epoch=request.registration_epoch,
         )
         entered = await self._calls.submit(context, operation, HostRegistered, request.request_id)
         ttl_nanos, channels, queues = self._replica.read(lambda directory: _owned(directory, request.host_id))

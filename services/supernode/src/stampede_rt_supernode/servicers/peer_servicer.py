@@ -146,4 +146,5 @@ def _entering(request: pb.RegisterPeerRequest) -> RegisterPeer:
         attributes=attributes_from(request.attributes),
         new_mailbox_id=secrets.token_bytes(ID_BYTES),
         new_incarnation=secrets.randbits(64) or 1,
+        registration_epoch=request.registration_epoch,
     )

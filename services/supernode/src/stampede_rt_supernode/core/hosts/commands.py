@@ -10,7 +10,10 @@ from stampede_rt_supernode.core.records import Endpoint, HostRecord
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RegisterHost(Operation):
-    """A host enters; `new_incarnation` is what its channels get if its boot incarnation is a new one."""
+    """A host enters; `new_incarnation` is what its channels get if its boot incarnation is a new one.
+
+    `registration_epoch`: see `registration_epochs`.
+    """
 
     host_id: bytes
     name: str
@@ -18,6 +21,7 @@ class RegisterHost(Operation):
     boot_incarnation: int
     version: str = ""
     new_incarnation: int
+    registration_epoch: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

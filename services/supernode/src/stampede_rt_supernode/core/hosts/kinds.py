@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from stampede_rt_supernode.core import late_registrations
 from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.hosts.commands import (
     DeregisterHost,
@@ -17,10 +16,6 @@ from stampede_rt_supernode.core.hosts.commands import (
 from stampede_rt_supernode.core.hosts.transitions import check_register, deregister_host, expire_host, register_host
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
-
-
-def _check_register_in_time(state: DirectoryState, operation: RegisterHost, as_of_index: int) -> None:
-    late_registrations.check_in_time(operation, [state.tables.hosts.get(operation.host_id)], as_of_index)
 
 
 def _register(state: DirectoryState, operation: RegisterHost, time_unix_nano: int) -> HostRegistered:
@@ -44,7 +39,6 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=lambda one: one.host_id.hex(),
         check=check_register,
-        check_in_time=_check_register_in_time,
         apply=_register,
     ),
     CommandKind(

@@ -14,6 +14,7 @@ from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, RegisterHost
 from stampede_rt_supernode.core.queues.placement import house_waiting_mailboxes, renew_queues
 from stampede_rt_supernode.core.records import HostRecord
+from stampede_rt_supernode.core.registration_epochs import check_registration_epoch, next_epoch
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.takeover import end_registration, give_owner
 from stampede_rt_supernode.core.validation import (
@@ -37,6 +38,7 @@ def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
     if before is None and len(tables.hosts) >= HOSTS_MAX:
         text = f"host {operation.name} cannot register: the directory holds {HOSTS_MAX} hosts, which is the most"
         raise Overloaded(text, metadata={"host": operation.name})
+    epoch = next_epoch(operation, [before])
     tables.put_host(
         HostRecord(
             host_id=operation.host_id,
@@ -47,6 +49,7 @@ def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
             alive=True,
             channels=before.channels if before is not None else 0,
             registered_index=tables.index,
+            registration_epoch=epoch,
         )
     )
     tables.find_again(operation.name)
@@ -67,6 +70,7 @@ def check_register(operation: RegisterHost) -> None:
     check_version(operation.version, operation.name)
     check_incarnation(operation.boot_incarnation, "boot_incarnation")
     check_incarnation(operation.new_incarnation, "new_incarnation")
+    check_registration_epoch(operation)
 
 
 def _check_name_is_free(tables: Tables, operation: RegisterHost) -> None:

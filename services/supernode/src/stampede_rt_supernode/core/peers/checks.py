@@ -7,6 +7,7 @@ from stampede_rt.values.peering import ClockOffset
 from stampede_rt_supernode.core.peers.commands import RegisterPeer
 from stampede_rt_supernode.core.queues.specs import check_queue_spec
 from stampede_rt_supernode.core.records import PeerRecord
+from stampede_rt_supernode.core.registration_epochs import check_registration_epoch
 from stampede_rt_supernode.core.validation import (
     VERSION_CHARACTERS_MAX,
     ZONE_CHARACTERS_MAX,
@@ -48,6 +49,7 @@ def check_register_peer(operation: RegisterPeer) -> None:
     check_incarnation(operation.boot_incarnation, "boot_incarnation")
     check_id(operation.new_mailbox_id, "new_mailbox_id")
     check_incarnation(operation.new_incarnation, "new_incarnation")
+    check_registration_epoch(operation)
     if len(operation.proof_sha256) not in (0, SHA256_BYTES):
         raise InvalidArgument(f"proof_sha256 has {len(operation.proof_sha256)} bytes instead of {SHA256_BYTES}")
     if operation.host_id is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from stampede_rt_supernode.core import late_registrations
 from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.peers.checks import check_register_peer
 from stampede_rt_supernode.core.peers.commands import (
@@ -18,12 +17,6 @@ from stampede_rt_supernode.core.peers.commands import (
 from stampede_rt_supernode.core.peers.transitions import deregister_peer, expire_peers, register_peer
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
-
-
-def _check_register_in_time(state: DirectoryState, operation: RegisterPeer, as_of_index: int) -> None:
-    peers = state.tables.peers
-    named = peers.live_named(operation.name) if operation.name else None
-    late_registrations.check_in_time(operation, [peers.by_id.get(operation.peer_id), named], as_of_index)
 
 
 def _register(state: DirectoryState, operation: RegisterPeer, time_unix_nano: int) -> PeerRegistered:
@@ -47,7 +40,6 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=lambda one: one.peer_id.hex(),
         check=check_register_peer,
-        check_in_time=_check_register_in_time,
         apply=_register,
     ),
     CommandKind(

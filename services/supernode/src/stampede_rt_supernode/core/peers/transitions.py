@@ -23,6 +23,7 @@ from stampede_rt_supernode.core.queues.placement import begun_anew, choose_host
 from stampede_rt_supernode.core.queues.specs import MAILBOX_UNSTATED, merge
 from stampede_rt_supernode.core.queues.transitions import check_dead_letter, check_room
 from stampede_rt_supernode.core.records import PeerRecord, QueueRecord, QueueSpec
+from stampede_rt_supernode.core.registration_epochs import next_epoch
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 
@@ -34,6 +35,7 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
     check_register_peer(operation)
     holder = tables.peers.live_named(operation.name) if operation.name else None
     replaced = _replaced(tables, operation, holder)
+    epoch = next_epoch(operation, [tables.peers.by_id.get(operation.peer_id), holder])
     if operation.host_id is not None:
         host_by_id(tables, operation.host_id)
     if not replaced and tables.peers.live_count >= PEERS_MAX:
@@ -46,7 +48,7 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
         _clear_away(tables, before, operation.peer_id, kept=mailbox)
     if mailbox is not None:
         tables.put_queue(mailbox)
-    peer = _peer(tables, operation, mailbox, now_unix_nano)
+    peer = replace(_peer(tables, operation, mailbox, now_unix_nano), registration_epoch=epoch)
     tables.peers.put(peer, tables.index)
     return PeerRegistered(
         peer=peer,
@@ -148,7 +150,7 @@ def check_peer_boot(peer: PeerRecord, boot_incarnation: int) -> None:
         raise LeaseExpired(
             f"the lease of peer {shown} belongs to another process, started with another boot incarnation; register "
             "again, and see that two processes do not share one identity",
-            metadata={"peer": shown, **({"held_by": "another process"} if peer.alive else {})},
+            metadata={"peer": shown, **({"registration_epoch": str(peer.registration_epoch)} if peer.alive else {})},
         )
 
 

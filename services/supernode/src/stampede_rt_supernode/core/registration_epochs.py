@@ -1,0 +1,61 @@
+"""Which of several processes of one peer or host is the newer one. Pure.
+
+The network, or a supernode without a leader, may hold a registration for seconds. Meanwhile its process may have been
+killed and started again. No clock tells which of the two registrations is the older one, so processes are numbered: a
+process registers with a number above the one that it finds, and the directory refuses a number that was reached. What a
+process sent before its successor registered therefore comes too late for good, whatever held it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from stampede_rt.errors import InvalidArgument, StaleRegistration
+from stampede_rt_supernode.core.hosts.commands import RegisterHost
+from stampede_rt_supernode.core.peers.commands import RegisterPeer
+from stampede_rt_supernode.core.records import HostRecord, PeerRecord
+
+EPOCH_MAX = 2**63 - 1
+
+
+def check_registration_epoch(operation: RegisterHost | RegisterPeer) -> None:
+    """What can be said without the tables. Raises InvalidArgument."""
+    if not 0 <= operation.registration_epoch <= EPOCH_MAX:
+        text = f"registration_epoch is {operation.registration_epoch}; take the next one after that which was reached"
+        raise InvalidArgument(text, metadata={"field": "registration_epoch"})
+
+
+def next_epoch(operation: RegisterHost | RegisterPeer, places: Iterable[HostRecord | PeerRecord | None]) -> int:
+    """The epoch with which the process is in.
+
+    `places`: the registrations whose place it takes, those of itself among them, alive or ended. Raises
+    StaleRegistration if another process has reached its epoch.
+    """
+    epoch = operation.registration_epoch
+    others = []
+    for before in places:
+        if before is not None and before.boot_incarnation == operation.boot_incarnation:
+            epoch = max(epoch, before.registration_epoch)  # its own, from before it found a higher one, and late
+        elif before is not None:
+            others.append(before)
+    highest = max(others, key=lambda one: one.registration_epoch, default=None)
+    if highest is not None and highest.registration_epoch >= epoch:
+        raise _stale(operation, highest, alive=any(one.alive for one in others))
+    return epoch
+
+
+def _stale(
+    operation: RegisterHost | RegisterPeer, before: HostRecord | PeerRecord, *, alive: bool
+) -> StaleRegistration:
+    kind = "host" if isinstance(operation, RegisterHost) else "peer"
+    shown = operation.name or before.holder_id.hex()
+    return StaleRegistration(
+        f"another process of {kind} {shown} has registered with epoch {before.registration_epoch}, and this request "
+        f"brings {operation.registration_epoch}; a newer process registers with epoch {before.registration_epoch + 1}; "
+        "see that no two processes that live share one identity",
+        metadata={
+            kind: shown,
+            "registration_epoch": str(before.registration_epoch),
+            "alive": "true" if alive else "false",
+        },
+    )
