@@ -175,7 +175,7 @@ MUTANTS = (
         name="expire_any_tenure",
         file=f"{SUPERNODE}/core/hosts/transitions.py",
         edits=(("not host.alive or operation.tenure != tenure:", "not host.alive:"),),
-        noticed_by="directory",
+        noticed_by="tests/unit/supernode/test_hosts.py",
     ),
     Mutant(
         name="late_registration_is_done",
