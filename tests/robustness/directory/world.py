@@ -265,7 +265,7 @@ class DirectoryWorld(World):
                 raise PromiseBroken(f"command {index} ends the lease of {one.hex()}, which counts on it at this moment")
 
     def hold_registrations(self, caller: object, from_epoch: int) -> None:
-        """From now on the network holds what `caller` sends to register with this registration epoch or a higher one."""
+        """From now on the network holds the registrations of `caller` with this registration epoch or a higher one."""
         self._held_from[caller] = from_epoch
 
     def held_registrations(self, caller: object) -> list[Callable[[], None]]:

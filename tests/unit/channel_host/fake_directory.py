@@ -96,10 +96,10 @@ class FakeDirectory(
             if held.name == request.name and held.alive and held.host_id != request.host_id:
                 await abort(context, HostExists(f"another live host has the name {request.name}"))
         before = self.hosts.get(request.host_id)
-        if before is not None and before.boot_incarnation != request.boot_incarnation:
-            if before.registration_epoch >= request.registration_epoch:
-                told = {"registration_epoch": str(before.registration_epoch), "alive": str(before.alive).lower()}
-                await abort(context, StaleRegistration("another process has registered", metadata=told))
+        is_other = before is not None and before.boot_incarnation != request.boot_incarnation
+        if before is not None and is_other and before.registration_epoch >= request.registration_epoch:
+            told = {"registration_epoch": str(before.registration_epoch), "alive": str(before.alive).lower()}
+            await abort(context, StaleRegistration("another process has registered", metadata=told))
         self.hosts[request.host_id] = directory_pb2.HostRecord(
             host_id=request.host_id,
             name=request.name,

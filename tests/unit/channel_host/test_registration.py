@@ -96,11 +96,11 @@ async def test_a_host_tells_the_cluster_with_which_it_registered_first_also_afte
 
 
 async def test_it_renews_three_times_per_ttl_and_is_not_fenced() -> None:
-    async with directory(lease_ttl_nanos=300 * MS) as fake:
+    async with directory(lease_ttl_nanos=2000 * MS) as fake:  # a busy machine may halt this process for a second
         host = Host(fake.target)
         await host.registration.enter("localhost:1")
         async with keeping(host):
-            await fake.called("RenewHostLease", times=5)
+            await fake.called("RenewHostLease", times=4)
             assert host.registration.lease_held()
             assert [host.lease.get_nowait()] == [True]
             assert host.lease.empty()
