@@ -43,6 +43,7 @@ from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
+from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 
 DAY = timedelta(days=1)
 PATIENCE_SECONDS = 5.0
@@ -199,7 +200,9 @@ async def knock(channel: grpc.aio.Channel) -> None:
 
 
 def greeting(member: str, to: str) -> Callable[[grpc.aio.Channel], Any]:
-    hello = raft_pb.RaftHello(protocol_version=2, member_id=member, peer_member_id=to, highest_feature_level=1)
+    hello = raft_pb.RaftHello(
+        protocol_version=2, member_id=member, peer_member_id=to, highest_feature_level=HIGHEST_LEVEL
+    )
 
     async def greet(channel: grpc.aio.Channel) -> None:
         call: Any = raft_service_pb2_grpc.RaftServiceStub(channel).Exchange(timeout=5)

@@ -6,6 +6,7 @@ import pytest
 from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.v1 import channel_pb2, directory_command_pb2
 from stampede_rt.values.model import Policy
+from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessVerb
 from stampede_rt_supernode.codecs.command_codec import (
     CODECS,
     decode_command,
@@ -14,6 +15,14 @@ from stampede_rt_supernode.codecs.command_codec import (
     encode_result,
 )
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core.access.commands import (
+    AccessRuleAdded,
+    AccessRuleRemoved,
+    AddAccessRule,
+    CreateTokenKey,
+    RemoveAccessRule,
+    TokenKeyCreated,
+)
 from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
 from stampede_rt_supernode.core.cluster.commands import (
@@ -69,6 +78,7 @@ from tests.unit.supernode.operations import (
     update_queue,
 )
 
+RULE = AccessRule("cam-*", (AccessVerb.ADVANCE, AccessVerb.PUT), AccessKind.CHANNEL, "video/?", deny=True)
 EVERYTHING: dict[str, Any] = {
     "max_age_nanos": 1,
     "max_items": 2,
@@ -130,6 +140,9 @@ OPERATIONS: list[Operation] = [
     deregister_peer(1, boot=2),
     expire_peers((1, 2), (3, 2**64 - 1), boot=9, tenure=8),
     expire_peers(),
+    CreateTokenKey(new_token_key=bytes(32)),
+    AddAccessRule(rule=RULE),
+    RemoveAccessRule(rule=AccessRule("@clients", (), None, "*")),
 ]
 HOST = HostRecord(
     host_id=id_of(1),
@@ -217,6 +230,9 @@ RESULTS: list[Result] = [
     PeerRegistered(peer=BARE_PEER, mailbox=None, mailbox_host=None, mailbox_kept=False, cluster_id="c"),
     PeerDeregistered(),
     PeersExpired(expired=3),
+    TokenKeyCreated(version=7),
+    AccessRuleAdded(added=True, version=2**64 - 1),
+    AccessRuleRemoved(removed=True, version=8),
 ]
 
 

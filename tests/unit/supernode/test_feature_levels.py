@@ -183,7 +183,7 @@ async def node() -> AsyncIterator[Node]:
 async def test_supernodes_tell_the_clusters_level_and_each_members(node: Node) -> None:
     node.log.highest_levels = {"s1": HIGHEST_LEVEL}
     pong = await node.call(node.stub.Ping(pb.DirectoryServicePingRequest(), timeout=10))
-    assert (pong.feature_level, pong.highest_feature_level) == (1, HIGHEST_LEVEL)
+    assert (pong.feature_level, pong.highest_feature_level) == (HIGHEST_LEVEL, HIGHEST_LEVEL)
     listed = await node.call(node.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=10))
-    assert listed.feature_level == 1
+    assert listed.feature_level == HIGHEST_LEVEL
     assert {one.supernode_id: one.highest_feature_level for one in listed.supernodes} == {"s1": HIGHEST_LEVEL, "s2": 0}

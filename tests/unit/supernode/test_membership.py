@@ -19,6 +19,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 from stampede_rt_supernode import replication
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from stampede_rt_supernode.joining.founding import Founding, check_unused, note_started, read_founding, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_MAX, JoinTokens, log_cluster_of, valid_until
 from stampede_rt_supernode.replication import Member
@@ -107,6 +108,7 @@ async def addition(stub: Any, **changes: Any) -> pb.AddSupernodeRequest:
         "endpoint": directory_pb2.Endpoint(target="new:1"),
         "token": made.token,
         "protocol_version": 1,
+        "highest_feature_level": HIGHEST_LEVEL,
     }
     return pb.AddSupernodeRequest(**{**fields, **changes})
 
@@ -150,13 +152,13 @@ async def test_a_newcomer_that_cannot_be_let_in_is_told_why(
 
 async def test_a_newcomer_whose_release_knows_less_than_the_clusters_level_is_not_let_in(rig: tuple[Node, Any]) -> None:
     node, stub = rig
-    node.replica.read(lambda directory: setattr(directory, "feature_level", 2))
-    for highest in (0, 1):
+    node.replica.read(lambda directory: setattr(directory, "feature_level", 3))
+    for highest in (0, 2):
         request = await addition(stub, highest_feature_level=highest)
         error = await reason_of(stub.AddSupernode(request, timeout=10))
         assert error.reason == "VERSION_MISMATCH"
-        assert "level 1, and the cluster is at level 2" in error.message
-    await stub.AddSupernode(await addition(stub, highest_feature_level=2), timeout=10)
+        assert f"level {max(1, highest)}, and the cluster is at level 3" in error.message
+    await stub.AddSupernode(await addition(stub, highest_feature_level=3), timeout=10)
 
 
 async def test_one_whose_state_differs_gives_no_snapshot_not_even_a_stale_one(rig: tuple[Node, Any]) -> None:

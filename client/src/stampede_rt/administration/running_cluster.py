@@ -17,10 +17,11 @@ from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports.grpc_sync import ServerEndpoint
+from stampede_rt.v1 import access_service_pb2 as access_pb
+from stampede_rt.v1 import access_service_pb2_grpc, membership_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import membership_service_pb2 as pb
-from stampede_rt.v1 import membership_service_pb2_grpc
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
@@ -65,6 +66,18 @@ class Cluster:
         )
         made: pb.CreateJoinTokenResponse = self._first(
             lambda endpoint: endpoint.call(_membership(endpoint).CreateJoinToken, request, CALL_SECONDS)
+        )
+        return made
+
+    def issue_client_token(
+        self, name: str, roles: Sequence[str], *, valid_nanos: int
+    ) -> access_pb.CreateClientTokenResponse:
+        """A token for a client of that name. Raises what the supernodes refuse it with."""
+        request = access_pb.CreateClientTokenRequest(
+            request_id=secrets.token_bytes(16), name=name, roles=roles, valid_nanos=valid_nanos
+        )
+        made: access_pb.CreateClientTokenResponse = self._first(
+            lambda endpoint: endpoint.call(_access(endpoint).CreateClientToken, request, CALL_SECONDS)
         )
         return made
 
@@ -164,6 +177,10 @@ def _bound(endpoints: EndpointPool, frontends: Sequence[str]) -> list[str]:
     request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
     bound = _first(endpoints, frontends, lambda endpoint: endpoint.call(endpoint.frontend.Bind, request, CALL_SECONDS))
     return [one.endpoint.target for one in bound.supernodes]
+
+
+def _access(endpoint: ServerEndpoint) -> Any:
+    return endpoint.stub(access_service_pb2_grpc.AccessServiceStub)
 
 
 def _membership(endpoint: ServerEndpoint) -> Any:

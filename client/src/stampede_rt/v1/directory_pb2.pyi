@@ -68,17 +68,25 @@ class SupernodeRecord(_message.Message):
     def __init__(self, supernode_id: _Optional[str] = ..., endpoint: _Optional[_Union[Endpoint, _Mapping]] = ..., is_leader: bool = ..., healthy: bool = ..., round_trip_nanos: _Optional[int] = ..., highest_feature_level: _Optional[int] = ...) -> None: ...
 
 class DirectoryChange(_message.Message):
-    __slots__ = ("index", "kind", "channel", "host", "group", "queue")
+    __slots__ = ("index", "kind", "channel", "host", "group", "queue", "access")
     INDEX_FIELD_NUMBER: _ClassVar[int]
     KIND_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_FIELD_NUMBER: _ClassVar[int]
     HOST_FIELD_NUMBER: _ClassVar[int]
     GROUP_FIELD_NUMBER: _ClassVar[int]
     QUEUE_FIELD_NUMBER: _ClassVar[int]
+    ACCESS_FIELD_NUMBER: _ClassVar[int]
     index: int
     kind: ChangeKind
     channel: _channel_pb2.ChannelRecord
     host: HostRecord
     group: _group_pb2.GroupRecord
     queue: _queue_pb2.QueueRecord
-    def __init__(self, index: _Optional[int] = ..., kind: _Optional[_Union[ChangeKind, str]] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., host: _Optional[_Union[HostRecord, _Mapping]] = ..., group: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ..., queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ...) -> None: ...
+    access: AccessChange
+    def __init__(self, index: _Optional[int] = ..., kind: _Optional[_Union[ChangeKind, str]] = ..., channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., host: _Optional[_Union[HostRecord, _Mapping]] = ..., group: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ..., queue: _Optional[_Union[_queue_pb2.QueueRecord, _Mapping]] = ..., access: _Optional[_Union[AccessChange, _Mapping]] = ...) -> None: ...
+
+class AccessChange(_message.Message):
+    __slots__ = ("version",)
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    version: int
+    def __init__(self, version: _Optional[int] = ...) -> None: ...

@@ -14,7 +14,7 @@ class DirectoryServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class DirectoryServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids", "feature_level", "highest_feature_level")
+    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids", "feature_level", "highest_feature_level", "token_keys")
     class RefusedSupernodesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -31,6 +31,7 @@ class DirectoryServicePingResponse(_message.Message):
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
     FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     HIGHEST_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
+    TOKEN_KEYS_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     supernode_id: str
     ready: bool
@@ -40,7 +41,8 @@ class DirectoryServicePingResponse(_message.Message):
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
     feature_level: int
     highest_feature_level: int
-    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., feature_level: _Optional[int] = ..., highest_feature_level: _Optional[int] = ...) -> None: ...
+    token_keys: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., feature_level: _Optional[int] = ..., highest_feature_level: _Optional[int] = ..., token_keys: _Optional[_Iterable[bytes]] = ...) -> None: ...
 
 class OpenChannelRequest(_message.Message):
     __slots__ = ("request_id", "name", "spec", "create", "host_name")
@@ -265,18 +267,20 @@ class ListSupernodesResponse(_message.Message):
     def __init__(self, supernodes: _Optional[_Iterable[_Union[_directory_pb2.SupernodeRecord, _Mapping]]] = ..., term: _Optional[int] = ..., applied_index: _Optional[int] = ..., feature_level: _Optional[int] = ...) -> None: ...
 
 class WatchRequest(_message.Message):
-    __slots__ = ("name_glob", "after_index", "include_hosts", "include_groups", "include_queues")
+    __slots__ = ("name_glob", "after_index", "include_hosts", "include_groups", "include_queues", "include_access")
     NAME_GLOB_FIELD_NUMBER: _ClassVar[int]
     AFTER_INDEX_FIELD_NUMBER: _ClassVar[int]
     INCLUDE_HOSTS_FIELD_NUMBER: _ClassVar[int]
     INCLUDE_GROUPS_FIELD_NUMBER: _ClassVar[int]
     INCLUDE_QUEUES_FIELD_NUMBER: _ClassVar[int]
+    INCLUDE_ACCESS_FIELD_NUMBER: _ClassVar[int]
     name_glob: str
     after_index: int
     include_hosts: bool
     include_groups: bool
     include_queues: bool
-    def __init__(self, name_glob: _Optional[str] = ..., after_index: _Optional[int] = ..., include_hosts: bool = ..., include_groups: bool = ..., include_queues: bool = ...) -> None: ...
+    include_access: bool
+    def __init__(self, name_glob: _Optional[str] = ..., after_index: _Optional[int] = ..., include_hosts: bool = ..., include_groups: bool = ..., include_queues: bool = ..., include_access: bool = ...) -> None: ...
 
 class WatchResponse(_message.Message):
     __slots__ = ("changes", "applied_index")

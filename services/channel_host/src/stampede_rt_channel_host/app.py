@@ -93,6 +93,7 @@ class _Service:
             on_serving=self._serving_changed,
             on_defect=self._end,
             home=self._home,
+            access=self._server.access,
         )
 
     def _name(self) -> str:

@@ -19,6 +19,7 @@ from stampede_rt_channel_host.channels.gatekeeper import GatekeeperServicer
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
+from stampede_rt_channel_host.cluster.access_watch import AccessWatch
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.directory_watch import watch_forever
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
@@ -35,6 +36,7 @@ from stampede_rt_channel_host.queues.dead_letters import DeadLetterMover
 from stampede_rt_channel_host.queues.queue_servicer import QueueServicer
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.sweep import sweep_queues_forever
+from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.dial import naming_cluster
 
@@ -47,6 +49,7 @@ class ChannelHost:
     """Order of use, on one event loop: make, `add_to` a server, `enter` once that listens, `leave`.
 
     `dial` opens connections for that loop; `dial_apart` opens those of the lease, which has a thread of its own.
+    `access` judges the callers of the server that the host is added to; it is told here what the directory holds.
     `on_serving` hears whether the host may serve, each time that changes; `on_defect` that a task of the host died,
     which must end the host.
     """
@@ -64,6 +67,7 @@ class ChannelHost:
         on_defect: Callable[[BaseException], None],
         explain: Explain | None = None,
         home: HomeCluster | None = None,
+        access: AccessControl | None = None,
     ) -> None:
         self.identity = identity
         self._home = home or HomeCluster()
@@ -83,6 +87,7 @@ class ChannelHost:
         )
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(identity, self.store, GroupDirectory(self._supernodes), dial, lambda: apart.cluster_id)
+        self._access = AccessWatch(self._supernodes, access or AccessControl())
         self._gatekeeper = GatekeeperServicer(self.store, identity)
         self._streams = OpenStreams()
         self._on_serving = on_serving
@@ -144,6 +149,9 @@ class ChannelHost:
         self._start(self.groups.keep(), "groups")
         of_groups = directory_service_pb2.WatchRequest(include_groups=True)
         self._start(watch_forever(self._supernodes, of_groups, self.groups), "group watch")
+        self._start(self._access.keep(), "access")
+        of_access = directory_service_pb2.WatchRequest(name_glob="-", include_access=True)  # no channel has that name
+        self._start(watch_forever(self._supernodes, of_access, self._access), "access watch")
         self._start(sweep_queues_forever(self.queues), "queue sweep")
         of_queues = directory_service_pb2.WatchRequest(include_queues=True)
         self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")

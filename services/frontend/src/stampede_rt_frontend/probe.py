@@ -16,6 +16,8 @@ from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
 from stampede_rt_frontend.ranking import Supernode
 from stampede_rt_frontend.roster import MemberList, ProbeAnswer, SupernodeRoster
 from stampede_rt_frontend.status_log import StatusLog
+from stampede_rt_runtime.access.control import AccessControl
+from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.dial import naming_cluster
 
 logger = logging.getLogger(__name__)
@@ -28,7 +30,7 @@ _RETRY_SECONDS_MIN = 0.05  # a supernode that is just starting is found soon; th
 class Prober:
     """Keeps a Roster fresh, with one task and one connection per supernode. Use as an async context manager.
 
-    `explain` may know better than gRPC why a supernode cannot be talked to.
+    `explain` may know better than gRPC why a supernode cannot be talked to. `access` is told the keys of client tokens.
     """
 
     def __init__(
@@ -37,10 +39,12 @@ class Prober:
         dial: Callable[[str], grpc.aio.Channel],
         *,
         explain: Callable[[str], Awaitable[StampedeError | None]] | None = None,
+        access: AccessControl | None = None,
     ) -> None:
         self._roster = roster
         self._explain = explain
         self._dial = naming_cluster(dial, lambda: roster.cluster_id)
+        self._access = access or AccessControl()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._strangers: dict[str, str] = {}  # target -> the other cluster that it was last told to belong to
         self._changed = asyncio.Condition()
@@ -98,6 +102,7 @@ class Prober:
                 self._strangers[target] = answer.cluster_id
                 logger.warning("another cluster's supernode", extra={"target": target, "cluster_id": answer.cluster_id})
             if answer.ready and accepted:
+                self._access.tell(AccessState(cluster_id=answer.cluster_id, token_keys=answer.token_keys))
                 self._roster.listed(await _list(stub))
                 self._match_tasks()
         except grpc.aio.AioRpcError as error:
@@ -138,6 +143,7 @@ async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.Dire
         ready=said.ready,
         round_trip_nanos=took if connected else None,
         former_cluster_ids=tuple(said.former_cluster_ids),
+        token_keys=tuple(said.token_keys),
     )
 
 

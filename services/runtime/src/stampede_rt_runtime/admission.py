@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextvars import ContextVar
 from typing import Any
 
 import grpc
 
 from stampede_rt.errors import PermissionDenied, StampedeError
 from stampede_rt.status import abort
-from stampede_rt_runtime.access.caller import ANYONE, Caller
+from stampede_rt_runtime.access.caller import Caller
+from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.access.proofs import Accepted, identify, of_certificate_alone
 from stampede_rt_runtime.handlers import guarded
 from stampede_rt_runtime.identity import Identity, identity_among
@@ -19,7 +19,6 @@ from stampede_rt_runtime.roles import why_refused
 from stampede_rt_runtime.rpc import Context
 
 _WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and containers ask it
-_CALLER: ContextVar[Caller] = ContextVar("caller", default=ANYONE)
 
 
 def caller_identity(context: Context) -> Identity | None:
@@ -28,16 +27,12 @@ def caller_identity(context: Context) -> Identity | None:
     return identity_among(uri.decode(errors="replace") for uri in found)
 
 
-def current_caller() -> Caller:
-    """Who made the call that is being served. ANYONE outside of a server, as in tests of single methods."""
-    return _CALLER.get()
-
-
 class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
     """Refuses every call whose caller brings no proof that the service accepts, or may not make that call."""
 
-    def __init__(self, accepted: Accepted) -> None:
+    def __init__(self, accepted: Accepted, control: AccessControl) -> None:
         self._accepted = accepted
+        self._control = control
 
     async def intercept_service(
         self,
@@ -58,8 +53,8 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
                     raise PermissionDenied(refusal)
             except StampedeError as error:
                 await abort(context, error)
-            _CALLER.set(caller)  # for the rest of the call, which has a task of its own
-            yield
+            async with self._control.serving(caller, context):
+                yield
 
         return guarded(handler, admitted)
 

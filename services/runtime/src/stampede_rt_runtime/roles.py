@@ -20,7 +20,10 @@ _HOSTS = frozenset({Role.HOST})
 _CALLERS = frozenset({Role.CLIENT, Role.OPERATOR, Role.HOST})
 _OPERATORS = frozenset({Role.OPERATOR})
 
+_MEMBERS = frozenset({Role.SUPERNODE, Role.HOST, Role.FRONTEND})
+
 _SERVICES: Mapping[str, frozenset[Role]] = {
+    "AccessService": _OPERATORS,
     "ChannelService": _CALLERS,
     "DirectoryService": _CALLERS,
     "FrontendService": _ALL,
@@ -39,6 +42,7 @@ _SERVICES: Mapping[str, frozenset[Role]] = {
 }
 
 _METHODS: Mapping[str, frozenset[Role]] = {
+    "AccessService/GetAccessState": _MEMBERS,
     "DirectoryService/Ping": _ALL,
     "DirectoryService/ListSupernodes": _ALL,
     "DirectoryService/RegisterHost": _HOSTS,

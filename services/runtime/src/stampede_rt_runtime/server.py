@@ -12,6 +12,7 @@ from typing import Any
 import grpc
 
 from stampede_rt_runtime.aborts import AbortInterceptor
+from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.access.proofs import Accepted
 from stampede_rt_runtime.admission import AdmissionInterceptor
 from stampede_rt_runtime.auth import Secret
@@ -48,17 +49,19 @@ class ServiceServer:
         judge_cluster: JudgeCluster | None = None,
     ) -> None:
         limits = limits or Limits()
+        self.access = AccessControl()  # to be told by the directory
         accepted = Accepted(
             secrets=secret.accepted if secret else (),
             client_secrets=client_secret.accepted if client_secret else (),
             cluster=tls.identity.cluster if tls else "",
+            read_token=self.access.read_token,
         )
         self._tls = tls
         self.grpc: grpc.aio.Server = grpc.aio.server(
             # The first is the outermost: who may not call takes no slot, and is told of no cluster.
             interceptors=[
                 AbortInterceptor(),
-                AdmissionInterceptor(accepted),
+                AdmissionInterceptor(accepted, self.access),
                 *([ClusterInterceptor(judge_cluster)] if judge_cluster else []),
                 CapacityInterceptor(limits),
             ],

@@ -15,7 +15,7 @@ import grpc
 
 from stampede_rt.administration.options import ADMINISTRATIVE_VERBS
 from stampede_rt.errors import StampedeError
-from stampede_rt.v1 import directory_service_pb2_grpc, membership_service_pb2_grpc
+from stampede_rt.v1 import access_service_pb2_grpc, directory_service_pb2_grpc, membership_service_pb2_grpc
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
@@ -23,6 +23,7 @@ from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
+from stampede_rt_supernode.core.access.queries import access_state
 from stampede_rt_supernode.joining.founding import Founding, misplaced, note_started, read_founding
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
@@ -38,6 +39,7 @@ from stampede_rt_supernode.replication import (
     StoreRefused,
     open_replicated_log,
 )
+from stampede_rt_supernode.servicers.access_servicer import AccessServicer
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.directory_servicer import DirectoryServicer
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
@@ -53,6 +55,7 @@ from stampede_rt_supernode.settings import SupernodeSettings
 logger = logging.getLogger(__name__)
 
 HEALTH_SECONDS = 0.1
+ACCESS_SECONDS = 0.25
 HAND_OVER_SECONDS = 1.2
 
 
@@ -81,11 +84,13 @@ async def serve(settings: SupernodeSettings) -> None:
         tune_garbage_collection()
         parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
         _register(parts, server.grpc)
+        server.access.draw_from(lambda: replica.read(access_state))
         await server.start()
         work = [
             parts.leases.run(),
             parts.levels.run(),
             parts.probe.run(),
+            _follow_access(server),
             _follow_leader(server, parts.members),
             _watch_state(server, parts),
             _watch_removal(server, log, keeps=settings.data_dir is not None),
@@ -175,6 +180,8 @@ def _register(parts: _Parts, server: grpc.aio.Server) -> None:
     directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server)
     loads = LoadKeeper(log, replica, clock=clock)
     register_record_services(server, DirectoryCalls(replica, submission), loads, parts.leases, parts.watches)
+    access = AccessServicer(DirectoryCalls(replica, submission), clock.time_unix_nano)
+    access_service_pb2_grpc.add_AccessServiceServicer_to_server(access, server)
     membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(parts.membership, server)
 
 
@@ -271,6 +278,13 @@ async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Foundi
             )
         await asyncio.sleep(HEALTH_SECONDS)
     await asyncio.Event().wait()
+
+
+async def _follow_access(server: ServiceServer) -> None:
+    """Streams of those who lose a right end, also while nobody calls."""
+    while not server.stopping.is_set():
+        server.access.refresh()
+        await asyncio.sleep(ACCESS_SECONDS)
 
 
 async def _follow_leader(server: ServiceServer, members: Members) -> None:

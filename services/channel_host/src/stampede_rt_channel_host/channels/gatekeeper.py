@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from fnmatch import translate
+from collections.abc import Callable
 
 from stampede_rt.cluster.request_age import age_clock_s, request_age_nanos
 from stampede_rt.errors import InvalidArgument
@@ -13,6 +12,7 @@ from stampede_rt_channel_host.channels.listing import page_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.records import channel_message, policy_change
+from stampede_rt_runtime.globs import matcher
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import software_version
 
@@ -79,9 +79,9 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self, request: pb.ListHostedChannelsRequest, context: Context
     ) -> pb.ListHostedChannelsResponse:
         """A page of the channels that were bound here, in the order of names; a page token is the last page's end."""
-        pattern = _glob(request.name_glob)
+        matches = _glob(request.name_glob)
         size = min(request.page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
-        listing = page_of(self._store, pattern.match, request.page_token, size)
+        listing = page_of(self._store, matches, request.page_token, size)
         page = await self._store.scheduler.do(listing)
         return pb.ListHostedChannelsResponse(
             channels=page.channels, next_page_token=page.channels[-1].record.name if page.has_more else ""
@@ -105,9 +105,8 @@ def _check_request_id(request_id: bytes) -> None:
         )
 
 
-def _glob(text: str) -> re.Pattern[str]:
-    """`*` stands for any run of characters, `?` for one; empty text for all names. Matching takes a time linear in the
-    name for each star."""
+def _glob(text: str) -> Callable[[str], bool]:
+    """Whether a name matches the pattern."""
     if len(text) > GLOB_LENGTH_MAX:
         raise InvalidArgument(f"name_glob has {len(text)} characters; {GLOB_LENGTH_MAX} are the most")
-    return re.compile(translate((text or "*").replace("[", "[[]")))  # a bracket stands for itself
+    return matcher(text)

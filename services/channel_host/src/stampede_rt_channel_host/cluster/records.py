@@ -120,4 +120,5 @@ def recorded_change(message: directory_pb2.DirectoryChange) -> RecordedChange:
         channel=recorded_channel(message.channel) if message.HasField("channel") else None,
         queue=recorded_queue(message.queue) if message.HasField("queue") else None,
         group_id=message.group.group_id if message.HasField("group") else None,
+        is_of_access=message.HasField("access"),
     )

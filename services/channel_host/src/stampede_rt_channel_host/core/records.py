@@ -93,9 +93,10 @@ class ResolvedGroup:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedChange:
-    """A change of the directory: of the channel, the queue or the group that it has."""
+    """A change of the directory: of the channel, the queue or the group that it has, or of rules or keys of access."""
 
     removed: bool
     channel: RecordedChannel | None = None
     queue: RecordedQueue | None = None
     group_id: bytes | None = None
+    is_of_access: bool = False

@@ -31,13 +31,15 @@ _NAMELESS = {
 class Caller:
     """One caller. `name` is what rules know it by; no certificate or token bears one that begins with "@".
 
-    `serial` tells a certificate or token from others of the same name; empty: it has none.
+    `serial` tells a certificate or token from others of the same name; empty: it has none. `ends_unix_nano`: when that
+    is over; 0: never.
     """
 
     kind: CallerKind
     roles: frozenset[Role]
     name: str
     serial: str = ""
+    ends_unix_nano: int = 0
 
     def __str__(self) -> str:
         if self.kind in _NAMELESS:

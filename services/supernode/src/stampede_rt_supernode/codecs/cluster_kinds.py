@@ -26,6 +26,7 @@ def _tenure_message(operation: BeginTenure) -> pb.BeginTenureCommand:
         takes_over=operation.takes_over,
         new_feature_level=operation.new_feature_level,
         new_join_key=operation.new_join_key,
+        new_token_key=operation.new_token_key,
     )
 
 
@@ -39,6 +40,7 @@ def _read_tenure(message: pb.BeginTenureCommand) -> BeginTenure:
         takes_over=message.takes_over,
         new_feature_level=message.new_feature_level,
         new_join_key=message.new_join_key,
+        new_token_key=message.new_token_key,
     )
 
 

@@ -11,6 +11,7 @@ from google.protobuf.message import DecodeError
 from stampede_rt.errors import InvalidArgument, StampedeError, VersionMismatch
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_supernode.codecs import (
+    access_kinds,
     channel_kinds,
     cluster_kinds,
     group_kinds,
@@ -25,6 +26,7 @@ from stampede_rt_supernode.core.command_table import FEATURE_LEVELS
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
 
 CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
+    *access_kinds.CODECS,
     *channel_kinds.CODECS,
     *cluster_kinds.CODECS,
     *group_kinds.CODECS,

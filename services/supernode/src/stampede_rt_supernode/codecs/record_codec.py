@@ -13,6 +13,7 @@ from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import peer_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record
 from stampede_rt_supernode.core.records import (
+    AccessChange,
     ChangeKind,
     ChannelRecord,
     DirectoryChange,
@@ -114,6 +115,8 @@ def change_message(change: DirectoryChange) -> directory_pb2.DirectoryChange:
             message.group.CopyFrom(group_record(group))
         case QueueRecord() as queue:
             message.queue.CopyFrom(queue_record(queue))
+        case AccessChange(version=version):
+            message.access.version = version
         case PeerRecord(peer_id=peer_id):
             raise AssertionError(f"peer {peer_id.hex()} is among changes that are not of peers")
     return message

@@ -14,6 +14,8 @@ from sortedcontainers import SortedDict
 
 from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.v1 import directory_command_pb2 as pb
+from stampede_rt_runtime.access.messages import rule_from, rule_message
+from stampede_rt_runtime.access.rules import AccessRules
 from stampede_rt_supernode.codecs.command_codec import read_result, result_message
 from stampede_rt_supernode.codecs.group_codec import group_entry, group_entry_from
 from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
@@ -21,6 +23,7 @@ from stampede_rt_supernode.codecs.peer_codec import peer_entry, peer_from
 from stampede_rt_supernode.codecs.queue_codec import queue_from, queue_record
 from stampede_rt_supernode.codecs.record_codec import channel_from, channel_record
 from stampede_rt_supernode.codecs.replica_codec import replica_from, replica_record
+from stampede_rt_supernode.core.access.table import AccessTable
 from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.directory import Directory
@@ -144,6 +147,10 @@ def _head(directory: Directory) -> bytes:
         join_key=directory.join_key,
         digest=directory.digest,
         feature_level=directory.feature_level,
+        # A release that does not know them refuses the snapshot for its feature level.
+        access_rules=map(rule_message, directory.access.rules.rules),
+        token_key=directory.access.token_key,
+        access_version=directory.access.version,
     ).SerializeToString()
 
 
@@ -198,6 +205,11 @@ def _directory(message: pb.DirectorySnapshot) -> Directory:
         join_key=message.join_key,
         digest=message.digest,
         feature_level=message.feature_level,
+        access=AccessTable(
+            version=message.access_version,
+            rules=AccessRules(map(rule_from, message.access_rules)),
+            token_key=message.token_key,
+        ),
     )
 
 

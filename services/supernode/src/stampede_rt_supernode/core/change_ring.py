@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 
 from stampede_rt_supernode.core.records import (
+    AccessChange,
     ChangeKind,
     ChannelRecord,
     DirectoryChange,
@@ -50,7 +51,9 @@ class ChangeRing:
         """What is noted from now on is of log position `index`, which is not below the one before."""
         self._index = index
 
-    def note(self, kind: ChangeKind, subject: ChannelRecord | HostRecord | GroupRecord | QueueRecord) -> None:
+    def note(
+        self, kind: ChangeKind, subject: ChannelRecord | HostRecord | GroupRecord | QueueRecord | AccessChange
+    ) -> None:
         """Append a change of the present log position."""
         self.append(DirectoryChange(index=self._index, kind=kind, subject=subject))
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from stampede_rt_supernode.core.access import kinds as access_kinds
 from stampede_rt_supernode.core.channels import kinds as channel_kinds
 from stampede_rt_supernode.core.cluster import kinds as cluster_kinds
 from stampede_rt_supernode.core.command_kinds import CommandKind
@@ -21,6 +22,7 @@ from stampede_rt_supernode.core.queues import kinds as queue_kinds
 from stampede_rt_supernode.core.replicas import kinds as replica_kinds
 
 KINDS: tuple[CommandKind[Any, Any], ...] = (
+    *access_kinds.KINDS,
     *channel_kinds.KINDS,
     *cluster_kinds.KINDS,
     *group_kinds.KINDS,

@@ -1,11 +1,11 @@
-"""Patterns over channel names: `*` stands for any run of characters, `?` for one. Pure."""
+"""Patterns over names, as callers send them. Pure."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from fnmatch import translate
 
+from stampede_rt_runtime import globs
 from stampede_rt_supernode.core.validation import check_glob
 
 
@@ -14,11 +14,8 @@ def matcher(glob: str) -> Callable[[str], bool]:
 
     Raises InvalidArgument.
     """
-    check_glob(glob)  # leaves no bracket, whose meaning fnmatch would extend to sets of characters
-    if glob in ("", "*"):
-        return lambda name: True
-    pattern = re.compile(translate(glob), re.ASCII)
-    return lambda name: pattern.match(name) is not None
+    check_glob(glob)
+    return globs.matcher(glob)
 
 
 def fixed_prefix(glob: str) -> str:

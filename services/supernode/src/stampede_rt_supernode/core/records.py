@@ -207,9 +207,16 @@ class ChangeKind(Enum):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class AccessChange:
+    """Rules or keys of access have changed, at log position `version`. What they are now, the directory tells."""
+
+    version: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class DirectoryChange:
     """One change, at one log position. The subject is as it is after it, or as it was last if it is gone."""
 
     index: int
     kind: ChangeKind
-    subject: ChannelRecord | HostRecord | GroupRecord | QueueRecord | PeerRecord
+    subject: ChannelRecord | HostRecord | GroupRecord | QueueRecord | PeerRecord | AccessChange

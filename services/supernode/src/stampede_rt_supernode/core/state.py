@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from stampede_rt.errors import Unavailable
+from stampede_rt_supernode.core.access.table import AccessTable
 from stampede_rt_supernode.core.answered import Answer, Answered
 from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
 from stampede_rt_supernode.core.records import (
@@ -45,6 +46,7 @@ class DirectoryState:
         join_key: bytes = b"",
         digest: bytes = b"",
         feature_level: int = FIRST_LEVEL,
+        access: AccessTable | None = None,
     ) -> None:
         self.tenure = tenure
         self.feature_level = max(feature_level, FIRST_LEVEL)
@@ -57,6 +59,7 @@ class DirectoryState:
         self.former_cluster_ids = tuple(former_cluster_ids)
         # Signs join tokens; no caller is ever told.
         self.join_key = join_key
+        self.access = access or AccessTable()
         self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)
         self.answered = Answered(answers, time_marks)
 

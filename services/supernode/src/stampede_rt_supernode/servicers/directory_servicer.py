@@ -19,6 +19,7 @@ from stampede_rt_supernode.codecs.record_codec import (
     policy_from,
 )
 from stampede_rt_supernode.core import page_tokens
+from stampede_rt_supernode.core.access.queries import access_state
 from stampede_rt_supernode.core.callers import check_protocol
 from stampede_rt_supernode.core.channels.commands import (
     ChannelDeleted,
@@ -82,6 +83,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             refused_supernodes=self._members.refused(),
             feature_level=self._replica.feature_level,
             highest_feature_level=self._replica.highest_level,
+            token_keys=self._replica.read(access_state).token_keys,
         )
 
     @errors_as_status
@@ -233,6 +235,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             include_hosts=request.include_hosts,
             include_groups=request.include_groups,
             include_queues=request.include_queues,
+            include_access=request.include_access,
         )
         async for batch in batches:
             yield pb.WatchResponse(

@@ -117,6 +117,7 @@ class LeaseKeeper:
             takes_over=self.takes_over,
             new_feature_level=max(FIRST_LEVEL, status.level_of_members),
             new_join_key=secrets.token_bytes(KEY_BYTES),
+            new_token_key=secrets.token_bytes(KEY_BYTES),
         )
         begun = await self._submission.submit(operation, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:

@@ -15,6 +15,7 @@ from stampede_rt_supernode.core.change_ring import ChangePage, ChangeRing
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.glob import matcher
 from stampede_rt_supernode.core.records import (
+    AccessChange,
     ChannelRecord,
     DirectoryChange,
     GroupRecord,
@@ -65,9 +66,10 @@ class Watches:
         include_hosts: bool,
         include_groups: bool = False,
         include_queues: bool = False,
+        include_access: bool = False,
     ) -> AsyncIterator[WatchBatch]:
         """Changes of channels, and of others if they are asked for; see `_follow`."""
-        wanted = _filter(glob, include_hosts, include_groups, include_queues)
+        wanted = _filter(glob, include_hosts, include_groups, include_queues, include_access)
         return self._follow(lambda directory: directory.tables.changes, wanted, after_index)
 
     def follow_peers(self, glob: str, after_index: int) -> AsyncIterator[WatchBatch]:
@@ -128,7 +130,7 @@ def _restart(reason: str) -> WatchRestart:
 
 
 def _filter(
-    glob: str, include_hosts: bool, include_groups: bool, include_queues: bool
+    glob: str, include_hosts: bool, include_groups: bool, include_queues: bool, include_access: bool
 ) -> Callable[[DirectoryChange], bool]:
     matches = matcher(glob)
 
@@ -142,6 +144,8 @@ def _filter(
                 return include_groups and matches(name)
             case QueueRecord(name=name):
                 return include_queues and _matches(name, glob, matches)
+            case AccessChange():
+                return include_access
             case PeerRecord():
                 return False  # they have a ring of their own
 
@@ -150,7 +154,12 @@ def _filter(
 
 def _peer_filter(glob: str) -> Callable[[DirectoryChange], bool]:
     matches = matcher(glob)
-    return lambda change: _matches(change.subject.name, glob, matches)
+
+    def wanted(change: DirectoryChange) -> bool:
+        assert isinstance(change.subject, PeerRecord)  # the ring of peers holds nothing else
+        return _matches(change.subject.name, glob, matches)
+
+    return wanted
 
 
 def _matches(name: str, glob: str, matches: Callable[[str], bool]) -> bool:

@@ -72,14 +72,14 @@ class Terminate:
     reason: str = ""
 
 
-Verdict = Acknowledge | GiveBack | Extend | Terminate
+AccessRuling = Acknowledge | GiveBack | Extend | Terminate
 
 
 class Settlement(NamedTuple):
     """What a taker says of a delivery."""
 
     delivery_id: int
-    verdict: Verdict
+    verdict: AccessRuling
 
 
 class SettlementResult(NamedTuple):

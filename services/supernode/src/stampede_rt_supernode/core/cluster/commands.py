@@ -23,6 +23,7 @@ class BeginTenure(Operation):
     takes_over: bool = False
     new_feature_level: int = 1
     new_join_key: bytes = field(default=b"", repr=False)
+    new_token_key: bytes = field(default=b"", repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from stampede_rt_supernode.core.access.transitions import change_access
 from stampede_rt_supernode.core.cluster.commands import (
     BeginTenure,
     FeatureLevelRaised,
@@ -13,6 +16,7 @@ from stampede_rt_supernode.core.cluster.commands import (
 from stampede_rt_supernode.core.state import DirectoryState
 
 FORMER_MAX = 16
+TOKENS_LEVEL = 2  # below it no replica keeps a key for client tokens
 
 
 def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: int) -> TenureBegun:
@@ -24,7 +28,11 @@ def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: 
         if state.cluster_id and operation.takes_over and state.cluster_id != operation.new_cluster_id:
             state.former_cluster_ids = (*state.former_cluster_ids, state.cluster_id)[-FORMER_MAX:]
         state.cluster_id, state.join_key = operation.new_cluster_id, operation.new_join_key
+        if state.access.token_key:  # what it has signed is of the former cluster
+            change_access(state, replace(state.access, token_key=b""))
     state.join_key = state.join_key or operation.new_join_key
+    if state.feature_level >= TOKENS_LEVEL and not state.access.token_key:
+        change_access(state, replace(state.access, token_key=operation.new_token_key))
     state.lease_ttl_nanos = state.lease_ttl_nanos or operation.new_lease_ttl_nanos
     return TenureBegun(tenure=state.tenure, cluster_id=state.cluster_id)
 

@@ -1,0 +1,60 @@
+"""`stampede token issue`: tokens for clients that cannot hold certificates, or share a secret."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+from stampede_rt.cli.arguments import VerbParser, add_verb, checked
+from stampede_rt.cli.output import print_facts
+from stampede_rt.errors import StampedeError
+from stampede_rt.values.timeline import format_instant, parse_duration
+
+ROLES = ("client", "operator")
+TTL_DEFAULT = "1h"
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the noun of this module and its verb."""
+    text = "tokens that prove a client's name and roles for a while"
+    noun = subparsers.add_parser("token", help=text, description=text)
+    verbs = noun.add_subparsers(dest="token_verb", metavar="VERB", required=True, parser_class=VerbParser)
+    issue = add_verb(verbs, "issue", "make a token; operators and holders of the cluster's secret may", run_issue)
+    issue.add_argument("name", metavar="NAME", help="what rules of access know its bearer by")
+    issue.add_argument("--role", action="append", choices=ROLES, help="may be repeated; default client")
+    issue.add_argument(
+        "--ttl", type=checked(parse_duration), default=TTL_DEFAULT, metavar="DURATION", help="how long it lasts; 1h"
+    )
+    issue.add_argument("--out", type=Path, metavar="FILE", help="write it there, for its user's eyes only")
+
+
+def run_issue(arguments: argparse.Namespace) -> int:
+    """Print the token, or write it to a file."""
+    from stampede_rt.administration.running_cluster import reached  # gRPC takes 0.1 s to load
+
+    with reached(arguments.url, None) as cluster:
+        made = cluster.issue_client_token(arguments.name, arguments.role or ["client"], valid_nanos=arguments.ttl)
+    until = format_instant(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
+    facts = {"name": arguments.name, "serial": made.serial, "valid_until": until}
+    if arguments.out is None:
+        if arguments.output == "table":
+            print(made.token)  # alone, for a file or a variable
+        else:
+            print_facts({**facts, "token": made.token}, arguments.output)
+        return 0
+    _write(arguments.out, made.token)
+    print_facts({**facts, "file": str(arguments.out)}, arguments.output)
+    if arguments.output == "table":
+        print(f"\nIts bearer sets STAMPEDE_SECRET_FILE={arguments.out}.")
+    return 0
+
+
+def _write(path: Path, token: str) -> None:
+    """Into a new file: what is there may be another secret."""
+    try:
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            file.write(token + "\n")
+    except OSError as error:
+        raise StampedeError(f"{path} cannot be written: {error.strerror}; name a new file with --out") from error

@@ -1,0 +1,48 @@
+from stampede_rt.v1 import access_pb2 as _access_pb2
+from google.protobuf.internal import containers as _containers
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class CreateClientTokenRequest(_message.Message):
+    __slots__ = ("request_id", "name", "roles", "valid_nanos")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    ROLES_FIELD_NUMBER: _ClassVar[int]
+    VALID_NANOS_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    name: str
+    roles: _containers.RepeatedScalarFieldContainer[str]
+    valid_nanos: int
+    def __init__(self, request_id: _Optional[bytes] = ..., name: _Optional[str] = ..., roles: _Optional[_Iterable[str]] = ..., valid_nanos: _Optional[int] = ...) -> None: ...
+
+class CreateClientTokenResponse(_message.Message):
+    __slots__ = ("token", "serial", "valid_until_unix_nano")
+    TOKEN_FIELD_NUMBER: _ClassVar[int]
+    SERIAL_FIELD_NUMBER: _ClassVar[int]
+    VALID_UNTIL_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    token: str
+    serial: str
+    valid_until_unix_nano: int
+    def __init__(self, token: _Optional[str] = ..., serial: _Optional[str] = ..., valid_until_unix_nano: _Optional[int] = ...) -> None: ...
+
+class GetAccessStateRequest(_message.Message):
+    __slots__ = ("stale_ok",)
+    STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    stale_ok: bool
+    def __init__(self, stale_ok: bool = ...) -> None: ...
+
+class GetAccessStateResponse(_message.Message):
+    __slots__ = ("version", "cluster_id", "rules", "token_keys")
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
+    RULES_FIELD_NUMBER: _ClassVar[int]
+    TOKEN_KEYS_FIELD_NUMBER: _ClassVar[int]
+    version: int
+    cluster_id: str
+    rules: _containers.RepeatedCompositeFieldContainer[_access_pb2.AccessRule]
+    token_keys: _containers.RepeatedScalarFieldContainer[bytes]
+    def __init__(self, version: _Optional[int] = ..., cluster_id: _Optional[str] = ..., rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., token_keys: _Optional[_Iterable[bytes]] = ...) -> None: ...

@@ -1,0 +1,205 @@
+"""The access of one port: its rules and keys as they are now, and the streams that rest on them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections import OrderedDict
+from collections.abc import AsyncIterator, Callable
+from contextvars import ContextVar
+from typing import Any
+
+from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
+from stampede_rt.status import abort
+from stampede_rt_runtime.access.caller import Caller
+from stampede_rt_runtime.access.rules import NO_RULES, AccessKind, AccessRules, AccessVerb
+from stampede_rt_runtime.access.state import AccessState
+from stampede_rt_runtime.access.tokens import TokenClaims, check_not_over, is_token, read_token
+
+logger = logging.getLogger(__name__)
+
+TOKENS_KEPT_MAX = 4096
+GRANTS_KEPT_MAX = 1024
+Grant = tuple[AccessVerb, AccessKind, str]
+
+
+class AccessControl:
+    """Judges the callers of one port. On the event loop that serves it.
+
+    `source` gives the state whenever it is asked; without one, `tell` does. Until it is told, nobody who is judged is
+    served.
+    """
+
+    def __init__(
+        self,
+        source: Callable[[], AccessState] | None = None,
+        *,
+        time_unix_nano: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._source = source
+        self._state: AccessState | None = None
+        self._time_unix_nano = time_unix_nano
+        self._tokens: OrderedDict[str, TokenClaims] = OrderedDict()
+        self._open: set[OpenCall] = set()
+
+    def draw_from(self, source: Callable[[], AccessState]) -> None:
+        """From now on `source` gives the state."""
+        self._source = source
+
+    def tell(self, state: AccessState) -> None:
+        """The state from now on. Open streams of those who lost what they were granted end."""
+        former, self._state = self._state, state
+        if former is not None and former.token_keys != state.token_keys:
+            self._tokens.clear()
+        if former is None or former.rules is not state.rules:
+            for call in tuple(self._open):
+                call.judge_again(state.rules)
+
+    def refresh(self) -> AccessState | None:
+        """The state as it is now; None: it is not known yet."""
+        if self._source is not None:
+            state = self._source()
+            if state != self._state:
+                self.tell(state)
+        return self._state
+
+    def rules(self) -> AccessRules:
+        """Raises Unavailable."""
+        return self._known().rules
+
+    def read_token(self, text: str) -> Caller | None:
+        """Who brings `text`; None if it is no token. Raises PermissionDenied, Unavailable."""
+        if not is_token(text):
+            return None
+        state = self._known()
+        if not state.token_keys:
+            raise Unavailable("the service has not heard yet what client tokens are signed with; try again in a moment")
+        claims = self._tokens.get(text)
+        if claims is None:
+            claims = read_token(text, keys=state.token_keys, cluster_id=state.cluster_id)
+            self._tokens[text] = claims
+            if len(self._tokens) > TOKENS_KEPT_MAX:
+                self._tokens.popitem(last=False)
+        check_not_over(claims, now_unix_nano=self._time_unix_nano())
+        return claims.caller()
+
+    def _known(self) -> AccessState:
+        state = self.refresh()
+        if state is None:
+            raise Unavailable("the service has not heard from the directory yet who may do what; try again in a moment")
+        return state
+
+    @contextlib.asynccontextmanager
+    async def serving(self, caller: Caller, context: Any) -> AsyncIterator[None]:
+        """Run a call of `caller`. It ends when what it rests on does."""
+        call = OpenCall(self, caller)
+        _CURRENT.set(call)  # for the rest of the call, which has a task of its own
+        if not caller.is_judged and not caller.ends_unix_nano:
+            yield
+            return
+        self._open.add(call)
+        timer = self._end_with_credential(call)
+        try:
+            yield
+        except asyncio.CancelledError:
+            if call.error is None:
+                raise
+            call.task.uncancel()
+            await abort(context, call.error)
+        finally:
+            self._open.discard(call)
+            if timer is not None:
+                timer.cancel()
+
+    def _end_with_credential(self, call: OpenCall) -> asyncio.TimerHandle | None:
+        ends = call.caller.ends_unix_nano
+        if not ends:
+            return None
+        left_s = max(0.0, (ends - self._time_unix_nano()) / 1e9)
+        over = PermissionDenied(
+            f"the {call.caller.kind} of {call.caller} is over; connect again with a new one", reason="UNAUTHENTICATED"
+        )
+        return asyncio.get_running_loop().call_later(left_s, call.end, over)
+
+
+class OpenCall:
+    """One call that is being served, and what it was granted."""
+
+    def __init__(self, control: AccessControl, caller: Caller) -> None:
+        task = asyncio.current_task()
+        assert task is not None, "handlers run in tasks"
+        self.task = task
+        self.caller = caller
+        self.error: StampedeError | None = None
+        self._control = control
+        self._granted: dict[Grant, None] = {}
+
+    def end(self, error: StampedeError) -> None:
+        """Interrupt it, wherever it waits, and end the RPC with `error`. The first error stands."""
+        if self.error is None:
+            self.error = error
+            self.task.cancel()
+
+    def rules(self) -> AccessRules:
+        """Those that judge it now. Raises Unavailable."""
+        return self._control.rules() if self.caller.is_judged else NO_RULES
+
+    def check(self, grant: Grant) -> None:
+        """Raises PermissionDenied. What was granted is remembered, until the rules change."""
+        if grant in self._granted or not self.caller.is_judged:
+            return
+        if not self.rules().judge(self.caller, *grant).allowed:
+            raise denied(self.caller, *grant)
+        if len(self._granted) >= GRANTS_KEPT_MAX:
+            self._granted.clear()
+        self._granted[grant] = None
+
+    def judge_again(self, rules: AccessRules) -> None:
+        """The rules have changed."""
+        for grant in self._granted:
+            if not rules.judge(self.caller, *grant).allowed:
+                self.end(denied(self.caller, *grant))
+                return
+
+
+_CURRENT: ContextVar[OpenCall | None] = ContextVar("call", default=None)
+
+
+def current_caller() -> Caller | None:
+    """Who made the call that is being served; None outside of a server, as in tests of single methods."""
+    call = _CURRENT.get()
+    return None if call is None else call.caller
+
+
+def check_access(verb: AccessVerb, kind: AccessKind, name: str) -> None:
+    """Whether the caller of the call that is being served may do that. Raises PermissionDenied, Unavailable."""
+    call = _CURRENT.get()
+    if call is not None:
+        call.check((verb, kind, name))
+
+
+def check_known(kind: AccessKind, name: str) -> None:
+    """Whether the caller may know of that thing: do anything at all to it. Raises PermissionDenied, Unavailable."""
+    call = _CURRENT.get()
+    if call is not None and not call.rules().knows_of(call.caller, kind, name):
+        raise PermissionDenied(
+            f"{call.caller} may do nothing with {kind} {name}; an operator can allow it (stampede acl add "
+            f"{call.caller.name} VERB {name})"
+        )
+
+
+def may(verb: AccessVerb, kind: AccessKind, name: str) -> bool:
+    """Whether the caller of the call that is being served may do that. Raises Unavailable."""
+    call = _CURRENT.get()
+    return call is None or call.rules().judge(call.caller, verb, kind, name).allowed
+
+
+def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> PermissionDenied:
+    """What a caller is told that may not."""
+    return PermissionDenied(
+        f"{caller} may not {verb} {kind} {name}; an operator can allow it (stampede acl add {caller.name} {verb} "
+        f"{name})",
+        metadata={"verb": verb, kind: name},
+    )

@@ -1,0 +1,50 @@
+"""Rules of access, to and from the messages that carry them. Thin: no decision is made here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.v1 import access_pb2 as pb
+from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessVerb
+
+VERBS: Mapping[AccessVerb, pb.AccessVerb] = {verb: getattr(pb, f"ACCESS_VERB_{verb.name}") for verb in AccessVerb}
+KINDS: Mapping[AccessKind, pb.AccessKind] = {kind: getattr(pb, f"ACCESS_KIND_{kind.name}") for kind in AccessKind}
+_VERBS_FROM: Mapping[int, AccessVerb] = {int(number): verb for verb, number in VERBS.items()}
+_KINDS_FROM: Mapping[int, AccessKind] = {int(number): kind for kind, number in KINDS.items()}
+
+
+def rule_message(rule: AccessRule) -> pb.AccessRule:
+    """The rule as it travels."""
+    return pb.AccessRule(
+        who=rule.who,
+        verbs=[VERBS[verb] for verb in rule.verbs],
+        kind=pb.ACCESS_KIND_UNSPECIFIED if rule.kind is None else KINDS[rule.kind],
+        names=rule.names,
+        deny=rule.deny,
+    )
+
+
+def rule_from(message: pb.AccessRule) -> AccessRule:
+    """Raises InvalidArgument for a verb or kind that is not known."""
+    return AccessRule(
+        message.who,
+        tuple(map(verb_from, message.verbs)),
+        kind_from(message.kind) if message.kind else None,
+        message.names,
+        message.deny,
+    )
+
+
+def verb_from(number: int) -> AccessVerb:
+    """Raises InvalidArgument."""
+    if number not in _VERBS_FROM:
+        raise InvalidArgument(f"this service knows no verb {number} of access; name one of AccessVerb")
+    return _VERBS_FROM[number]
+
+
+def kind_from(number: int) -> AccessKind:
+    """Raises InvalidArgument."""
+    if number not in _KINDS_FROM:
+        raise InvalidArgument(f"this service knows no kind {number} of access; name one of AccessKind")
+    return _KINDS_FROM[number]

@@ -1,0 +1,20 @@
+"""What a port must know to judge callers, as the directory tells it. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from stampede_rt_runtime.access.rules import NO_RULES, AccessRules
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AccessState:
+    """As of `version`, the log position of its last change; 0: nothing was ever set.
+
+    `token_keys`: the public keys that tokens of this cluster are signed with.
+    """
+
+    version: int = 0
+    cluster_id: str = ""
+    rules: AccessRules = field(default=NO_RULES)
+    token_keys: tuple[bytes, ...] = ()

@@ -1,0 +1,1 @@
+"""Who may do what, in the directory: rules, and the key of client tokens. Pure."""

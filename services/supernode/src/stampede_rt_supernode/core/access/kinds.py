@@ -1,0 +1,54 @@
+"""The rows of access in the command table. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt_runtime.access.rules import check_rule
+from stampede_rt_runtime.access.tokens import KEY_BYTES
+from stampede_rt_supernode.core.access.commands import (
+    AccessRuleAdded,
+    AccessRuleRemoved,
+    AddAccessRule,
+    CreateTokenKey,
+    RemoveAccessRule,
+    TokenKeyCreated,
+)
+from stampede_rt_supernode.core.access.transitions import add_access_rule, create_token_key, remove_access_rule
+from stampede_rt_supernode.core.command_kinds import CommandKind
+
+
+def _check_key(operation: CreateTokenKey) -> None:
+    if len(operation.new_token_key) != KEY_BYTES:
+        raise InvalidArgument(
+            f"the key of client tokens has {len(operation.new_token_key)} bytes; it needs {KEY_BYTES}"
+        )
+
+
+KINDS: tuple[CommandKind[Any, Any], ...] = (
+    CommandKind(
+        operation=CreateTokenKey,
+        result=TokenKeyCreated,
+        feature_level=2,
+        subject=lambda one: "",
+        check=_check_key,
+        apply=create_token_key,
+    ),
+    CommandKind(
+        operation=AddAccessRule,
+        result=AccessRuleAdded,
+        feature_level=2,
+        subject=lambda one: str(one.rule),
+        check=lambda one: check_rule(one.rule),
+        apply=add_access_rule,
+    ),
+    CommandKind(
+        operation=RemoveAccessRule,
+        result=AccessRuleRemoved,
+        feature_level=2,
+        subject=lambda one: str(one.rule),
+        check=lambda one: check_rule(one.rule),
+        apply=remove_access_rule,
+    ),
+)

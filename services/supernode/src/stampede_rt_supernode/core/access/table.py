@@ -1,0 +1,19 @@
+"""What the directory holds about access. Pure, immutable values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from stampede_rt_runtime.access.rules import NO_RULES, AccessRules
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AccessTable:
+    """As of `version`, the log position of its last change; 0: there was none.
+
+    `token_key` signs client tokens; no caller is ever told. Empty: there were none yet.
+    """
+
+    version: int = 0
+    rules: AccessRules = field(default=NO_RULES)
+    token_key: bytes = field(default=b"", repr=False)

@@ -1,0 +1,56 @@
+"""What changes the rules of access, and the key of client tokens. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt_runtime.access.rules import RULES_MAX, AccessRules
+from stampede_rt_supernode.core.access.commands import (
+    AccessRuleAdded,
+    AccessRuleRemoved,
+    AddAccessRule,
+    CreateTokenKey,
+    RemoveAccessRule,
+    TokenKeyCreated,
+)
+from stampede_rt_supernode.core.access.table import AccessTable
+from stampede_rt_supernode.core.records import AccessChange, ChangeKind
+from stampede_rt_supernode.core.state import DirectoryState
+
+
+def create_token_key(state: DirectoryState, operation: CreateTokenKey, time_unix_nano: int) -> TokenKeyCreated:
+    """The first key stays: what it has signed is to hold."""
+    if not state.access.token_key:
+        change_access(state, replace(state.access, token_key=operation.new_token_key))
+    return TokenKeyCreated(version=state.access.version)
+
+
+def add_access_rule(state: DirectoryState, operation: AddAccessRule, time_unix_nano: int) -> AccessRuleAdded:
+    """Raises InvalidArgument if there are too many."""
+    rules = state.access.rules.rules
+    if operation.rule in rules:
+        return AccessRuleAdded(added=False, version=state.access.version)
+    if len(rules) >= RULES_MAX:
+        raise InvalidArgument(
+            f"there are {RULES_MAX} rules of access, the most; use patterns, or remove some (stampede acl rm)"
+        )
+    change_access(state, replace(state.access, rules=AccessRules((*rules, operation.rule))))
+    return AccessRuleAdded(added=True, version=state.access.version)
+
+
+def remove_access_rule(state: DirectoryState, operation: RemoveAccessRule, time_unix_nano: int) -> AccessRuleRemoved:
+    """One that is not there is no error."""
+    rules = state.access.rules.rules
+    if operation.rule not in rules:
+        return AccessRuleRemoved(removed=False, version=state.access.version)
+    left = AccessRules(rule for rule in rules if rule != operation.rule)
+    change_access(state, replace(state.access, rules=left))
+    return AccessRuleRemoved(removed=True, version=state.access.version)
+
+
+def change_access(state: DirectoryState, access: AccessTable) -> None:
+    """From this log position on it is `access`, and watchers hear of it."""
+    version = state.applied_index
+    state.access = replace(access, version=version)
+    state.tables.changes.note(ChangeKind.UPDATED, AccessChange(version=version))

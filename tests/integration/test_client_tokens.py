@@ -1,0 +1,72 @@
+"""Client tokens in a running cluster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.cli.commands import run
+from stampede_rt.errors import PermissionDenied
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture()
+
+
+def issued(cluster: LocalCluster, folder: Path, name: str, *options: str) -> str:
+    file = folder / f"{name}.token"
+    assert run(["token", "issue", name, "--url", cluster.address, "--out", str(file), *options]) == 0
+    assert file.stat().st_mode & 0o077 == 0
+    return file.read_text().strip()
+
+
+def test_a_client_with_a_token_does_what_clients_do(cluster: LocalCluster, tmp_path: Path) -> None:
+    token = issued(cluster, tmp_path, "cam-1")
+    with st.connect(cluster.address, secret=token) as rt:
+        channel = rt.channel("tokens/video")
+        channel.put(b"frame")
+        assert channel.newest().payload == b"frame"
+        with rt.queue("tokens/jobs") as queue:
+            queue.put(b"job")
+
+
+def test_a_clients_token_makes_no_tokens_and_changes_no_members(
+    cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(tmp_path / "cam.token"))
+    with monkeypatch.context() as as_member:
+        as_member.setenv("STAMPEDE_SECRET_FILE", str(cluster.secret_file))
+        issued(cluster, tmp_path, "cam")
+    for words in (["token", "issue", "root"], ["supernode", "add", "localhost:1"]):
+        assert run([*words, "--url", cluster.address]) == 1
+        assert "client cam may not call" in capsys.readouterr().err
+
+
+def test_an_operators_token_makes_tokens(
+    cluster: LocalCluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    issued(cluster, tmp_path, "ops", "--role", "operator")
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(tmp_path / "ops.token"))
+    capsys.readouterr()
+    assert run(["token", "issue", "cam-2", "--url", cluster.address]) == 0
+    assert capsys.readouterr().out.startswith("stampede-token-1.")
+
+
+def test_a_token_that_is_over_or_damaged_is_refused(cluster: LocalCluster, tmp_path: Path) -> None:
+    over = issued(cluster, tmp_path, "short", "--ttl", "1ns")
+    with pytest.raises(PermissionDenied, match="the token of short is over"):
+        st.connect(cluster.address, secret=over)
+    with pytest.raises(PermissionDenied, match="not one of this cluster"):
+        st.connect(cluster.address, secret=over[:-9])
+
+
+async def test_a_stream_ends_with_its_token(cluster: LocalCluster, tmp_path: Path) -> None:
+    token = issued(cluster, tmp_path, "brief", "--ttl", "2s")
+    async with await aio.connect(cluster.address, secret=token) as rt:
+        channel = await rt.channel("tokens/brief")
+        subscription = channel.subscribe()
+        with pytest.raises(PermissionDenied, match="the token of client brief is over"):
+            await anext(subscription)
