@@ -11,6 +11,7 @@ from stampede_rt_channel_host.channels.frames import SharedMessages
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts import ChannelPuts
+from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
 from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces, at_once
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -30,9 +31,10 @@ class HostedChannel:
         on_touched: Callable[[HostedChannel], None] = lambda hosted: None,
         may_serve: Callable[[], bool] = lambda: True,
         begin: Callable[[Pieces[None]], None] = at_once,
+        limits: TimeLimits | None = None,
     ) -> None:
         """`on_touched` hears of every change; `may_serve` says whether the host has its lease; `begin` does long work
-        that nobody waits for (`PieceScheduler.begin`).
+        that nobody waits for (`PieceScheduler.begin`); `limits` are those of all gets of the host.
 
         Raises InvalidArgument if the record's policy cannot hold.
         """
@@ -45,7 +47,7 @@ class HostedChannel:
             lost_before=now() if record.epoch > 1 else None,  # it had an owner before, which took nothing along
             cut=slice_run,
         )
-        self.gets = WaitingGets(self.channel, Coming(self.channel), now, begin=begin)
+        self.gets = WaitingGets(self.channel, Coming(self.channel), now, begin=begin, limits=limits)
         self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched, may_serve)
         self.listeners = Observers(begin)  # subscriptions
         self.matches = Observers(begin)  # subscriptions to matches of its items

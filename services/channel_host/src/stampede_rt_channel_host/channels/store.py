@@ -18,6 +18,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.sweep import Sweep
+from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
@@ -39,7 +40,8 @@ LOOKUPS_MAX = 3  # each next one is asked because the host registered while the 
 class ChannelStore:
     """Every data request comes through `find`; what is new or in doubt is asked of the directory by `bind`.
 
-    `lease_held` says whether the host may serve at this moment. `scheduler` are for long work.
+    `lease_held` says whether the host may serve at this moment. `scheduler` are for long work,
+    `limits` those of all blocked gets.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class ChannelStore:
     ) -> None:
         self.lease_held = lease_held
         self.scheduler = PieceScheduler()
+        self.limits = TimeLimits(self.scheduler.begin)
         self._identity = identity
         self._directory = directory
         self._clock = clock
@@ -235,7 +238,9 @@ class ChannelStore:
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, which is the most; use another")
-        hosted = HostedChannel(record, self.memory, self.now, self.sweep.touch, self._may_serve, self.scheduler.begin)
+        hosted = HostedChannel(
+            record, self.memory, self.now, self.sweep.touch, self._may_serve, self.scheduler.begin, self.limits
+        )
         self._channels[record.channel_id] = hosted
         self._names.add((record.name, record.channel_id))
         return hosted

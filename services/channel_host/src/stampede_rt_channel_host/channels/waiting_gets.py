@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from itertools import islice
 from operator import attrgetter
 from typing import Any, Protocol
@@ -17,6 +18,7 @@ from typing import Any, Protocol
 from sortedcontainers import SortedKeyList
 
 from stampede_rt.errors import Overloaded, StampedeError
+from stampede_rt_channel_host.channels.time_limits import TimeLimit, TimeLimits
 from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
     BEFORE_ALL,
@@ -49,7 +51,7 @@ class WaitingGet:
     `arrival` and `needs` are its sort keys. `instant`: when the clock may release it.
     """
 
-    __slots__ = ("_deadline", "_on_outcome", "_waiting", "arrival", "instant", "needs", "pending")
+    __slots__ = ("_limit", "_limits", "_on_outcome", "_waiting", "arrival", "instant", "needs", "pending")
 
     def __init__(
         self, pending: Pending, waiting: WaitingGets, arrival: int, on_outcome: Callable[[Outcome], None]
@@ -60,16 +62,18 @@ class WaitingGet:
         self.instant: int | None = None
         self._waiting = waiting
         self._on_outcome = on_outcome
-        self._deadline: asyncio.TimerHandle | None = None
+        self._limits: TimeLimits | None = None
+        self._limit: TimeLimit | None = None
 
-    def limit(self, wait_nanos: int, give_up: Callable[[WaitingGet], None]) -> None:
+    def limit(self, wait_nanos: int, limits: TimeLimits, give_up: Callable[[WaitingGet], None]) -> None:
         """Give up after `wait_nanos`."""
-        self._deadline = asyncio.get_running_loop().call_later(wait_nanos / 1e9, give_up, self)
+        self._limits, self._limit = limits, limits.add(wait_nanos, partial(give_up, self))
 
     def cancel(self) -> None:
         """Forget the get; nothing of it is left behind. Idempotent."""
-        if self._deadline is not None:
-            self._deadline.cancel()
+        if self._limits is not None and self._limit is not None:
+            self._limits.remove(self._limit)
+            self._limit = None
         self._waiting.remove(self)
 
     def finish(self, outcome: Outcome) -> None:
@@ -148,14 +152,17 @@ class WaitingGets:
         now: Callable[[], int],
         cut: Callable[[], int] = lambda: AFTER_ALL,
         begin: Callable[[Pieces[None]], None] = at_once,
+        limits: TimeLimits | None = None,
     ) -> None:
-        """`begin` does long work that nobody waits for (`PieceScheduler.begin`)."""
+        """`begin` does long work that nobody waits for (`PieceScheduler.begin`); `limits` are those of all gets of the
+        host, None: they have their own."""
         self.looked_at = 0
         self._source = source
         self._coming = coming
         self._now = now
         self._cut = cut
         self._begin = begin
+        self._limits = TimeLimits(begin) if limits is None else limits
         self._arrivals = 0
         self._waiting: dict[WaitingGet, None] = {}
         self._by_need = [SortedKeyList(key=_Key(position)) for position in range(len(Needs._fields))]
@@ -186,7 +193,7 @@ class WaitingGets:
         self._put_aside(get, wake)
         self._arm()
         if wait_nanos >= 0:
-            get.limit(wait_nanos, self._give_up)
+            get.limit(wait_nanos, self._limits, self._give_up)
         return get
 
     def remove(self, get: WaitingGet) -> None:

@@ -91,7 +91,9 @@ class GroupReads:
                 member_of(group, hosted)
                 continue
             left_s = -1 if deadline_s is None else max(deadline_s - _now_s(), 0.0)
-            waiting = GroupGets.of(group, hosted, channels.now, lambda: member_of(group, hosted), channels.scheduler)
+            waiting = GroupGets.of(
+                group, hosted, channels.now, lambda: member_of(group, hosted), channels.scheduler, channels.limits
+            )
             released, cut = await waiting.wait(pending, found, round(left_s * 1e9))
             if isinstance(released, ReadAnswer):
                 return GroupAnswer(released, cut)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGets
 from stampede_rt_channel_host.core.channel import (
     BEFORE_ALL,
@@ -60,7 +61,7 @@ class _Moment:
 class GroupGets:
     """A `ChannelObserver` of the group and the channel as long as somebody waits, and a `Source` of answers.
 
-    `check` raises if the channel is no member any more; `scheduler` are for long work.
+    `check` raises if the channel is no member any more; `scheduler` are for long work, `limits` those of all gets.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class GroupGets:
         now: Callable[[], int],
         check: Callable[[], object],
         scheduler: PieceScheduler,
+        limits: TimeLimits,
     ) -> None:
         self._group = group
         self._scheduler = scheduler
@@ -77,7 +79,7 @@ class GroupGets:
         self._now = now
         self._check = check
         self._view = VisibleChannel(hosted.channel)
-        self.gets = WaitingGets(self, Coming(hosted.channel), now, self._visible_to, scheduler.begin)
+        self.gets = WaitingGets(self, Coming(hosted.channel), now, self._visible_to, scheduler.begin, limits)
 
     @classmethod
     def of(
@@ -87,10 +89,11 @@ class GroupGets:
         now: Callable[[], int],
         check: Callable[[], object],
         scheduler: PieceScheduler,
+        limits: TimeLimits,
     ) -> GroupGets:
         """Those that wait already, or nobody yet."""
         waiting = group.gets.get(hosted)
-        return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, scheduler)
+        return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, scheduler, limits)
 
     async def wait(self, pending: PendingAt, wake: WakeAt, wait_nanos: int) -> tuple[Released, int | None]:
         """Block until the get, which was just polled, is released, or its time is over; below 0: without limit. The
