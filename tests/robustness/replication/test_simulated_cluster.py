@@ -9,7 +9,7 @@ import pytest
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
-from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
+from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, HandOver
 from stampede_rt_supernode.replication.rules.proposals import Outcome
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
@@ -392,3 +392,93 @@ def is_caught(seed: int, *, rules: type = PreVoteElections, forgets: int = 0) ->
     except (PromiseBroken, InvariantViolation):
         return True
     return False
+
+
+def forking(world: World, *, leads: bool) -> tuple[SimMember, SimMember]:
+    """A member that does not know the command FORK, and leads or does not; and who leads."""
+    forked = next(iter(world.members.values()))
+    forked.forks = True
+    for member in world.members.values():
+        member.start()
+    for _ in range(50):
+        leader = leading(world)
+        if (leader is forked) is leads:
+            return forked, leader
+        assert leader.replica is not None
+        leader.replica.change_members(HandOver(lambda left: None))
+        world.run_until(world.now + 5.0, lambda leader=leader: not _leads(leader))  # type: ignore[misc]
+    raise AssertionError("it was never elected")
+
+
+def _leads(member: SimMember) -> bool:
+    return member.replica is not None and member.replica.status().is_leader
+
+
+def fork(world: World, forked: SimMember) -> None:
+    """Somebody else's caller sends the command; a state of which no command is known has no digest."""
+    other = next(one for one in world.members.values() if one is not forked and one.replica is not None)
+    for command in (b"before", FORK, b"after"):
+        outcomes = world.propose(other, command, timeout=10.0)
+        assert world.run_until(world.now + 10.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]
+
+
+def check_served(world: World, leader: SimMember) -> None:
+    world.propose(leader, b"served", timeout=5.0)
+    assert world.run_until(world.now + 5.0, lambda: b"served" in world.history.acknowledged)
+
+
+def doubts(world: World) -> list[list[str]]:
+    """Of each member that runs, whose states it holds for doubtful."""
+    return [list(one.replica.status().doubts) for one in world.members.values() if one.replica is not None]
+
+
+def diverged(member: SimMember) -> bool:
+    assert member.replica is not None
+    return member.replica.status().diverged_at > 0
+
+
+@pytest.mark.parametrize("size", [3, 5])
+def test_a_leader_whose_state_is_not_that_of_most_steps_down_and_the_others_go_on(size: int) -> None:
+    world = World(6, size=size, weather=Weather(), snapshot_every=PRODUCTION)
+    forked, _ = forking(world, leads=True)
+    fork(world, forked)
+    assert world.run_until(world.now + 3.0, lambda: diverged(forked))
+    assert world.run_until(world.now + 1.0, lambda: any(_leads(one) for one in world.members.values()))
+    other = leading(world)
+    assert other is not forked
+    check_served(world, other)
+    world.run_until(world.now + 5.0)
+    assert doubts(world) == [[]] * size
+
+
+@pytest.mark.parametrize("leads", [True, False])
+def test_while_nobody_knows_what_most_hold_states_that_differ_are_in_doubt_and_all_go_on(leads: bool) -> None:
+    world = World(7, size=3, weather=Weather(), snapshot_every=PRODUCTION)
+    forked, leader = forking(world, leads=leads)
+    one, away = (member for member in world.members.values() if member is not forked)
+    one, away = (away, one) if away is leader else (one, away)
+    away.crash()
+    fork(world, forked)
+    follower = one if leads else forked
+    assert world.run_until(world.now + 3.0, lambda: doubts(world) == [[follower.member.member_id]] * 2)
+    check_served(world, one)
+    assert not diverged(forked)
+    world.restart(away)
+    assert world.run_until(world.now + 10.0, lambda: diverged(forked))
+    assert world.run_until(world.now + 10.0, lambda: _leads(one) or _leads(away))
+    world.run_until(world.now + 3.0)
+    assert doubts(world) == [[]] * 3
+
+
+def test_a_doubt_ends_with_a_restart_that_ends_its_cause() -> None:
+    world = World(8, size=2, weather=Weather(), snapshot_every=PRODUCTION)
+    forked, _ = forking(world, leads=True)
+    fork(world, forked)
+    assert world.run_until(world.now + 3.0, lambda: any(doubts(world)))
+    forked.crash()
+    forked.forks = False
+    world.restart(forked)
+    leader = leading(world)
+    assert world.run_until(world.now + 10.0, lambda: not any(doubts(world)))
+    check_served(world, leader)
+    assert not any(doubts(world))

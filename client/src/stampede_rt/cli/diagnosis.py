@@ -16,8 +16,18 @@ STORE_ADVICE = (
     "start it with its latest data folder, or, if that is lost, remove it (stampede supernode remove) and "
     "let it join under a new id (runbook: replace one)"
 )
-# In the words of a supernode whose state is not the leader's.
-DIVERGED = "differs from the leader's"
+# In the words of a supernode whose state is not that of most members.
+DIVERGED = "differs from that of most members"
+# In the words about a supernode whose state is not the leader's, while nobody knows the state of most members.
+DOUBTFUL = "differs from that of the leader"
+IN_DOUBT = "in doubt"
+REFUSED_BY = " (says "  # follows each reason for which a supernode is refused
+DOUBT_ADVICE = (
+    "it goes on serving. Start the supernodes that are down, if any: then most may agree. Otherwise start this one and "
+    "the leader again, one after the other, with their data folders: an error in memory alone is gone then. If the "
+    "doubt stays, remove the one whose release or machine you trust less (stampede supernode remove), and let it join "
+    "under a new id"
+)
 # In the words about a supernode whose release does not know the cluster's feature level.
 TOO_OLD = "is of a release that is too old"
 REPLACE_ADVICE = (
@@ -39,6 +49,8 @@ def refusal(why: str) -> tuple[str, str]:
     """The state of a supernode that others refuse for `why`, or that refuses to serve; and what to do."""
     if DIVERGED in why:
         return "diverged", f"{why}; {REPLACE_ADVICE}"
+    if DOUBTFUL in why and REFUSED_BY not in why:
+        return IN_DOUBT, f"{why}; {DOUBT_ADVICE}"
     if TOO_OLD in why:
         return "release refused", f"{why}; start it with the release of the others and the same data folder"
     return "store refused", f"{why}; {STORE_ADVICE}"

@@ -13,7 +13,7 @@ from typing import Any
 from stampede_rt.administration.options import add_cluster_options
 from stampede_rt.administration.running_cluster import Cluster, is_there, no_member, reached
 from stampede_rt.cli.backup_file import write_backup
-from stampede_rt.cli.diagnosis import gathered, level_finding, refusal
+from stampede_rt.cli.diagnosis import IN_DOUBT, gathered, level_finding, refusal
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.cli.terminal import TerminalParser
 from stampede_rt.errors import StampedeError, Unavailable
@@ -91,7 +91,7 @@ def _run_status(arguments: argparse.Namespace) -> int:
     refused = gathered(pong.refused_supernodes for pong in heard)
     rows = [_row(record, *pongs[record.supernode_id], refused, arguments.output) for record in listed.supernodes]
     print_rows(rows, arguments.output, none="no supernode")
-    serving = sum(row["state"] in SERVING for row in rows)
+    serving = sum(row["state"] in (*SERVING, IN_DOUBT) for row in rows)
     enough = 2 * serving > len(rows)
     if arguments.output == "table":
         verdict = "a majority serves" if enough else f"no majority: start supernodes until {len(rows) // 2 + 1} serve"
@@ -99,7 +99,8 @@ def _run_status(arguments: argparse.Namespace) -> int:
         levels = {row["supernode"]: row["highest_feature_level"] for row in rows}
         print(_level_line(max(_cluster_levels(pongs), default=listed.feature_level), levels))
         for name, why in sorted(refused.items()):
-            print(f"{name} is refused: {refusal(why)[1]}.")
+            state, advice = refusal(why)
+            print(f"{name} is {IN_DOUBT if state == IN_DOUBT else 'refused'}: {advice}.")
         if serving < len(rows):
             print("`stampede doctor` says why the others do not.")
     return 0 if enough else FAILED

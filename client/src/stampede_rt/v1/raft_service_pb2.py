@@ -24,15 +24,15 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n!stampede_rt/v1/raft_service.proto\x12\x0estampede_rt.v1\"u\n\x1aRaftServiceExchangeRequest\x12(\n\x05hello\x18\x01 \x01(\x0b\x32\x19.stampede_rt.v1.RaftHello\x12-\n\x08messages\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.RaftMessage\"|\n\x1bRaftServiceExchangeResponse\x12\x18\n\x10protocol_version\x18\x01 \x01(\r\x12+\n\x07members\x18\x02 \x03(\x0b\x32\x1a.stampede_rt.v1.RaftMember\x12\x16\n\x0eunknown_caller\x18\x03 \x01(\x08\"0\n\nRaftMember\x12\x11\n\tmember_id\x18\x01 \x01(\t\x12\x0f\n\x07\x61\x64\x64ress\x18\x02 \x01(\t\"\x8d\x01\n\x11RaftConfiguration\x12+\n\x07members\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.RaftMember\x12\x13\n\x0bretired_ids\x18\x02 \x03(\t\x12\x36\n\rspent_tickets\x18\x03 \x03(\x0b\x32\x1f.stampede_rt.v1.RaftSpentTicket\";\n\x0fRaftSpentTicket\x12\x15\n\rticket_sha256\x18\x01 \x01(\t\x12\x11\n\tmember_id\x18\x02 \x01(\t\"\xcc\x01\n\tRaftHello\x12\x12\n\ncluster_id\x18\x01 \x01(\t\x12\x11\n\tmember_id\x18\x02 \x01(\t\x12\x16\n\x0epeer_member_id\x18\x03 \x01(\t\x12\x18\n\x10protocol_version\x18\x04 \x01(\r\x12\x10\n\x08store_id\x18\x05 \x01(\t\x12\x0c\n\x04term\x18\x06 \x01(\x04\x12\x16\n\x0elast_log_index\x18\x07 \x01(\x04\x12\x0f\n\x07\x61\x64\x64ress\x18\x08 \x01(\t\x12\x1d\n\x15highest_feature_level\x18\t \x01(\r\"\xc5\x04\n\x0bRaftMessage\x12;\n\x0e\x61ppend_entries\x18\x01 \x01(\x0b\x32!.stampede_rt.v1.RaftAppendEntriesH\x00\x12\x37\n\x0c\x61ppend_reply\x18\x02 \x01(\x0b\x32\x1f.stampede_rt.v1.RaftAppendReplyH\x00\x12\x37\n\x0cvote_request\x18\x03 \x01(\x0b\x32\x1f.stampede_rt.v1.RaftVoteRequestH\x00\x12\x33\n\nvote_reply\x18\x04 \x01(\x0b\x32\x1d.stampede_rt.v1.RaftVoteReplyH\x00\x12\x41\n\x11\x66orwarded_command\x18\x05 \x01(\x0b\x32$.stampede_rt.v1.RaftForwardedCommandH\x00\x12L\n\x17\x66orwarded_command_reply\x18\x06 \x01(\x0b\x32).stampede_rt.v1.RaftForwardedCommandReplyH\x00\x12\x42\n\x12read_index_request\x18\x07 \x01(\x0b\x32$.stampede_rt.v1.RaftReadIndexRequestH\x00\x12>\n\x10read_index_reply\x18\x08 \x01(\x0b\x32\".stampede_rt.v1.RaftReadIndexReplyH\x00\x12\x35\n\x0btimeout_now\x18\t \x01(\x0b\x32\x1e.stampede_rt.v1.RaftTimeoutNowH\x00\x42\x06\n\x04kind\"@\n\x0cRaftLogEntry\x12\x11\n\tlog_index\x18\x01 \x01(\x04\x12\x0c\n\x04term\x18\x02 \x01(\x04\x12\x0f\n\x07\x63ommand\x18\x03 \x01(\x0c\"\xa1\x02\n\x11RaftAppendEntries\x12\x0c\n\x04term\x18\x01 \x01(\x04\x12\x14\n\x0c\x63ommit_index\x18\x02 \x01(\x04\x12\r\n\x05round\x18\x03 \x01(\x04\x12\x1a\n\x12previous_log_index\x18\x04 \x01(\x04\x12\x19\n\x11previous_log_term\x18\x05 \x01(\x04\x12-\n\x07\x65ntries\x18\x06 \x03(\x0b\x32\x1c.stampede_rt.v1.RaftLogEntry\x12\x1b\n\x13installing_snapshot\x18\x07 \x01(\x08\x12\x30\n\x05\x63hunk\x18\x08 \x01(\x0b\x32!.stampede_rt.v1.RaftSnapshotChunk\x12\x14\n\x0c\x64igest_index\x18\t \x01(\x04\x12\x0e\n\x06\x64igest\x18\n \x01(\x0c\"t\n\x11RaftSnapshotChunk\x12\x16\n\x0elast_log_index\x18\x01 \x01(\x04\x12\x14\n\x0coffset_bytes\x18\x02 \x01(\x04\x12\x13\n\x0btotal_bytes\x18\x03 \x01(\x04\x12\x0e\n\x06sha256\x18\x04 \x01(\x0c\x12\x0c\n\x04\x64\x61ta\x18\x05 \x01(\x0c\"b\n\x0fRaftAppendReply\x12\x0c\n\x04term\x18\x01 \x01(\x04\x12\r\n\x05round\x18\x02 \x01(\x04\x12\x12\n\nnext_index\x18\x03 \x01(\x04\x12\r\n\x05reset\x18\x04 \x01(\x08\x12\x0f\n\x07success\x18\x05 \x01(\x08\"]\n\x0fRaftVoteRequest\x12\x0c\n\x04term\x18\x01 \x01(\x04\x12\x16\n\x0elast_log_index\x18\x02 \x01(\x04\x12\x15\n\rlast_log_term\x18\x03 \x01(\x04\x12\r\n\x05trial\x18\x04 \x01(\x08\"@\n\rRaftVoteReply\x12\x0c\n\x04term\x18\x01 \x01(\x04\x12\r\n\x05trial\x18\x02 \x01(\x08\x12\x12\n\nvoter_term\x18\x03 \x01(\x04\"\x1e\n\x0eRaftTimeoutNow\x12\x0c\n\x04term\x18\x01 \x01(\x04\";\n\x14RaftForwardedCommand\x12\x12\n\nrequest_id\x18\x01 \x01(\x04\x12\x0f\n\x07\x63ommand\x18\x02 \x01(\x0c\"\x82\x01\n\x19RaftForwardedCommandReply\x12\x12\n\nrequest_id\x18\x01 \x01(\x04\x12,\n\x07refusal\x18\x02 \x01(\x0e\x32\x1b.stampede_rt.v1.RaftRefusal\x12\x11\n\tlog_index\x18\x03 \x01(\x04\x12\x10\n\x08log_term\x18\x04 \x01(\x04\"*\n\x14RaftReadIndexRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x04\"<\n\x12RaftReadIndexReply\x12\x12\n\nrequest_id\x18\x01 \x01(\x04\x12\x12\n\nread_index\x18\x02 \x01(\x04\"\xc7\x01\n\x0cRaftSnapshot\x12.\n\x08previous\x18\x01 \x01(\x0b\x32\x1c.stampede_rt.v1.RaftLogEntry\x12*\n\x04last\x18\x02 \x01(\x0b\x32\x1c.stampede_rt.v1.RaftLogEntry\x12\x12\n\nmember_ids\x18\x03 \x03(\t\x12\r\n\x05state\x18\x04 \x01(\x0c\x12\x38\n\rconfiguration\x18\x05 \x01(\x0b\x32!.stampede_rt.v1.RaftConfiguration*\x9f\x01\n\x0bRaftRefusal\x12\x1c\n\x18RAFT_REFUSAL_UNSPECIFIED\x10\x00\x12\x1b\n\x17RAFT_REFUSAL_QUEUE_FULL\x10\x01\x12\x1f\n\x1bRAFT_REFUSAL_MISSING_LEADER\x10\x02\x12\x1b\n\x17RAFT_REFUSAL_NOT_LEADER\x10\x03\x12\x17\n\x13RAFT_REFUSAL_DENIED\x10\x04\x32v\n\x0bRaftService\x12g\n\x08\x45xchange\x12*.stampede_rt.v1.RaftServiceExchangeRequest\x1a+.stampede_rt.v1.RaftServiceExchangeResponse(\x01\x30\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n!stampede_rt/v1/raft_service.proto\x12\x0estampede_rt.v1\"u\n\x1aRaftServiceExchangeRequest\x12(\n\x05hello\x18\x01 \x01(\x0b\x32\x19.stampede_rt.v1.RaftHello\x12-\n\x08messages\x18\x02 \x03(\x0b\x32\x1b.stampede_rt.v1.RaftMessage\"|\n\x1bRaftServiceExchangeResponse\x12\x18\n\x10protocol_version\x18\x01 \x01(\r\x12+\n\x07members\x18\x02 \x03(\x0b\x32\x1a.stampede_rt.v1.RaftMember\x12\x16\n\x0eunknown_caller\x18\x03 \x01(\x08\"0\n\nRaftMember\x12\x11\n\tmember_id\x18\x01 \x01(\t\x12\x0f\n\x07\x61\x64\x64ress\x18\x02 \x01(\t\"\x8d\x01\n\x11RaftConfiguration\x12+\n\x07members\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.RaftMember\x12\x13\n\x0bretired_ids\x18\x02 \x03(\t\x12\x36\n\rspent_tickets\x18\x03 \x03(\x0b\x32\x1f.stampede_rt.v1.RaftSpentTicket\";\n\x0fRaftSpentTicket\x12\x15\n\rticket_sha256\x18\x01 \x01(\t\x12\x11\n\tmember_id\x18\x02 \x01(\t\"\xcc\x01\n\tRaftHello\x12\x12\n\ncluster_id\x18\x01 \x01(\t\x12\x11\n\tmember_id\x18\x02 \x01(\t\x12\x16\n\x0epeer_member_id\x18\x03 \x01(\t\x12\x18\n\x10protocol_version\x18\x04 \x01(\r\x12\x10\n\x08store_id\x18\x05 \x01(\t\x12\x0c\n\x04term\x18\x06 \x01(\x04\x12\x16\n\x0elast_log_index\x18\x07 \x01(\x04\x12\x0f\n\x07\x61\x64\x64ress\x18\x08 \x01(\t\x12\x1d\n\x15highest_feature_level\x18\t \x01(\r\"\xc5\x04\n\x0bRaftMessage\x12;\n\x0e\x61ppend_entries\x18\x01 \x01(\x0b\x32!.stampede_rt.v1.RaftAppendEntriesH\x00\x12\x37\n\x0c\x61ppend_reply\x18\x02 \x01(\x0b\x32\x1f.stampede_rt.v1.RaftAppendReplyH\x00\x12\x37\n\x0cvote_request\x18\x03 \x01(\x0b\x32\x1f.stampede_rt.v1.RaftVoteRequestH\x00\x12\x33\n\nvote_reply\x18\x04 \x01(\x0b\x32\x1d.stampede_rt.v1.RaftVoteReplyH\x00\x12\x41\n\x11\x66orwarded_command\x18\x05 \x01(\x0b\x32$.stampede_rt.v1.RaftForwardedCommandH\x00\x12L\n\x17\x66orwarded_command_reply\x18\x06 \x01(\x0b\x32).stampede_rt.v1.RaftForwardedCommandReplyH\x00\x12\x42\n\x12read_index_request\x18\x07 \x01(\x0b\x32$.stampede_rt.v1.RaftReadIndexRequestH\x00\x12>\n\x10read_index_reply\x18\x08 \x01(\x0b\x32\".stampede_rt.v1.RaftReadIndexReplyH\x00\x12\x35\n\x0btimeout_now\x18\t \x01(\x0b\x32\x1e.stampede_rt.v1.RaftTimeoutNowH\x00\x42\x06\n\x04kind\"@\n\x0cRaftLogEntry\x12\x11\n\tlog_index\x18\x01 \x01(\x04\x12\x0c\n\x04term\x18\x02 \x01(\x04\x12\x0f\n\x07\x63ommand\x18\x03 \x01(\x0c\"\xd1\x02\n\x11RaftAppendEntries\x12\x0c\n\x04term\x18\x01 \x01(\x04\x12\x14\n\x0c\x63ommit_index\x18\x02 \x01(\x04\x12\r\n\x05round\x18\x03 \x01(\x04\x12\x1a\n\x12previous_log_index\x18\x04 \x01(\x04\x12\x19\n\x11previous_log_term\x18\x05 \x01(\x04\x12-\n\x07\x65ntries\x18\x06 \x03(\x0b\x32\x1c.stampede_rt.v1.RaftLogEntry\x12\x1b\n\x13installing_snapshot\x18\x07 \x01(\x08\x12\x30\n\x05\x63hunk\x18\x08 \x01(\x0b\x32!.stampede_rt.v1.RaftSnapshotChunk\x12\x14\n\x0c\x64igest_index\x18\t \x01(\x04\x12\x0e\n\x06\x64igest\x18\n \x01(\x0c\x12\x19\n\x11most_digest_index\x18\x0b \x01(\x04\x12\x13\n\x0bmost_digest\x18\x0c \x01(\x0c\"t\n\x11RaftSnapshotChunk\x12\x16\n\x0elast_log_index\x18\x01 \x01(\x04\x12\x14\n\x0coffset_bytes\x18\x02 \x01(\x04\x12\x13\n\x0btotal_bytes\x18\x03 \x01(\x04\x12\x0e\n\x06sha256\x18\x04 \x01(\x0c\x12\x0c\n\x04\x64\x61ta\x18\x05 \x01(\x0c\"\x88\x01\n\x0fRaftAppendReply\x12\x0c\n\x04term\x18\x01 \x01(\x04\x12\r\n\x05round\x18\x02 \x01(\x04\x12\x12\n\nnext_index\x18\x03 \x01(\x04\x12\r\n\x05reset\x18\x04 \x01(\x08\x12\x0f\n\x07success\x18\x05 \x01(\x08\x12\x14\n\x0c\x64igest_index\x18\x06 \x01(\x04\x12\x0e\n\x06\x64igest\x18\x07 \x01(\x0c\"]\n\x0fRaftVoteRequest\x12\x0c\n\x04term\x18\x01 \x01(\x04\x12\x16\n\x0elast_log_index\x18\x02 \x01(\x04\x12\x15\n\rlast_log_term\x18\x03 \x01(\x04\x12\r\n\x05trial\x18\x04 \x01(\x08\"@\n\rRaftVoteReply\x12\x0c\n\x04term\x18\x01 \x01(\x04\x12\r\n\x05trial\x18\x02 \x01(\x08\x12\x12\n\nvoter_term\x18\x03 \x01(\x04\"\x1e\n\x0eRaftTimeoutNow\x12\x0c\n\x04term\x18\x01 \x01(\x04\";\n\x14RaftForwardedCommand\x12\x12\n\nrequest_id\x18\x01 \x01(\x04\x12\x0f\n\x07\x63ommand\x18\x02 \x01(\x0c\"\x82\x01\n\x19RaftForwardedCommandReply\x12\x12\n\nrequest_id\x18\x01 \x01(\x04\x12,\n\x07refusal\x18\x02 \x01(\x0e\x32\x1b.stampede_rt.v1.RaftRefusal\x12\x11\n\tlog_index\x18\x03 \x01(\x04\x12\x10\n\x08log_term\x18\x04 \x01(\x04\"*\n\x14RaftReadIndexRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x04\"<\n\x12RaftReadIndexReply\x12\x12\n\nrequest_id\x18\x01 \x01(\x04\x12\x12\n\nread_index\x18\x02 \x01(\x04\"\xc7\x01\n\x0cRaftSnapshot\x12.\n\x08previous\x18\x01 \x01(\x0b\x32\x1c.stampede_rt.v1.RaftLogEntry\x12*\n\x04last\x18\x02 \x01(\x0b\x32\x1c.stampede_rt.v1.RaftLogEntry\x12\x12\n\nmember_ids\x18\x03 \x03(\t\x12\r\n\x05state\x18\x04 \x01(\x0c\x12\x38\n\rconfiguration\x18\x05 \x01(\x0b\x32!.stampede_rt.v1.RaftConfiguration*\x9f\x01\n\x0bRaftRefusal\x12\x1c\n\x18RAFT_REFUSAL_UNSPECIFIED\x10\x00\x12\x1b\n\x17RAFT_REFUSAL_QUEUE_FULL\x10\x01\x12\x1f\n\x1bRAFT_REFUSAL_MISSING_LEADER\x10\x02\x12\x1b\n\x17RAFT_REFUSAL_NOT_LEADER\x10\x03\x12\x17\n\x13RAFT_REFUSAL_DENIED\x10\x04\x32v\n\x0bRaftService\x12g\n\x08\x45xchange\x12*.stampede_rt.v1.RaftServiceExchangeRequest\x1a+.stampede_rt.v1.RaftServiceExchangeResponse(\x01\x30\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.raft_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_RAFTREFUSAL']._serialized_start=2616
-  _globals['_RAFTREFUSAL']._serialized_end=2775
+  _globals['_RAFTREFUSAL']._serialized_start=2703
+  _globals['_RAFTREFUSAL']._serialized_end=2862
   _globals['_RAFTSERVICEEXCHANGEREQUEST']._serialized_start=53
   _globals['_RAFTSERVICEEXCHANGEREQUEST']._serialized_end=170
   _globals['_RAFTSERVICEEXCHANGERESPONSE']._serialized_start=172
@@ -50,27 +50,27 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_RAFTLOGENTRY']._serialized_start=1344
   _globals['_RAFTLOGENTRY']._serialized_end=1408
   _globals['_RAFTAPPENDENTRIES']._serialized_start=1411
-  _globals['_RAFTAPPENDENTRIES']._serialized_end=1700
-  _globals['_RAFTSNAPSHOTCHUNK']._serialized_start=1702
-  _globals['_RAFTSNAPSHOTCHUNK']._serialized_end=1818
-  _globals['_RAFTAPPENDREPLY']._serialized_start=1820
-  _globals['_RAFTAPPENDREPLY']._serialized_end=1918
-  _globals['_RAFTVOTEREQUEST']._serialized_start=1920
-  _globals['_RAFTVOTEREQUEST']._serialized_end=2013
-  _globals['_RAFTVOTEREPLY']._serialized_start=2015
-  _globals['_RAFTVOTEREPLY']._serialized_end=2079
-  _globals['_RAFTTIMEOUTNOW']._serialized_start=2081
-  _globals['_RAFTTIMEOUTNOW']._serialized_end=2111
-  _globals['_RAFTFORWARDEDCOMMAND']._serialized_start=2113
-  _globals['_RAFTFORWARDEDCOMMAND']._serialized_end=2172
-  _globals['_RAFTFORWARDEDCOMMANDREPLY']._serialized_start=2175
-  _globals['_RAFTFORWARDEDCOMMANDREPLY']._serialized_end=2305
-  _globals['_RAFTREADINDEXREQUEST']._serialized_start=2307
-  _globals['_RAFTREADINDEXREQUEST']._serialized_end=2349
-  _globals['_RAFTREADINDEXREPLY']._serialized_start=2351
-  _globals['_RAFTREADINDEXREPLY']._serialized_end=2411
-  _globals['_RAFTSNAPSHOT']._serialized_start=2414
-  _globals['_RAFTSNAPSHOT']._serialized_end=2613
-  _globals['_RAFTSERVICE']._serialized_start=2777
-  _globals['_RAFTSERVICE']._serialized_end=2895
+  _globals['_RAFTAPPENDENTRIES']._serialized_end=1748
+  _globals['_RAFTSNAPSHOTCHUNK']._serialized_start=1750
+  _globals['_RAFTSNAPSHOTCHUNK']._serialized_end=1866
+  _globals['_RAFTAPPENDREPLY']._serialized_start=1869
+  _globals['_RAFTAPPENDREPLY']._serialized_end=2005
+  _globals['_RAFTVOTEREQUEST']._serialized_start=2007
+  _globals['_RAFTVOTEREQUEST']._serialized_end=2100
+  _globals['_RAFTVOTEREPLY']._serialized_start=2102
+  _globals['_RAFTVOTEREPLY']._serialized_end=2166
+  _globals['_RAFTTIMEOUTNOW']._serialized_start=2168
+  _globals['_RAFTTIMEOUTNOW']._serialized_end=2198
+  _globals['_RAFTFORWARDEDCOMMAND']._serialized_start=2200
+  _globals['_RAFTFORWARDEDCOMMAND']._serialized_end=2259
+  _globals['_RAFTFORWARDEDCOMMANDREPLY']._serialized_start=2262
+  _globals['_RAFTFORWARDEDCOMMANDREPLY']._serialized_end=2392
+  _globals['_RAFTREADINDEXREQUEST']._serialized_start=2394
+  _globals['_RAFTREADINDEXREQUEST']._serialized_end=2436
+  _globals['_RAFTREADINDEXREPLY']._serialized_start=2438
+  _globals['_RAFTREADINDEXREPLY']._serialized_end=2498
+  _globals['_RAFTSNAPSHOT']._serialized_start=2501
+  _globals['_RAFTSNAPSHOT']._serialized_end=2700
+  _globals['_RAFTSERVICE']._serialized_start=2864
+  _globals['_RAFTSERVICE']._serialized_end=2982
 # @@protoc_insertion_point(module_scope)

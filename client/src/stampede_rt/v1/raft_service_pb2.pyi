@@ -119,7 +119,7 @@ class RaftLogEntry(_message.Message):
     def __init__(self, log_index: _Optional[int] = ..., term: _Optional[int] = ..., command: _Optional[bytes] = ...) -> None: ...
 
 class RaftAppendEntries(_message.Message):
-    __slots__ = ("term", "commit_index", "round", "previous_log_index", "previous_log_term", "entries", "installing_snapshot", "chunk", "digest_index", "digest")
+    __slots__ = ("term", "commit_index", "round", "previous_log_index", "previous_log_term", "entries", "installing_snapshot", "chunk", "digest_index", "digest", "most_digest_index", "most_digest")
     TERM_FIELD_NUMBER: _ClassVar[int]
     COMMIT_INDEX_FIELD_NUMBER: _ClassVar[int]
     ROUND_FIELD_NUMBER: _ClassVar[int]
@@ -130,6 +130,8 @@ class RaftAppendEntries(_message.Message):
     CHUNK_FIELD_NUMBER: _ClassVar[int]
     DIGEST_INDEX_FIELD_NUMBER: _ClassVar[int]
     DIGEST_FIELD_NUMBER: _ClassVar[int]
+    MOST_DIGEST_INDEX_FIELD_NUMBER: _ClassVar[int]
+    MOST_DIGEST_FIELD_NUMBER: _ClassVar[int]
     term: int
     commit_index: int
     round: int
@@ -140,7 +142,9 @@ class RaftAppendEntries(_message.Message):
     chunk: RaftSnapshotChunk
     digest_index: int
     digest: bytes
-    def __init__(self, term: _Optional[int] = ..., commit_index: _Optional[int] = ..., round: _Optional[int] = ..., previous_log_index: _Optional[int] = ..., previous_log_term: _Optional[int] = ..., entries: _Optional[_Iterable[_Union[RaftLogEntry, _Mapping]]] = ..., installing_snapshot: bool = ..., chunk: _Optional[_Union[RaftSnapshotChunk, _Mapping]] = ..., digest_index: _Optional[int] = ..., digest: _Optional[bytes] = ...) -> None: ...
+    most_digest_index: int
+    most_digest: bytes
+    def __init__(self, term: _Optional[int] = ..., commit_index: _Optional[int] = ..., round: _Optional[int] = ..., previous_log_index: _Optional[int] = ..., previous_log_term: _Optional[int] = ..., entries: _Optional[_Iterable[_Union[RaftLogEntry, _Mapping]]] = ..., installing_snapshot: bool = ..., chunk: _Optional[_Union[RaftSnapshotChunk, _Mapping]] = ..., digest_index: _Optional[int] = ..., digest: _Optional[bytes] = ..., most_digest_index: _Optional[int] = ..., most_digest: _Optional[bytes] = ...) -> None: ...
 
 class RaftSnapshotChunk(_message.Message):
     __slots__ = ("last_log_index", "offset_bytes", "total_bytes", "sha256", "data")
@@ -157,18 +161,22 @@ class RaftSnapshotChunk(_message.Message):
     def __init__(self, last_log_index: _Optional[int] = ..., offset_bytes: _Optional[int] = ..., total_bytes: _Optional[int] = ..., sha256: _Optional[bytes] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class RaftAppendReply(_message.Message):
-    __slots__ = ("term", "round", "next_index", "reset", "success")
+    __slots__ = ("term", "round", "next_index", "reset", "success", "digest_index", "digest")
     TERM_FIELD_NUMBER: _ClassVar[int]
     ROUND_FIELD_NUMBER: _ClassVar[int]
     NEXT_INDEX_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
     SUCCESS_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_INDEX_FIELD_NUMBER: _ClassVar[int]
+    DIGEST_FIELD_NUMBER: _ClassVar[int]
     term: int
     round: int
     next_index: int
     reset: bool
     success: bool
-    def __init__(self, term: _Optional[int] = ..., round: _Optional[int] = ..., next_index: _Optional[int] = ..., reset: bool = ..., success: bool = ...) -> None: ...
+    digest_index: int
+    digest: bytes
+    def __init__(self, term: _Optional[int] = ..., round: _Optional[int] = ..., next_index: _Optional[int] = ..., reset: bool = ..., success: bool = ..., digest_index: _Optional[int] = ..., digest: _Optional[bytes] = ...) -> None: ...
 
 class RaftVoteRequest(_message.Message):
     __slots__ = ("term", "last_log_index", "last_log_term", "trial")

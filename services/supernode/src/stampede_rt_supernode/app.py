@@ -250,7 +250,7 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
 
 
 async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
-    """End all watches, and say why, once the state differs from the leader's. The log is sound: it goes on counting."""
+    """End all watches, and say why, once the state differs from that of most. The log is sound: it goes on counting."""
     told = False
     while not server.stopping.is_set():
         await asyncio.sleep(HEALTH_SECONDS)

@@ -13,8 +13,16 @@ from stampede_rt_supernode.replication.interface import Member, ReplicatedLog, R
 def why_diverged(status: ReplicationStatus) -> str:
     """In one sentence."""
     return (
-        f"the state of {status.self_id!r} differs from the leader's at log position {status.diverged_at}, as after a "
-        "release that did not know all commands, or damaged memory"
+        f"the state of {status.self_id!r} differs from that of most members at log position {status.diverged_at}, as "
+        "after a release that did not know all commands, or damaged memory"
+    )
+
+
+def why_in_doubt(member_id: str, log_index: int) -> str:
+    """In one sentence."""
+    return (
+        f"the state of {member_id!r} differs from that of the leader at log position {log_index}, and neither is known "
+        "to be that of most members, so that nobody can say which is right"
     )
 
 
@@ -42,14 +50,15 @@ class Members:
         return founded and status.leader_id is not None and not status.diverged_at
 
     def refused(self) -> Mapping[str, str]:
-        """Members whose stores this one refuses, and itself, if others refuse it or its state differs;
-        why, and who says so.
+        """Members whose stores this one refuses, or whose states are in doubt, and itself, if others refuse it or its
+        state differs; why, and who says so.
         """
         status = self._log.status()
         told = {name: f"{why} (says {status.self_id})" for name, why in status.refused.items()}
         by = "; ".join(f"{why} (says {name})" for name, why in sorted(status.refused_by.items()))
         own = why_diverged(status) if status.diverged_at else by
-        return {**told, status.self_id: own} if own else told
+        doubts = {name: why_in_doubt(name, at) for name, at in status.doubts.items()}
+        return {**doubts, **told, **({status.self_id: own} if own else {})}
 
     def records(self) -> tuple[list[directory_pb2.SupernodeRecord], int]:
         """Every member, in the order of ids, and the term of the consensus."""

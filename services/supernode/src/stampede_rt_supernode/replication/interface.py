@@ -75,8 +75,9 @@ class ReplicationStatus:
     `has_lost_store`: that it was here before with another store, or lacks one; `has_old_store`: that its store lacks
     what it has promised. `refused_by`: which members say one of these or `too_old`, and their words.
     `other_cluster`: what one said that is of another cluster. `refused`: by id, why this one does not
-    take the store with which another member came last. `diverged_at`:
-    where this one's state was found to differ from the leader's; 0: nowhere. `feature_level` is the state's,
+    take the store with which another member came last. `diverged_at`: where this one's state was found to differ from
+    that of most members; 0: nowhere. `doubts`: by id, where a member's state (this one's, or, at a leader, those of
+    others) was found to differ from the leader's, while nobody knows what most hold. `feature_level` is the state's,
     `highest_levels` what each member has told of its release, this one included. `too_old`: what the leader, or most of
     the others, say of this one's release, which does not know the cluster's level. `retired`: ids that were members,
     and never come back.
@@ -94,6 +95,7 @@ class ReplicationStatus:
     has_old_store: bool = False
     other_cluster: str = ""
     diverged_at: int = 0
+    doubts: Mapping[str, int] = field(default_factory=dict)
     refused: Mapping[str, str] = field(default_factory=dict)
     feature_level: int = 1
     highest_levels: Mapping[str, int] = field(default_factory=dict)

@@ -194,6 +194,7 @@ class RaftReplica:
         self._take_in()
         self._node.keeper.begin_step()
         self._at_risk(self._node.install_opened)
+        self._node.step_down_if_diverged()
         self._node.before_tick()
         confirm = self._node.reads.start_round()
         self._node.tick()
@@ -296,6 +297,7 @@ class RaftReplica:
             applied_index=node.last_applied,
             members=members,
             diverged_at=node.digests.diverged_at,
+            doubts=node.doubts(),
             feature_level=self._state_machine.feature_level,
             highest_levels=node.known_levels(),
         )

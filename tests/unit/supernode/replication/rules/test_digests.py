@@ -1,4 +1,4 @@
-"""A state from a snapshot without a digest: it goes on from the leader's, and is compared from there on."""
+"""Whose state differs from that of most members, and how a state without a digest comes to one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_supernode.codecs.command_codec import encode_command
 from stampede_rt_supernode.core.commands import Command, Operation
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.rules.digests import Digests
+from stampede_rt_supernode.replication.rules.digests import DigestPoll, Digests
+from stampede_rt_supernode.replication.wire.messages import NO_DIGEST
 from tests.unit.supernode.operations import begin_tenure, id_of, open_channel, register
 
 UNKNOWN = b"\xff\xff what this release does not know"
@@ -54,7 +55,9 @@ def snapshot_at(index: int, *, with_digest: bool) -> bytes:
 def test_a_snapshot_of_this_release_is_compared_where_it_ends() -> None:
     follower = Follower(snapshot_at(2, with_digest=True))
     follower.digests.told(2, b"another state's")
-    assert follower.digests.diverged_at == 2
+    assert (follower.digests.doubtful_at, follower.digests.diverged_at) == (2, 0)
+    follower.digests.told_of_most(2, b"another state's")
+    assert (follower.digests.doubtful_at, follower.digests.diverged_at) == (0, 2)
 
 
 @pytest.mark.parametrize("ahead", [0, 1, 2])
@@ -78,7 +81,7 @@ def test_what_differs_after_the_first_digest_that_follows_is_found() -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
     follower.digests.told(*leader_at(2).digest())
     follower.apply(3, UNKNOWN)
-    follower.digests.told(*leader_at(3).digest())
+    follower.digests.told_of_most(*leader_at(3).digest())
     assert follower.digests.diverged_at == 3
 
 
@@ -92,3 +95,84 @@ def test_a_digest_of_where_the_state_is_no_more_is_not_taken_over() -> None:
     follower.digests.told(*leader_at(3).digest())
     assert follower.replica.digest() == leader_at(3).digest()
     assert follower.digests.diverged_at == 0
+
+
+ONE, OTHER = b"one state", b"another one"
+
+
+def polled(asked: bytes, answers: dict[str, bytes], *, voters: int) -> DigestPoll:
+    """A leader's poll at position 7 among so many other voters, "a", "b", ..."""
+    poll = DigestPoll()
+    poll.ask(0.0, (7, asked), [])
+    for name, digest in answers.items():
+        poll.answered(name, (7, digest), "abcdef"[:voters])
+    return poll
+
+
+@pytest.mark.parametrize(
+    ("answers", "voters", "of_most"),
+    [
+        ({}, 0, ONE),
+        ({}, 1, b""),
+        ({"a": OTHER}, 1, b""),
+        ({"a": OTHER}, 2, b""),
+        ({"a": OTHER, "b": OTHER}, 2, OTHER),
+        ({"a": OTHER, "b": ONE}, 2, ONE),
+        ({"a": OTHER, "b": OTHER}, 3, b""),
+        ({"a": OTHER, "b": OTHER, "c": ONE}, 3, b""),
+        ({"a": OTHER, "b": OTHER, "c": OTHER}, 3, OTHER),
+        ({"a": OTHER, "b": OTHER, "x": OTHER}, 3, b""),
+    ],
+)
+def test_what_more_than_half_of_all_voters_hold_is_right_whoever_leads(
+    answers: dict[str, bytes], voters: int, of_most: bytes
+) -> None:
+    assert polled(ONE, answers, voters=voters).of_most("abcdef"[:voters])[1] == of_most
+
+
+def test_who_differs_from_the_leader_is_in_doubt_until_most_agree() -> None:
+    poll = polled(ONE, {"a": OTHER}, voters=2)
+    assert poll.doubts == {"a": 7}
+    poll.answered("b", (7, ONE), "ab")
+    assert poll.doubts == {}
+    assert poll.agreeing(OTHER) == ["a"]
+
+
+def test_a_doubt_is_dropped_with_its_member_and_once_it_agrees() -> None:
+    poll = polled(ONE, {"a": OTHER, "b": OTHER}, voters=3)
+    assert poll.doubts == {"a": 7, "b": 7}
+    poll.answered("b", (7, ONE), "bcd")
+    assert poll.doubts == {}, "one has left, the other one was started again"
+
+
+def test_a_position_is_named_until_all_who_are_connected_have_answered_but_not_for_ever() -> None:
+    poll = DigestPoll()
+    assert poll.of_most("ab") == NO_DIGEST
+    poll.ask(0.0, (5, b""), "ab")
+    assert poll.asked == NO_DIGEST, "a leader that has no digest names none"
+    poll.ask(0.0, (7, ONE), "ab")
+    poll.ask(0.4, (8, ONE), [])
+    assert poll.asked == (7, ONE)
+    poll.answered("a", (7, ONE), "ab")
+    poll.answered("b", (6, OTHER), "ab")
+    poll.ask(1.0, (9, ONE), "ab")
+    assert poll.asked == (7, ONE), "b has not come so far"
+    poll.ask(1.0, (9, ONE), "a")
+    assert poll.asked == (9, ONE)
+    poll.ask(5.9, (10, OTHER), "ab")
+    assert poll.asked == (9, ONE)
+    poll.ask(6.0, (10, OTHER), "ab")
+    assert poll.asked == (10, OTHER)
+    assert poll.of_most("ab") == NO_DIGEST, "those answers were about another position"
+
+
+def test_a_member_answers_for_the_position_that_was_named_last_once_it_is_there() -> None:
+    digests = Digests(lambda digest: None)
+    digests.note(5, ONE)
+    digests.told(7, ONE)
+    assert digests.answer == NO_DIGEST
+    digests.note(6, b"then")
+    digests.note(7, OTHER)
+    assert (digests.answer, digests.doubtful_at) == ((7, OTHER), 7)
+    digests.told_of_most(7, OTHER)
+    assert (digests.doubtful_at, digests.diverged_at) == (0, 0), "the leader is the odd one"

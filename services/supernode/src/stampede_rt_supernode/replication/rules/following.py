@@ -28,6 +28,7 @@ class Following(Membership):
         self.leader_commit_index = message.commit_index
         if not self.is_stranger(node.id):  # whose word must not set this node aside for good
             self.digests.told(*message.digest)
+            self.digests.told_of_most(*message.digest_of_most)
         if isinstance(message, InstallSnapshot):
             self._on_install_snapshot(node, message)
         else:
@@ -120,5 +121,12 @@ class Following(Membership):
     def _reply(
         self, node: MemberNode, message: FromLeader, *, next_index: int, reset: bool = False, success: bool = False
     ) -> None:
-        reply = AppendReply(term=self.term, round=message.round, next_index=next_index, reset=reset, success=success)
+        reply = AppendReply(
+            term=self.term,
+            round=message.round,
+            next_index=next_index,
+            reset=reset,
+            success=success,
+            digest=self.digests.answer,
+        )
         self.transport.send(node, reply)

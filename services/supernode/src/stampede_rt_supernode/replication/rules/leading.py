@@ -6,7 +6,13 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.membership import Membership
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation, PeerAtFault
 from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
-from stampede_rt_supernode.replication.wire.messages import AppendEntries, AppendReply, InstallSnapshot, SnapshotChunk
+from stampede_rt_supernode.replication.wire.messages import (
+    AppendEntries,
+    AppendReply,
+    InstallSnapshot,
+    SnapshotChunk,
+    TimeoutNow,
+)
 
 # How many batches of entries one member is sent at a time.
 BATCHES_PER_ROUND = 4
@@ -37,6 +43,7 @@ class Leading(Membership):
             self.next_index[node] = max(next_index, self.match_index[node] + 1, 2)
         self.last_response_time[node] = self.clock()
         self.reads.on_echo(node.id, message.round)
+        self.poll.answered(node.id, message.digest, self.voter_ids())
 
     def send_append_entries(self) -> None:
         """Send every connected member what it lacks, or a heartbeat.
@@ -45,11 +52,28 @@ class Leading(Membership):
         has nothing to send; here both have a bound, and the next heartbeat goes on.
         """
         self.put_off_heartbeat()
+        connected = [node.id for node in self.other_voters if node in self.connected]
+        self.poll.ask(self.clock(), self.state_machine.digest(), connected)
         for node in self.sent_to():
             if node not in self.connected:
                 self.keeper.cancel_sending(node.id)
             elif self.next_index[node] > self.log.first_sendable or self._send_snapshot(node):
                 self._send_entries(node)
+
+    def step_down_if_diverged(self) -> None:
+        """Let another lead if most members have come to another state than this leader. They are there, and agree."""
+        if not self.is_leader:
+            return
+        of_most = self.poll.of_most(self.voter_ids())
+        self.digests.told_of_most(*of_most)
+        if not self.digests.diverged_at:
+            return
+        right = [node for node in self.other_voters if node.id in self.poll.agreeing(of_most[1])]
+        successor = max(right, key=lambda node: self.match_index[node], default=None)
+        if successor is not None:
+            self.transport.send(successor, TimeoutNow(term=self.term))
+        self.become_follower(self.term)
+        self.put_off_election()
 
     def _send_snapshot(self, node: MemberNode) -> bool:
         """Send the next pieces; True when the last one is among them."""
@@ -67,7 +91,8 @@ class Leading(Membership):
             commit_index=self.commit_index,
             chunk=chunk,
             round=self.reads.round,
-            digest=self.state_machine.digest(),
+            digest=self.poll.asked,
+            digest_of_most=self.poll.of_most(self.voter_ids()),
         )
         self.transport.send(node, message)
 
@@ -88,7 +113,8 @@ class Leading(Membership):
                     previous_term=previous.term,
                     entries=entries,
                     round=self.reads.round,
-                    digest=self.state_machine.digest(),
+                    digest=self.poll.asked,
+                    digest_of_most=self.poll.of_most(self.voter_ids()),
                 ),
             )
             self.next_index[node] = next_index + len(entries)

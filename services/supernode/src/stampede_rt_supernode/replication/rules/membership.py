@@ -125,6 +125,13 @@ class Membership(NodeState):
         """Whether this node must not lead: its state differs, or its store may lack what it has promised."""
         return bool(self.digests.diverged_at or self.disputed_by)
 
+    def doubts(self) -> dict[str, int]:
+        """By id, where a state was found to differ from the leader's, while nobody knows what most members hold."""
+        if self.is_leader:
+            return dict(self.poll.doubts)
+        at = self.digests.doubtful_at
+        return {self.self_member.member_id: at} if at else {}
+
     def set_learner(self, learner: Member | None) -> None:
         """Begin or end to send the log to a node that is no member yet."""
         self.learner = learner

@@ -9,7 +9,7 @@ from stampede_rt_supernode.replication.interface import StateMachine
 from stampede_rt_supernode.replication.library.assembling import Assembly
 from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedReads
-from stampede_rt_supernode.replication.rules.digests import Digests
+from stampede_rt_supernode.replication.rules.digests import DigestPoll, Digests
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
@@ -42,7 +42,7 @@ def build_node(
     log.track_members(Configuration.of(settings.initial_members))
     node: PreVoteElections = assembly.allocate(rules)
     node.clock, node.state_machine, node.has_room = clock, state_machine, has_room
-    node.digests = Digests(state_machine.adopt_digest)
+    node.digests, node.poll = Digests(state_machine.adopt_digest), DigestPoll()
     node.self_member, node.make_member, node.peers = settings.self_member, assembly.make_member, peers
     node._told = dict(peers)
     node._strangers, node.disputed_by, node.had_leader_at = {}, {}, clock()

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from stampede_rt_supernode.replication.library.node import LibraryNode
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedReads
-from stampede_rt_supernode.replication.rules.digests import Digests
+from stampede_rt_supernode.replication.rules.digests import DigestPoll, Digests
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport, MemberNode
 
@@ -34,6 +34,7 @@ class NodeState(LibraryNode):
     has_room: Callable[[str], bool]
     keeper: SnapshotKeeper
     digests: Digests
+    poll: DigestPoll
     reads: ConfirmedReads
 
     # When this node last heard from a leader of its term, by `clock`.
@@ -76,9 +77,12 @@ class NodeState(LibraryNode):
         """Become FOLLOWER, CANDIDATE or LEADER; who led lets go of all that only a leader needs."""
         led = self.is_leader
         super().set_role(role)
+        if self.is_leader and not led:
+            self.digests.doubtful_at = 0  # it was a doubt about this node and a leader of before
         if led and not self.is_leader:
             self.reads.on_leader_lost()
             self.keeper.end_sending()
+            self.poll = DigestPoll()
             self.log.keep_after(self.log.last_index)
 
     def log_end(self) -> tuple[int, int]:

@@ -67,17 +67,32 @@ def _encode_install(message: InstallSnapshot) -> pb.RaftMessage:
 
 def _from_leader(message: FromLeader) -> pb.RaftAppendEntries:
     index, digest = message.digest
+    most_index, most_digest = message.digest_of_most
     return pb.RaftAppendEntries(
-        term=message.term, commit_index=message.commit_index, round=message.round, digest_index=index, digest=digest
+        term=message.term,
+        commit_index=message.commit_index,
+        round=message.round,
+        digest_index=index,
+        digest=digest,
+        most_digest_index=most_index,
+        most_digest=most_digest,
     )
 
 
 def _decode_append(body: pb.RaftAppendEntries) -> FromLeader:
     term, commit_index = checked_number(body.term), checked_number(body.commit_index)
-    round_number, digest = checked_number(body.round), _digest(body)
+    round_number, digest = checked_number(body.round), _digest(body.digest_index, body.digest)
+    of_most = _digest(body.most_digest_index, body.most_digest)
     if body.installing_snapshot:
         chunk = _checked_chunk(body.chunk) if body.HasField("chunk") else None
-        return InstallSnapshot(term=term, commit_index=commit_index, chunk=chunk, round=round_number, digest=digest)
+        return InstallSnapshot(
+            term=term,
+            commit_index=commit_index,
+            chunk=chunk,
+            round=round_number,
+            digest=digest,
+            digest_of_most=of_most,
+        )
     previous, previous_term = checked_number(body.previous_log_index), checked_number(body.previous_log_term)
     entries = [decode_entry(entry) for entry in body.entries]
     entry_term = previous_term
@@ -93,11 +108,12 @@ def _decode_append(body: pb.RaftAppendEntries) -> FromLeader:
         entries=entries,
         round=round_number,
         digest=digest,
+        digest_of_most=of_most,
     )
 
 
-def _digest(body: pb.RaftAppendEntries) -> StateDigest:
-    return (checked_number(body.digest_index), body.digest[:DIGEST_BYTES_MAX]) if body.digest else NO_DIGEST
+def _digest(index: int, digest: bytes) -> StateDigest:
+    return (checked_number(index), digest[:DIGEST_BYTES_MAX]) if digest else NO_DIGEST
 
 
 def _checked_chunk(chunk: pb.RaftSnapshotChunk) -> SnapshotChunk:
@@ -116,12 +132,15 @@ def _checked_chunk(chunk: pb.RaftSnapshotChunk) -> SnapshotChunk:
 
 
 def _encode_append_reply(message: AppendReply) -> pb.RaftMessage:
+    index, digest = message.digest
     body = pb.RaftAppendReply(
         term=message.term,
         round=message.round,
         next_index=message.next_index,
         reset=message.reset,
         success=message.success,
+        digest_index=index,
+        digest=digest,
     )
     return pb.RaftMessage(append_reply=body)
 
@@ -135,6 +154,7 @@ def _decode_append_reply(body: pb.RaftAppendReply) -> AppendReply:
         next_index=checked_number(body.next_index),
         reset=body.reset,
         success=body.success,
+        digest=_digest(body.digest_index, body.digest),
     )
 
 

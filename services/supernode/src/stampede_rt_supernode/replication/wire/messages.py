@@ -28,6 +28,7 @@ class AppendEntries:
     entries: Sequence[Entry]
     round: int = 0
     digest: StateDigest = NO_DIGEST
+    digest_of_most: StateDigest = NO_DIGEST
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -55,17 +56,22 @@ class InstallSnapshot:
     chunk: SnapshotChunk | None
     round: int = 0
     digest: StateDigest = NO_DIGEST
+    digest_of_most: StateDigest = NO_DIGEST
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AppendReply:
-    """What a member holds: everything before `next_index`, if `success`. `reset`: the leader is to go back to there."""
+    """What a member holds: everything before `next_index`, if `success`. `reset`: the leader is to go back to there.
+
+    `digest`: its own at the position that the leader named last.
+    """
 
     term: int
     next_index: int
     reset: bool
     success: bool
     round: int = 0
+    digest: StateDigest = NO_DIGEST
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

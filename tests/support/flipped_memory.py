@@ -1,0 +1,49 @@
+"""A supernode in whose memory a bit flips, so that its state differs from the others', and nothing in its log tells.
+
+`python -m tests.support.flipped_memory ARGUMENTS` is `stampede supernode ARGUMENTS`. The bit flips when a channel is
+opened whose name begins with FLIPPED, and the file FLAG is in the data folder. It is one of the channel's incarnation,
+and shows in the result of the next command about that channel.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from unittest import mock
+
+from stampede_rt_supernode.replica import DirectoryReplica
+
+FLIPPED, FLAG = "flipped/", "flip"
+
+
+class FlippedReplica(DirectoryReplica):
+    """The directory of such a supernode. `flag`: whether the bit flips."""
+
+    flag: Path
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """As every other one; then the bit flips."""
+        known = set(self._directory.tables.channels)
+        result = super().apply(index, command)
+        if self.flag.exists():
+            channels = self._directory.tables.channels
+            for channel_id in channels.keys() - known:
+                if channels[channel_id].name.startswith(FLIPPED):
+                    channels[channel_id] = replace(
+                        channels[channel_id], incarnation=channels[channel_id].incarnation ^ 1
+                    )
+        return result
+
+
+def main() -> int:
+    """Run it; returns the exit code."""
+    from stampede_rt_supernode import app
+
+    FlippedReplica.flag = Path(sys.argv[sys.argv.index("--data-dir") + 1]) / FLAG
+    with mock.patch.object(app, "DirectoryReplica", FlippedReplica):
+        return app.main()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
