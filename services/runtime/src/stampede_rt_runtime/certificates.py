@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -22,6 +23,15 @@ from stampede_rt_runtime.identity import SERVICES, Identity, identity_among
 BACKDATED = timedelta(minutes=5)  # clocks of two machines seldom agree to the second
 _COMMON_NAME_CHARS_MAX = 64
 _HOST_NAME = re.compile(r"(?=.{1,253}$)[a-z0-9_-]{1,63}(\.[a-z0-9_-]{1,63})*", re.IGNORECASE)
+# What the library raises for a file that is none, has an impossible field, or holds what it does not know.
+_UNREADABLE = (
+    ValueError,
+    TypeError,
+    UnsupportedAlgorithm,
+    x509.DuplicateExtension,
+    x509.InvalidVersion,
+    x509.UnsupportedGeneralNameType,
+)
 
 
 class CertificateError(Exception):
@@ -102,19 +112,19 @@ def describe(pem: bytes) -> list[Described]:
     """What the certificates in `pem` say, in their order. Raises CertificateError."""
     try:
         return [_described(one) for one in x509.load_pem_x509_certificates(pem)]
-    except ValueError as error:
+    except _UNREADABLE as error:
         raise CertificateError("it holds no certificate in PEM form; name a .pem file") from error
 
 
 def cluster_of(authority: bytes) -> str:
     """The cluster whose authority this is. Raises CertificateError."""
     try:
-        certificate = x509.load_pem_x509_certificate(authority)
-    except ValueError as error:
+        subject = x509.load_pem_x509_certificate(authority).subject
+        found = subject.get_attributes_for_oid(NameOID.ORGANIZATION_NAME)
+    except _UNREADABLE as error:
         raise CertificateError("the authority's ca.pem holds no certificate in PEM form") from error
-    found = certificate.subject.get_attributes_for_oid(NameOID.ORGANIZATION_NAME)
     if not found:
-        raise CertificateError(f"{_readable(certificate.subject)!r} is no authority that `stampede certs init` made")
+        raise CertificateError(f"{_readable(subject)!r} is no authority that `stampede certs init` made")
     return str(found[0].value)
 
 
@@ -154,9 +164,11 @@ def _load_authority(authority: Issued) -> tuple[x509.Certificate, ec.EllipticCur
     try:
         certificate = x509.load_pem_x509_certificate(authority.certificate)
         key = serialization.load_pem_private_key(authority.key, password=None)
-    except (ValueError, TypeError) as error:
+        # The library reads these only now, and the rest relies on them.
+        public_key, _, _ = certificate.public_key(), certificate.subject, certificate.not_valid_after_utc
+    except _UNREADABLE as error:
         raise CertificateError(f"the authority cannot be read ({error})") from error
-    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != public_key:
         raise CertificateError("the authority's key and certificate do not belong together")
     return certificate, key
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import sqlite3
 import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
 
@@ -15,7 +17,8 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.security.credentials import read_secrets
 from stampede_rt_channel_host.cluster.identity import HomeCluster, load_host_id
 from stampede_rt_runtime.auth import load_secret
-from stampede_rt_runtime.certificates import CertificateError, cluster_of, describe
+from stampede_rt_runtime.certificates import CertificateError, Issued, cluster_of, describe, issue, make_authority
+from stampede_rt_runtime.identity import Identity, Role
 from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
 from stampede_rt_supernode.replication import Member
 from stampede_rt_supernode.replication.configuration import Configuration
@@ -32,6 +35,7 @@ from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.parsers.target import Target
 
 MEMBER = Member(member_id="s1", address="localhost:1")
+MADE, IDENTITY = datetime(2026, 1, 1, tzinfo=UTC), Identity("cluster", Role.CLIENT, "fuzz")
 NESTED = b"[" * 100_000
 TOKENS = (b"", b"null", b"[]", b"{}", b"\xff", b"-1", b"1e999", b'"')
 
@@ -129,18 +133,24 @@ def secret(source: ByteSource) -> None:
 
 
 @cache
-def _authority() -> bytes:
-    from datetime import UTC, datetime, timedelta
+def _authority() -> Issued:
+    return make_authority("cluster", now=MADE, lifetime=timedelta(days=1))
 
-    from stampede_rt_runtime.certificates import make_authority
 
-    return make_authority("cluster", now=datetime(2026, 1, 1, tzinfo=UTC), lifetime=timedelta(days=1)).certificate
+def _reencoded(source: ByteSource, pem: bytes) -> bytes:
+    """The same with what lies under the armour changed: one finds the errors of a parser there."""
+    der = bytearray(base64.b64decode(b"".join(pem.splitlines()[1:-1])))
+    for _ in range(1 + source.below(3)):
+        der[source.below(len(der))] = source.below(256)
+    return b"-----BEGIN CERTIFICATE-----\n" + base64.encodebytes(der) + b"-----END CERTIFICATE-----\n"
 
 
 def certificate(source: ByteSource) -> None:
-    data = content(source, _authority())
+    authority = _authority()
+    data = _reencoded(source, authority.certificate) if source.chance(60) else content(source, authority.certificate)
     for read in (describe, cluster_of):
         read(data)
+    issue(Issued(data, authority.key), IDENTITY, (), now=MADE, lifetime=timedelta(days=1))
 
 
 @cache

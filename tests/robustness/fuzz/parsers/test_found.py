@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import base64
+import contextlib
 import hashlib
 import zlib
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,8 @@ from stampede_rt.status import DETAILS_KEY, from_rpc_error
 from stampede_rt.v1 import channel_service_pb2, directory_pb2, peer_pb2
 from stampede_rt.wire import peers, reads, records
 from stampede_rt_channel_host.cluster.identity import HomeCluster, load_host_id
+from stampede_rt_runtime.certificates import CertificateError, Issued, cluster_of, describe, issue, make_authority
+from stampede_rt_runtime.identity import Identity, Role
 from stampede_rt_runtime.settings import SettingsError, load_settings
 from stampede_rt_supernode.joining.founding import FILE_NAME as FOUNDING_NAME
 from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
@@ -31,6 +36,7 @@ from stampede_rt_supernode.settings import SupernodeSettings
 
 NESTED = b"[" * 100_000
 NO_TEXT = b"\xff\xfe"
+MADE = datetime(2026, 1, 1, tzinfo=UTC)
 HOSTILE = "a\x1b[2J\r\nforged"
 
 
@@ -146,3 +152,19 @@ def test_details_of_a_status_that_cannot_be_read_leave_its_code() -> None:
     trailers = grpc.aio.Metadata((DETAILS_KEY, b"\xff\xff"))
     failed = grpc.aio.AioRpcError(grpc.StatusCode.PERMISSION_DENIED, grpc.aio.Metadata(), trailers, details="no")
     assert isinstance(from_rpc_error(failed, "localhost:1"), PermissionDenied)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_certificate_with_any_byte_changed_is_read_or_refused() -> None:
+    authority = make_authority("cluster", now=MADE, lifetime=timedelta(days=1))
+    sound = base64.b64decode(b"".join(authority.certificate.splitlines()[1:-1]))
+    client = Identity("cluster", Role.CLIENT, "a")
+    for place in range(len(sound)):
+        der = sound[:place] + bytes((sound[place] ^ 0x1C,)) + sound[place + 1 :]
+        pem = b"-----BEGIN CERTIFICATE-----\n" + base64.encodebytes(der) + b"-----END CERTIFICATE-----\n"
+        with contextlib.suppress(CertificateError):
+            describe(pem)
+        with contextlib.suppress(CertificateError):
+            cluster_of(pem)
+        with contextlib.suppress(CertificateError):
+            issue(Issued(pem, authority.key), client, (), now=MADE, lifetime=timedelta(days=1))

@@ -16,12 +16,12 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=1_000_000, help="requests for each port")
     parser.add_argument("--seconds", type=float, default=36_000.0, help="for each port, at most")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--tls", action="store_true", help="with certificates of all roles instead of the secret")
     arguments = parser.parse_args()
     found = 0
     for port in arguments.ports or PORTS:
-        outcome = asyncio.run(
-            run(port, seed=arguments.seed, inputs=arguments.inputs, seconds=arguments.seconds, told=_tell)
-        )
+        wanted = {"seed": arguments.seed, "inputs": arguments.inputs, "seconds": arguments.seconds}
+        outcome = asyncio.run(run(port, **wanted, tls=arguments.tls, told=_tell))
         print(outcome, flush=True)
         found += len(outcome.findings)
     return 1 if found else 0

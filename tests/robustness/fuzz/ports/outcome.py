@@ -27,7 +27,8 @@ class Finding:
 
 @dataclass
 class Outcome:
-    """Memory is the resident set of the process behind the port, in MiB."""
+    """Memory is the resident set of the process behind the port, in MiB. `starved_s`: the longest time for which the
+    machine let us wait for a processor, as it lets the services."""
 
     port: str
     seed: int
@@ -40,6 +41,8 @@ class Outcome:
     before_mib: float = 0.0
     most_mib: float = 0.0
     after_mib: float = 0.0
+    starved_s: float = 0.0
+    leases_lost: int = 0
     good_calls: int = 0
     good_failures: list[str] = field(default_factory=list)
 
@@ -55,6 +58,7 @@ class Outcome:
             f"{self.inputs / max(1e-9, self.seconds):,.0f}/s",
             f"  memory {self.before_mib:.0f}, {self.most_mib:.0f}, {self.after_mib:.0f} MiB (first, most, after)",
             f"  answers: {codes}",
+            f"  waited {self.starved_s:.1f} s for a processor at the most; leases lost: {self.leases_lost}",
             f"  good calls: {self.good_calls}, failed: {len(self.good_failures)} {self.good_failures[:3]}",
         ]
         for one in self.findings:

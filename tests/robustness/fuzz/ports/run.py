@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import resource
+import threading
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
-from contextlib import asynccontextmanager, suppress
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
-
-import grpc
 
 import stampede_rt as st
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
@@ -20,21 +17,22 @@ from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
 from stampede_rt.v1.group_directory_service_pb2_grpc import GroupDirectoryServiceStub
 from stampede_rt.v1.queue_directory_service_pb2_grpc import QueueDirectoryServiceStub
 from stampede_rt.version import PROTOCOL_VERSION
-from stampede_rt_local.cluster import LocalCluster
-from stampede_rt_local.process import ServiceProcess
+from stampede_rt_runtime.identity import Role
 from tests.robustness.fuzz.messages import KnownValues
+from tests.robustness.fuzz.ports.cluster import FuzzedCluster, fuzzed_cluster
+from tests.robustness.fuzz.ports.command_line import check_commands
 from tests.robustness.fuzz.ports.hostile_caller import HostileCaller
 from tests.robustness.fuzz.ports.methods import methods_of
 from tests.robustness.fuzz.ports.outcome import Finding, Outcome
 
 GOOD = "good"
-LEASE_LOST = "the lease has ended"
-MEMORY_BUDGET = "64MiB"
 MEMORY_GROWTH_MIB_MAX = 164  # the budget, and what the allocator may keep and gRPC may buffer (docs/security.md)
-CONNECTIONS, CALLERS = 4, 32
+CALLERS = 32
+ROLES = (Role.CLIENT, Role.HOST, Role.OPERATOR, Role.SUPERNODE)  # of the connections, where there are certificates
 GOOD_SECONDS = 0.1
 GOOD_CALL_SECONDS = 20.0
 STILL_SECONDS = 15.0
+STARVED_SECONDS = 0.5  # a host renews its lease some times each second, in time for a lease of about 2 s
 MS, S = 10**6, 10**9
 NAMES = ("a", "b", "c", "cam/1", "cam/2", "q", "r", "g", "h1", "hostile")
 MEMBERS = ("s1", "s9")
@@ -63,69 +61,35 @@ LISTED: tuple[tuple[Any, str, Any], ...] = (
 )
 
 
-class FuzzedCluster:
-    """One host, one supernode, one front-end, and what they logged."""
-
-    def __init__(self, outcome: Outcome) -> None:
-        self.outcome = outcome
-        self.processes = LocalCluster(
-            hosts=1, supernodes=1, on_line=self._hear, on_exit=self._ended, log_level="warning"
-        )
-        self.processes.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET]
-        self._stopping = False
-
-    def stop(self) -> None:
-        """Everything; ends from here on are wanted."""
-        self._stopping = True
-        self.processes.stop()
-
-    @property
-    def target(self) -> ServiceProcess:
-        """The process behind the port."""
-        one = self.processes
-        return {"host": one.hosts, "supernode": one.supernodes, "frontend": one.frontends}[self.outcome.port][0]
-
-    def memory_mib(self) -> float:
-        """Resident now."""
-        pages = int(Path(f"/proc/{self.target.pid}/statm").read_text().split()[1])
-        return pages * resource.getpagesize() / 2**20
-
-    def _hear(self, process: ServiceProcess, line: str) -> None:
-        if "Traceback" in line or "level=error" in line or LEASE_LOST in line:
-            self.outcome.add(Finding(what=f"{process.name} logs: {line[:1500]}", method=line[-120:]))
-
-    def _ended(self, process: ServiceProcess) -> None:
-        if not self._stopping:
-            last = "\n".join(process.last_lines[-5:])
-            self.outcome.add(Finding(what=f"{process.name} ended with {process.exit_code}: {last}", method="a process"))
-
-
-@asynccontextmanager
-async def fuzzed_cluster(outcome: Outcome) -> AsyncIterator[FuzzedCluster]:
-    """Running."""
-    one = FuzzedCluster(outcome)
-    await asyncio.to_thread(one.processes.start)
-    try:
-        yield one
-    finally:
-        await asyncio.to_thread(one.stop)
-
-
 async def run(
-    port: str, *, seed: int, inputs: int, seconds: float = 3600.0, told: Callable[[str], None] = lambda _: None
+    port: str,
+    *,
+    seed: int,
+    inputs: int,
+    seconds: float = 3600.0,
+    tls: bool = False,
+    commands: bool = True,
+    told: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
-    """Until so many inputs were sent, or for so long at most. `told` hears of each 10,000 inputs."""
+    """Until so many inputs were sent, or for so long at most. `told` hears of each 10,000 inputs.
+
+    With `tls` the connections bring certificates of all roles instead of the secret. `commands`: the command line is
+    looked at afterwards, which takes half a minute.
+    """
     outcome = Outcome(port, seed)
-    async with fuzzed_cluster(outcome) as cluster:
-        address, secret = cluster.processes.address, cluster.processes.secret.text
-        async with st.aio.connect(address, secret=secret) as rt:
+    async with fuzzed_cluster(outcome, tls=tls) as cluster:
+        async with cluster.connect() as rt:
             known = await _known(rt, cluster)
             outcome.before_mib = cluster.memory_mib()
             good = asyncio.create_task(_good_client(rt, outcome))
             await _attack(cluster, known, inputs, seconds, told)
+            if outcome.leases_lost and outcome.starved_s < STARVED_SECONDS:
+                outcome.add(Finding(what=f"{outcome.leases_lost} leases were lost", method="lease"))
             good.cancel()
             await asyncio.wait({good})
-            await _check_serves(address, secret, outcome)
+            await _check_serves(cluster)
+            if commands:
+                await check_commands(cluster.environment(), outcome)
         await _check_memory(cluster)
     return outcome
 
@@ -155,34 +119,38 @@ async def _own_ids(cluster: FuzzedCluster) -> list[object]:
 
 
 async def _asked(cluster: FuzzedCluster, service: Any, method: str, request: Any) -> Any:
-    async with grpc.aio.insecure_channel(cluster.processes.supernodes[0].address) as channel:
-        return await getattr(service(channel), method)(request, metadata=credential(cluster.processes.secret.text))
-
-
-def credential(secret: str) -> tuple[tuple[str, str], ...]:
-    """What lets a caller in."""
-    return (("authorization", f"Bearer {secret}"),)
+    async with cluster.channel(cluster.processes.supernodes[0].address, Role.CLIENT) as channel:
+        return await getattr(service(channel), method)(request, metadata=cluster.metadata)
 
 
 async def _attack(
     cluster: FuzzedCluster, known: KnownValues, inputs: int, seconds: float, told: Callable[[str], None]
 ) -> None:
     outcome, began = cluster.outcome, time.monotonic()
-    methods, metadata = methods_of(outcome.port), credential(cluster.processes.secret.text)
-    options = [("grpc.use_local_subchannel_pool", 1), ("grpc.max_receive_message_length", -1)]
-    channels = [grpc.aio.insecure_channel(cluster.target.address, options=options) for _ in range(CONNECTIONS)]
+    methods = methods_of(outcome.port)
+    channels = [cluster.channel(cluster.target.address, role) for role in ROLES]
 
     async def calls(number: int) -> None:
-        caller = HostileCaller(methods, known, metadata, outcome, seed=f"{outcome.seed}/{number}")
+        caller = HostileCaller(methods, known, cluster.metadata, outcome, seed=f"{outcome.seed}/{number}")
         while outcome.inputs < inputs and time.monotonic() - began < seconds and cluster.target.alive:
-            await caller.play(channels[number % CONNECTIONS])
+            await caller.play(channels[number % len(channels)])
             outcome.seconds = time.monotonic() - began
 
-    watching = asyncio.create_task(_watch_memory(cluster, told))
+    watching, over = asyncio.create_task(_watch_memory(cluster, told)), threading.Event()
+    threading.Thread(target=_watch_processor, args=(outcome, over), daemon=True).start()
     await asyncio.gather(*(calls(number) for number in range(CALLERS)))
     watching.cancel()
+    over.set()
     for channel in channels:
         await channel.close(None)
+
+
+def _watch_processor(outcome: Outcome, over: threading.Event) -> None:
+    """How late a thread is woken tells how long the services have to wait, too."""
+    period_s, began_s = 0.05, time.monotonic()
+    while not over.wait(period_s):
+        now_s = time.monotonic()
+        outcome.starved_s, began_s = max(outcome.starved_s, now_s - began_s - period_s), now_s
 
 
 async def _watch_memory(cluster: FuzzedCluster, told: Callable[[str], None]) -> None:
@@ -210,16 +178,16 @@ async def _good_client(rt: st.aio.Connection, outcome: Outcome) -> None:
         await asyncio.sleep(GOOD_SECONDS)
 
 
-async def _check_serves(address: str, secret: str, outcome: Outcome) -> None:
+async def _check_serves(cluster: FuzzedCluster) -> None:
     """Somebody new can still use everything."""
     try:
-        async with st.aio.connect(address, secret=secret) as rt:
+        async with cluster.connect() as rt:
             channel = await rt.channel("afterwards", max_items=10)
             await channel.put(b"x", timeout=GOOD_CALL_SECONDS)
             queue = await rt.queue("afterwards")
             await queue.put(b"x", timeout=GOOD_CALL_SECONDS)
     except st.StampedeError as error:
-        outcome.add(Finding(what=f"nobody new is served: {error!r}", method="afterwards"))
+        cluster.outcome.add(Finding(what=f"nobody new is served: {error!r}", method="afterwards"))
 
 
 async def _check_memory(cluster: FuzzedCluster) -> None:
