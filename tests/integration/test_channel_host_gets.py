@@ -11,6 +11,7 @@ import pytest
 
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt_channel_host.core.channel.run import Run
 from tests.unit.channel_host.rig import (
     FOREVER,
@@ -294,6 +295,8 @@ async def test_more_calls_than_a_stream_may_have_are_refused_one_by_one(rig: Rig
         await exchange.send(channel.newest_request(call_id, wait_nanos=FOREVER))
     refused = await exchange.read()
     assert (refused.call_id, refused.error.reason) == (1025, error_pb2.ERROR_REASON_OVERLOADED)
+    ping = await rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
+    assert (ping.refused_calls, ping.refused_items) == (1, 0)
     await exchange.send(pb.GetRequest(call_id=1, cancel=True))
     await exchange.send(channel.newest_request(2000))
     assert (await exchange.read()).call_id == 2000

@@ -162,6 +162,19 @@ def test_puts_that_a_host_refused_lately_are_told_with_how_full_it_is_and_older_
     assert (host.state, host.advice) == ("ok, 12 puts refused before", "")
 
 
+def test_calls_that_a_host_refused_are_told_beside_the_puts() -> None:
+    host = found(changed("h1", refused_calls=3, refused_call_ago_nanos=5000 * MS), "host h1")
+    assert host.state == "3 calls refused"
+    assert "it refused or ended calls as Overloaded, the last one 5 s ago" in host.advice
+    host = found(changed("h1", refused_calls=3, refused_call_ago_nanos=3600_000 * MS), "host h1")
+    assert (host.state, host.advice) == ("ok, 3 calls refused before", "")
+    facts = {"refused_calls": 3, "refused_call_ago_nanos": 5000 * MS, "refused_items": 1}
+    host = found(changed("h1", refused_ago_nanos=5000 * MS, **facts), "host h1")
+    assert host.state == "1 puts and 3 calls refused"
+    assert "--memory-bytes-max" in host.advice
+    assert "a reader that took nothing" in host.advice
+
+
 def test_lost_channels_and_queues_are_told_by_name_and_host() -> None:
     lost = [(f"cam/{number}", "host h7") for number in range(7)]
     held = [Inventory(kind="channel", count=9, lost=lost), Inventory(kind="queue", count=4)]

@@ -113,12 +113,17 @@ def from_error_message(message: error_pb2.Error) -> StampedeError:
 
 def from_rpc_error(error: grpc.RpcError, peer: str) -> StampedeError:
     """Return the exception for a failed RPC to `peer` (an address, for the message)."""
-    for key, value in _trailers(error):
+    return error_in(_trailers(error)) or _from_code(error, peer)
+
+
+def error_in(trailers: Iterable[tuple[str, str | bytes]] | None) -> StampedeError | None:
+    """The exception that a call's trailing metadata carry; None: `abort` has not ended it."""
+    for key, value in trailers or ():
         if key == DETAILS_KEY and isinstance(value, bytes):
             found = _from_status(value)
             if found is not None:
                 return found
-    return _from_code(error, peer)
+    return None
 
 
 def _trailers(error: grpc.RpcError) -> Iterable[tuple[str, str | bytes]]:

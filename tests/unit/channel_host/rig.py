@@ -170,6 +170,7 @@ async def running_host(
     directory = FakeDirectory(lease_ttl_nanos=lease_ttl_nanos)
     async with serving(directory.register) as supernode:
         directory.target = supernode.address
+        server = ServiceServer(secret=None)
         host = ChannelHost(
             HostIdentity(host_id=HOST_ID, name="h1", boot_incarnation=7),
             frontends=[directory.target],
@@ -179,8 +180,8 @@ async def running_host(
             memory_bytes_max=memory_bytes_max,
             on_serving=lambda serving: None,
             on_defect=_fail,
+            refused_calls=server.refused_calls,
         )
-        server = ServiceServer(secret=None)
         rig = Rig(directory, host, server.bind("localhost:0"))
         host.add_to(server.grpc)
         await server.start()

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from itertools import pairwise
 
+import grpc
 import pytest
 
 from stampede_rt.errors import StampedeError, Unavailable
@@ -14,6 +15,8 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt.values.model import Policy
 from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels import store as channel_store
+from stampede_rt_channel_host.channels import subscription
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_PER_PIECE, page_of
 from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE
@@ -196,3 +199,24 @@ async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece
             store._adopt(recorded_channel(late))  # which the directory told of since
     assert max(before - after for before, after in pairwise(left)) <= CHANNELS_PER_PIECE
     assert {hosted.record.name for hosted in store.all()} == {"late", *(f"c/{number}" for number in range(10))}
+
+
+async def test_refused_subscriptions_and_binds_are_counted_and_other_errors_are_not(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    channel = await rig.open()
+
+    async def refused_calls() -> tuple[int, bool]:
+        ping = await rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
+        return ping.refused_calls, ping.HasField("refused_call_ago_nanos")
+
+    with pytest.raises(grpc.aio.AioRpcError):
+        await channel.subscribe(epoch=channel.epoch + 1).read()
+    assert await refused_calls() == (0, False)
+    monkeypatch.setattr(subscription, "SUBSCRIPTIONS_MAX", 0)
+    with pytest.raises(grpc.aio.AioRpcError, match="which is the most"):
+        await channel.subscribe().read()
+    monkeypatch.setattr(channel_store, "CHANNELS_MAX", 1)
+    with pytest.raises(grpc.aio.AioRpcError, match="which is the most"):
+        await rig.open("b")
+    assert await refused_calls() == (2, True)

@@ -54,6 +54,7 @@ async def test_when_watches_fill_a_port_members_enter_leases_are_renewed_and_cal
         with pytest.raises(grpc.aio.AioRpcError) as caught:
             await opened(channel, WATCH)
         error = from_rpc_error(caught.value, server.address)
+        assert server.refused_calls.count == 1
         member = await opened(channel, RAFT)
         assert await channel.unary_unary(RENEW)(b"mine", timeout=20) == b"mine"
         assert await channel.unary_unary(PING)(b"you", timeout=20) == b"you"

@@ -84,7 +84,8 @@ class Observation:
     - `alive`: the directory's word about a host. `lease_held`: the host's own word.
     - `knows_supernodes`: of a front-end.
     - `lost_for_nanos`: the time since the directory ended the lease of a host that did not deregister.
-    - `refused_items`: what a host refused as Overloaded since its start, the last one `refused_ago_nanos` ago.
+    - `refused_items`: what a host refused as Overloaded since its start, the last one `refused_ago_nanos` ago;
+      `refused_calls`: calls that it refused or ended so, the last one `refused_call_ago_nanos` ago.
     - `is_member`: whether the other supernodes list this one.
     - `refuses_caller`: it runs, but a secret or certificate, this caller's or its own, does not fit.
     - `refused_because`: why other supernodes refuse its store.
@@ -105,6 +106,8 @@ class Observation:
     lost_for_nanos: int | None = None
     refused_items: int = 0
     refused_ago_nanos: int | None = None
+    refused_calls: int = 0
+    refused_call_ago_nanos: int | None = None
     held_bytes: int = 0
     memory_bytes_max: int = 0
     refuses_caller: bool = False
@@ -196,18 +199,39 @@ def _lost(one: Observation) -> tuple[str, str]:
 
 
 def _load(one: Observation) -> tuple[str, str]:
-    """The state of a host that serves, against its memory bound."""
-    if not one.refused_items:
+    """The state of a host that serves, against its memory bound and the number of its calls."""
+    kinds = (
+        (one.refused_items, "puts", one.refused_ago_nanos),
+        (one.refused_calls, "calls", one.refused_call_ago_nanos),
+    )
+    refused = [(f"{count} {what}", ago) for count, what, ago in kinds if count]
+    if not refused:
         return "ok", ""
-    state = f"{one.refused_items} puts refused"
+    state = f"{' and '.join(text for text, _ in refused)} refused"
+    advice = " ".join(filter(None, (_refused_puts(one), _refused_calls(one))))
+    return (state, advice) if advice else (f"ok, {state} before", "")
+
+
+def _refused_puts(one: Observation) -> str:
+    """Advice, if it was lately."""
     if one.refused_ago_nanos is None or one.refused_ago_nanos > REFUSED_LATELY_NANOS:
-        return f"ok, {state} before", ""
-    advice = (
+        return ""
+    return (
         f"it refused puts as Overloaded, the last one {_roughly(one.refused_ago_nanos)} ago; it holds "
         f"{bytes_text(one.held_bytes)} of {bytes_text(one.memory_bytes_max)}: raise --memory-bytes-max, tighten the "
         "retention of its channels, or start another host (`stampede ls -l` shows who holds what)"
     )
-    return state, advice
+
+
+def _refused_calls(one: Observation) -> str:
+    """Advice, if it was lately."""
+    if one.refused_call_ago_nanos is None or one.refused_call_ago_nanos > REFUSED_LATELY_NANOS:
+        return ""
+    return (
+        f"it refused or ended calls as Overloaded, the last one {_roughly(one.refused_call_ago_nanos)} ago, as its log "
+        "says: too many streams, reads or channels at once, or a reader that took nothing; close some, or start "
+        "another host"
+    )
 
 
 def _of(kind: str, seen: Sequence[Observation]) -> list[Observation]:

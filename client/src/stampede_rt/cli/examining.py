@@ -249,10 +249,16 @@ def _load(response: Any) -> dict[str, Any]:
     """The memory of a host, and what it refused."""
     return {
         "refused_items": response.refused_items,
-        "refused_ago_nanos": response.refused_ago_nanos if response.HasField("refused_ago_nanos") else None,
+        "refused_ago_nanos": _optional(response, "refused_ago_nanos"),
         "held_bytes": response.held_bytes,
         "memory_bytes_max": response.memory_bytes_max,
+        "refused_calls": response.refused_calls,
+        "refused_call_ago_nanos": _optional(response, "refused_call_ago_nanos"),
     }
+
+
+def _optional(message: Any, field: str) -> Any:
+    return getattr(message, field) if message.HasField(field) else None
 
 
 def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:

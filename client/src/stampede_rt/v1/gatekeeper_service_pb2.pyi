@@ -22,7 +22,7 @@ class GatekeeperServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class GatekeeperServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max")
+    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos")
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -32,6 +32,8 @@ class GatekeeperServicePingResponse(_message.Message):
     REFUSED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
     HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
     MEMORY_BYTES_MAX_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_CALLS_FIELD_NUMBER: _ClassVar[int]
+    REFUSED_CALL_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     host_id: bytes
     name: str
@@ -41,7 +43,9 @@ class GatekeeperServicePingResponse(_message.Message):
     refused_ago_nanos: int
     held_bytes: int
     memory_bytes_max: int
-    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ...) -> None: ...
+    refused_calls: int
+    refused_call_ago_nanos: int
+    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ...) -> None: ...
 
 class DataEndpoint(_message.Message):
     __slots__ = ("transport", "target")

@@ -94,6 +94,7 @@ class _Service:
             on_defect=self._end,
             home=self._home,
             access=self._server.access,
+            refused_calls=self._server.refused_calls,
         )
 
     def _name(self) -> str:

@@ -39,6 +39,7 @@ from stampede_rt_channel_host.queues.sweep import sweep_queues_forever
 from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.dial import naming_cluster
+from stampede_rt_runtime.overload import RefusedCalls
 
 logger = logging.getLogger(__name__)
 
@@ -50,6 +51,7 @@ class ChannelHost:
 
     `dial` opens connections for that loop; `dial_apart` opens those of the lease, which has a thread of its own.
     `access` judges the callers of the server that the host is added to; it is told here what the directory holds.
+    `refused_calls` are those of the same server.
     `on_serving` hears whether the host may serve, each time that changes; `on_defect` that a task of the host died,
     which must end the host.
     """
@@ -68,6 +70,7 @@ class ChannelHost:
         explain: Explain | None = None,
         home: HomeCluster | None = None,
         access: AccessControl | None = None,
+        refused_calls: RefusedCalls | None = None,
     ) -> None:
         self.identity = identity
         self._home = home or HomeCluster()
@@ -84,6 +87,7 @@ class ChannelHost:
             clock,
             lease_held=self._lease.lease_held,
             memory=memory,
+            refused_calls=refused_calls,
         )
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         self.groups = GroupStore(identity, self.store, GroupDirectory(self._supernodes), dial, lambda: apart.cluster_id)

@@ -7,12 +7,14 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import grpc
+from grpc.aio import AbortError
 
 from stampede_rt.errors import Overloaded
-from stampede_rt.status import abort
+from stampede_rt.status import abort, error_in
 from stampede_rt_runtime.handlers import guarded, is_stream
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.requests import reading_late
 from stampede_rt_runtime.roles import roles_for
 from stampede_rt_runtime.rpc import Context
@@ -55,8 +57,10 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
     It must be the innermost interceptor: those around it look at the caller first.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, refused: RefusedCalls) -> None:
+        """`refused` counts what is refused here, and whatever else ends as Overloaded."""
         self._slots = Slots(limits)
+        self._refused = refused
 
     async def intercept_service(
         self,
@@ -75,10 +79,20 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
             try:
                 give_back = self._slots.take(is_stream=streams, for_members=for_members)
             except Overloaded as error:
+                self._refused.note(error)
                 await abort(context, error)
             try:
                 yield
+            except AbortError:
+                self._note(context)
+                raise
             finally:
                 give_back()
 
         return guarded(reading_late(method, handler), slot)
+
+    def _note(self, context: Context) -> None:
+        """The method has ended its call with an error."""
+        error = error_in(context.trailing_metadata())
+        if isinstance(error, Overloaded):
+            self._refused.note(error)

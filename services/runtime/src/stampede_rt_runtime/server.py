@@ -21,6 +21,7 @@ from stampede_rt_runtime.capacity import CapacityInterceptor
 from stampede_rt_runtime.health import Health
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.listen import CannotListen, check_listen
+from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.values import Address
 
@@ -50,6 +51,7 @@ class ServiceServer:
     ) -> None:
         limits = limits or Limits()
         self.access = AccessControl()  # to be told by the directory
+        self.refused_calls = RefusedCalls()
         accepted = Accepted(
             secrets=secret.accepted if secret else (),
             client_secrets=client_secret.accepted if client_secret else (),
@@ -63,7 +65,7 @@ class ServiceServer:
                 AbortInterceptor(),
                 AdmissionInterceptor(accepted, self.access),
                 *([ClusterInterceptor(judge_cluster)] if judge_cluster else []),
-                CapacityInterceptor(limits),
+                CapacityInterceptor(limits, self.refused_calls),
             ],
             options=limits.server_options(),
             maximum_concurrent_rpcs=limits.rpcs_max(),

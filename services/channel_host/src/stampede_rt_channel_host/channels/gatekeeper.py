@@ -39,10 +39,12 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
             name=self._identity.name,
             lease_held=self._store.lease_held(),
             version=software_version(),
-            refused_items=memory.overload.refused_items,
+            refused_items=memory.overload.refused,
             refused_ago_nanos=memory.refused_ago_nanos(),
             held_bytes=memory.used_bytes,
             memory_bytes_max=memory.bytes_max,
+            refused_calls=self._store.refused_calls.count,
+            refused_call_ago_nanos=self._store.refused_calls.ago_nanos(),
         )
 
     @errors_as_status

@@ -213,6 +213,8 @@ class GetStream:
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
         """Not entered among the calls: a refused id may be one that is under way."""
+        if isinstance(error, Overloaded):
+            self._store.refused_calls.note(error)
         self._outbox.add(call_id, get_error(call_id, to_error_message(error)), _count_nothing)
 
     def _cancel(self, call_id: int) -> None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_channel_host.channels.overload import Overload
+from stampede_rt_runtime.overload import Overload
 
 logger = logging.getLogger(__name__)
 

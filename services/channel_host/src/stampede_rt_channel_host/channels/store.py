@@ -26,6 +26,7 @@ from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched
 from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
 from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.overload import RefusedCalls
 
 logger = logging.getLogger(__name__)
 
@@ -52,6 +53,7 @@ class ChannelStore:
         *,
         lease_held: Callable[[], bool],
         memory: MemoryBudget,
+        refused_calls: RefusedCalls | None = None,
     ) -> None:
         self.lease_held = lease_held
         self.scheduler = PieceScheduler()
@@ -67,6 +69,7 @@ class ChannelStore:
         self._closing: StampedeError | None = None
         self._registrations = 0
         self.memory = memory
+        self.refused_calls = refused_calls or RefusedCalls()
         self.sweep = Sweep(self.now)
 
     def now(self) -> int:

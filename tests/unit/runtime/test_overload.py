@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.channels.overload import LOG_PERIOD_NANOS, Overload
+from stampede_rt_runtime.overload import LOG_PERIOD_NANOS, Overload
 
 
 def test_every_refused_item_counts_and_a_line_tells_of_all_since_the_last_one() -> None:
@@ -11,4 +11,4 @@ def test_every_refused_item_counts_and_a_line_tells_of_all_since_the_last_one() 
     assert overload.note(3, 100) == 3
     assert [overload.note(1, 100 + step) for step in range(10)] == [None] * 10
     assert overload.note(2, 100 + LOG_PERIOD_NANOS) == 12
-    assert (overload.refused_items, overload.ago_nanos(110 + LOG_PERIOD_NANOS)) == (15, 10)
+    assert (overload.refused, overload.ago_nanos(110 + LOG_PERIOD_NANOS)) == (15, 10)

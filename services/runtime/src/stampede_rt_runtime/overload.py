@@ -1,0 +1,63 @@
+"""What a service refuses because a bound of its own is reached: counted, and told in the log now and then."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+from stampede_rt.errors import Overloaded
+
+logger = logging.getLogger(__name__)
+
+LOG_PERIOD_NANOS = 10 * 10**9
+
+
+class Overload:
+    """Items, or calls, that were refused as Overloaded, over all channels and queues of a host.
+
+    `now`: nanoseconds of a clock that never goes back.
+    """
+
+    def __init__(self) -> None:
+        self.refused = 0
+        self._last_nanos: int | None = None
+        self._logged = 0
+        self._logged_nanos: int | None = None
+
+    def note(self, count: int, now: int) -> int | None:
+        """So many items were refused. Gives how many were since the last line of the log, if it is time for one."""
+        self.refused += count
+        self._last_nanos = now
+        if self._logged_nanos is not None and now - self._logged_nanos < LOG_PERIOD_NANOS:
+            return None
+        untold = self.refused - self._logged
+        self._logged, self._logged_nanos = self.refused, now
+        return untold
+
+    def ago_nanos(self, now: int) -> int | None:
+        """How long ago the last one was refused; None: there was none."""
+        return None if self._last_nanos is None else now - self._last_nanos
+
+
+class RefusedCalls:
+    """Calls, reads in streams among them, that were refused or ended as Overloaded. `steady_nanos` never goes back."""
+
+    def __init__(self, steady_nanos: Callable[[], int] = time.monotonic_ns) -> None:
+        self._overload = Overload()
+        self._steady_nanos = steady_nanos
+
+    def note(self, error: Overloaded) -> None:
+        """One was: counted, and logged every few seconds at most."""
+        untold = self._overload.note(1, self._steady_nanos())
+        if untold is not None:
+            logger.warning("calls are refused", extra={"calls": untold, "why": error.message})
+
+    @property
+    def count(self) -> int:
+        """How many were so far."""
+        return self._overload.refused
+
+    def ago_nanos(self) -> int | None:
+        """How long ago the last one was; None: none were."""
+        return self._overload.ago_nanos(self._steady_nanos())
