@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 OWNER = "services/supernode/src/stampede_rt_supernode/replication/library/node.py"
 # Shows faults of the unchanged library.
-BARE_LIBRARY_TEST = "tests/unit/supernode/replication/rules/test_closed_faults.py"
+BARE_LIBRARY_TEST = "tests/unit/supernode/replication/rules/test_rules_closed_faults.py"
 FOLDERS = ("client/src", "services", "deploy", "demos", "benchmarks", "tests")
 PRIVATE = "_SyncObj__"
 

@@ -26,8 +26,8 @@ from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_runtime.dial import dial
 from tests.benchmarks.directory_snapshots import snapshots
-from tests.unit.supernode import processes
-from tests.unit.supernode.processes import Cluster
+from tests.support.supernode import processes
+from tests.support.supernode.processes import Cluster
 
 WRITERS = 64
 READERS = 64

@@ -25,8 +25,8 @@ import grpc
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from tests.benchmarks.directory_load import CALL_SECONDS, START_SECONDS_MAX, register_host
-from tests.unit.supernode import processes
-from tests.unit.supernode.processes import Supernode, free_ports
+from tests.support.supernode import processes
+from tests.support.supernode.processes import Supernode, free_ports
 
 OPENERS = 128
 CAUGHT_UP_ENTRIES = 1000

@@ -36,7 +36,7 @@ from stampede_rt_channel_host.core.records import RecordedGroup, ResolvedGroup
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.queues.frames import take_response
-from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
+from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
 
 ITEMS, LATE_ITEMS, BUCKET_ITEMS = 500_000, 300_000, 50_000
 BLOCKED_GETS, CALLS, CHANNELS, QUEUED_ITEMS = 10_000, 1000, 20_000, 100_000

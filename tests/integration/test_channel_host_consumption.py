@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
-from tests.unit.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
+from tests.support.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
 
 ANN, BOB = 11, 22
 

@@ -12,7 +12,7 @@ import pytest
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels import subscription
 from stampede_rt_channel_host.channels.credit import CREDIT_MAX, Credit
-from tests.unit.channel_host.rig import Opened, Rig, S, payloads_of, run_of, running_host
+from tests.support.channel_host.rig import Opened, Rig, S, payloads_of, run_of, running_host
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import asyncio
 from grpc.aio import EOF
 
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
-from tests.unit.channel_host.rig import FOREVER, running_host
+from tests.support.channel_host.rig import FOREVER, running_host
 
 
 async def test_a_get_that_ends_with_an_error_is_not_under_way_any_more() -> None:

@@ -13,7 +13,7 @@ from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt_channel_host.core.channel.run import Run
-from tests.unit.channel_host.rig import (
+from tests.support.channel_host.rig import (
     FOREVER,
     MAX_INSTANT,
     MIN_INSTANT,

@@ -15,8 +15,8 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_pb2, error_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
-from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.channel_host.rig import FOREVER, HOST_ID, Opened, Rig, S, run_of, running_host
+from tests.support.channel_host.rig import FOREVER, HOST_ID, Opened, Rig, S, run_of, running_host
+from tests.support.clock import ManualClock
 
 REQUEST_ID = b"0123456789abcdef"
 

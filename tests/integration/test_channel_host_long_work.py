@@ -13,7 +13,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from tests.unit.channel_host.rig import FOREVER, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
+from tests.support.channel_host.rig import FOREVER, MIN_INSTANT, Opened, Rig, S, between, run_of, running_host
 
 ITEMS = 400
 

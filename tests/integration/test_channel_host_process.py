@@ -20,7 +20,7 @@ from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 from stampede_rt_runtime.auth import make_secret_file
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
-from tests.unit.channel_host.fake_directory import FakeDirectory
+from tests.support.channel_host.fake_directory import FakeDirectory
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
-from tests.unit.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
+from tests.support.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
 
 
 @pytest.fixture

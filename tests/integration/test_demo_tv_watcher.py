@@ -118,7 +118,7 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason=
 
 
 @needs_proc
-@pytest.mark.slow  # tests/unit/demos/test_role_processes.py shows the same without a cluster
+@pytest.mark.slow  # tests/unit/demos/staging/test_role_processes.py shows the same without a cluster
 def test_a_role_that_dies_ends_the_demo_with_one_sentence_and_nothing_left_behind():
     with running_demo(60) as (process, mark):
         wait_for_progress(process)

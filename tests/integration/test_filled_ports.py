@@ -16,7 +16,7 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.limits import Limits
-from tests.unit.supernode.processes import (
+from tests.support.supernode.processes import (
     Supernode,
     called,
     open_channel,

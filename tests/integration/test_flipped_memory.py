@@ -13,8 +13,8 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import channel_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from tests.support.flipped_memory import FLAG, FLIPPED
-from tests.unit.supernode.processes import Cluster, Supernode, attempts, called, free_ports, open_channel, register
-from tests.unit.supernode.test_coming_and_going import command, prepared, status_has
+from tests.support.supernode.processes import Cluster, Supernode, attempts, called, free_ports, open_channel, register
+from tests.unit.supernode.joining.test_joining import command, prepared, status_has
 
 pytestmark = pytest.mark.timeout(120)
 

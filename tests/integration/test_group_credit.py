@@ -12,8 +12,8 @@ import pytest
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.groups import writing
-from tests.unit.channel_host.rig import S
-from tests.unit.groups.rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
+from tests.support.channel_host.group_rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
+from tests.support.channel_host.rig import S
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import pytest
 
 from stampede_rt.v1 import channel_service_pb2, error_pb2, group_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
-from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.channel_host.rig import MS, S, between
-from tests.unit.groups.rig import CutReader, Host, running_cluster
+from tests.support.channel_host.group_rig import CutReader, Host, running_cluster
+from tests.support.channel_host.rig import MS, S, between
+from tests.support.clock import ManualClock
 
 
 @pytest.fixture

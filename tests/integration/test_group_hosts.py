@@ -11,9 +11,9 @@ import pytest
 from stampede_rt.v1 import error_pb2, group_pb2, item_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.groups.exchange import FLOORS_MAX_PER_HOST
-from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.channel_host.rig import MAX_INSTANT, MS, S
-from tests.unit.groups.rig import Cluster, CutReader, GroupedChannel, running_cluster
+from tests.support.channel_host.group_rig import Cluster, CutReader, GroupedChannel, running_cluster
+from tests.support.channel_host.rig import MAX_INSTANT, MS, S
+from tests.support.clock import ManualClock
 
 LOWER, HIGHER = b"a-lower-host-id!", b"b-higher-host-id"
 

@@ -10,9 +10,9 @@ import pytest
 from stampede_rt.v1 import group_pb2
 from stampede_rt_channel_host.groups import link
 from stampede_rt_channel_host.groups.link import HostLink
-from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.channel_host.rig import S
-from tests.unit.groups.rig import WAIT_SECONDS, Cluster, GroupedChannel, running_cluster
+from tests.support.channel_host.group_rig import WAIT_SECONDS, Cluster, GroupedChannel, running_cluster
+from tests.support.channel_host.rig import S
+from tests.support.clock import ManualClock
 
 LOWER, HIGHER = b"a-lower-host-id!", b"b-higher-host-id"
 

@@ -26,8 +26,8 @@ from stampede_rt.v1 import (
     group_service_pb2_grpc,
 )
 from stampede_rt_local.cluster import LocalCluster
+from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between, run_of
 from tests.support.cluster import cluster_fixture
-from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between, run_of
 
 cluster = cluster_fixture(hosts=2)
 CALL_SECONDS_MAX = 15.0

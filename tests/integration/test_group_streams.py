@@ -14,9 +14,9 @@ from stampede_rt.v1 import channel_service_pb2, group_pb2
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt_channel_host.channels import subscription
 from stampede_rt_channel_host.groups import writing
-from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between
-from tests.unit.groups.rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
+from tests.support.channel_host.group_rig import WAIT_SECONDS, CutReader, GroupedChannel, Host, running_cluster
+from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between
+from tests.support.clock import ManualClock
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
 from stampede_rt_supernode.replication.storage.sqlite_store import read_identity
-from tests.unit.supernode.processes import (
+from tests.support.supernode.processes import (
     Cluster,
     Supernode,
     attempts,

@@ -21,7 +21,7 @@ from stampede_rt.v1 import (
 )
 from stampede_rt_runtime.dial import dial
 from tests.support.holding_relay import holding_relay
-from tests.unit.supernode.processes import Supernode, called, free_ports, register
+from tests.support.supernode.processes import Supernode, called, free_ports, register
 
 ME, PROOF = b"planner-planner-", b"p" * 32
 Ask = Callable[[Any, int, int], Awaitable[Any]]

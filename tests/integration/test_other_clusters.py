@@ -11,7 +11,7 @@ from stampede_rt.cluster.cluster_ids import cluster_metadata
 from stampede_rt.errors import Unavailable, WrongCluster
 from stampede_rt.v1 import directory_service_pb2 as pb
 from tests.support.supernode.commands import cluster_id, command, prepared
-from tests.unit.supernode.processes import (
+from tests.support.supernode.processes import (
     Supernode,
     attempts,
     called,

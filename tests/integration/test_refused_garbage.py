@@ -10,8 +10,8 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import error_pb2, item_pb2
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
-from tests.unit.channel_host.rig import running_host
-from tests.unit.queues.rig import running_queue_host
+from tests.support.channel_host.queue_rig import running_queue_host
+from tests.support.channel_host.rig import running_host
 
 BAD_RUN = item_pb2.ItemRun(payload_length_bytes=[1], payloads=b"longer than it says")
 

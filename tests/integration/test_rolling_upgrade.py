@@ -16,7 +16,7 @@ from stampede_rt.errors import VersionMismatch
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1.channel_pb2 import ChannelSpec, RetentionPolicy
 from tests.support.newer_release import NEW_KIND, NEW_LEVEL
-from tests.unit.supernode.processes import (
+from tests.support.supernode.processes import (
     Cluster,
     Supernode,
     attempts,

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from tests.unit.supernode.processes import clean_environment
+from tests.support.supernode.processes import clean_environment
 
 PATIENCE_SECONDS = 30.0
 

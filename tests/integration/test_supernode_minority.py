@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.supernode.commands import command
-from tests.unit.supernode.processes import Supernode, free_ports, open_channel, register, resolve, running_cluster
+from tests.support.supernode.processes import Supernode, free_ports, open_channel, register, resolve, running_cluster
 
 pytestmark = pytest.mark.timeout(120)
 

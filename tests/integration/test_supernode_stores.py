@@ -14,7 +14,7 @@ import pytest
 from stampede_rt_supernode.replication.storage.known_stores import FILE_NAME
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME, WATERMARK_NAME
 from tests.support.supernode.commands import command, prepared, status_has
-from tests.unit.supernode.processes import (
+from tests.support.supernode.processes import (
     Cluster,
     Supernode,
     attempts,

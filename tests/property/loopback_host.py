@@ -19,9 +19,9 @@ from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.dial import dial, dial_apart
 from stampede_rt_runtime.server import ServiceServer, serving
+from tests.support.channel_host.fake_directory import FakeDirectory
 from tests.support.clock import ManualClock
 from tests.support.processes import started
-from tests.unit.channel_host.fake_directory import FakeDirectory
 
 HOST_ID = b"the-loopback-hst"
 LEASE_TTL_NANOS = 10**18  # all stories together do not last so long

@@ -21,7 +21,7 @@ from tests.robustness.certificates import Certificates
 from tests.robustness.network import Network
 from tests.robustness.placed_process import READY_SECONDS, PlacedProcess
 from tests.robustness.supernode import PORT, Supernode
-from tests.unit.supernode.processes import clean_environment
+from tests.support.supernode.processes import clean_environment
 
 SUPERNODES, SPARE_NAMESPACES = 3, 1
 FRONTEND_PORT, HOST_PORT = 7580, 7570

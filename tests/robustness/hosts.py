@@ -25,7 +25,7 @@ from tests.robustness.placed_process import DidNotBite, PlacedProcess
 from tests.robustness.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
 from tests.robustness.supernode import LEASE_TTL_SECONDS
 from tests.robustness.traffic import CLIENT, Traffic
-from tests.unit.channel_host.rig import run_of
+from tests.support.channel_host.rig import run_of
 
 STALE_PUTS = 10
 RETRY_SECONDS = 0.05

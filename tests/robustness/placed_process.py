@@ -16,7 +16,7 @@ from pathlib import Path
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt_local.namespaces import NetworkNamespace
 from tests.robustness.service_process import CLOCK_FILE
-from tests.unit.supernode.processes import clean_environment
+from tests.support.supernode.processes import clean_environment
 
 READY_SECONDS = 30.0
 SEEN_SECONDS = 2.0

@@ -16,7 +16,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
-from tests.unit.channel_host.rig import run_of
+from tests.support.channel_host.rig import run_of
 
 PATIENCE_SECONDS = 30.0
 STALE_PUTS = 20

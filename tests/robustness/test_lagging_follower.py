@@ -7,7 +7,7 @@ import signal
 from pathlib import Path
 
 from tests.benchmarks.lagging_follower import Load, lag, leader_of, narrow_cluster, open_channels
-from tests.unit.supernode.processes import attempts
+from tests.support.supernode.processes import attempts
 
 BYTES_PER_SECOND = 100_000.0
 CHANNELS, WRITES_PER_SECOND, MISSED_WRITES = 300, 100.0, 200

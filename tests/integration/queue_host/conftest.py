@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from tests.unit.queues.rig import (
+from tests.support.channel_host.queue_rig import (
     QueueRig,
     running_queue_host,
 )

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from stampede_rt.v1 import error_pb2, item_pb2, queue_pb2
-from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.queues.rig import (
+from tests.support.channel_host.queue_rig import (
     QueueRig,
     S,
     ack,
@@ -13,6 +12,7 @@ from tests.unit.queues.rig import (
     queue_directory,
     term,
 )
+from tests.support.clock import ManualClock
 
 
 async def test_an_item_delivered_too_often_moves_to_the_dead_letter_queue_of_another_host() -> None:

@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import error_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
-from tests.unit.queues.rig import (
+from tests.support.channel_host.queue_rig import (
     OpenedQueue,
     QueueRig,
     S,

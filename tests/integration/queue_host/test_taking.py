@@ -8,8 +8,7 @@ import pytest
 from stampede_rt.v1 import error_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.queues import take_stream
-from tests.unit.channel_host.manual_clock import ManualClock
-from tests.unit.queues.rig import (
+from tests.support.channel_host.queue_rig import (
     Delivered,
     QueueRig,
     S,
@@ -20,6 +19,7 @@ from tests.unit.queues.rig import (
     run_of,
     running_queue_host,
 )
+from tests.support.clock import ManualClock
 
 
 async def test_what_is_put_is_taken_in_order_and_used_up_by_acknowledging(rig: QueueRig) -> None:

@@ -120,20 +120,20 @@ MUTANTS = (
         name="replaced_stream_lives_on",
         file=f"{REPLICATION}/network/servicer.py",
         edits=(("            replaced.cancel()\n", "            pass\n"),),
-        noticed_by="tests/unit/supernode/replication/network/test_streams.py",
+        noticed_by="tests/unit/supernode/replication/network/test_peer_link.py",
     ),
     Mutant(
         name="links_queue_survives_a_break",
         file=f"{REPLICATION}/network/peer_link.py",
         edits=(("        self._queue.clear()\n        self.queued_bytes = 0\n", ""),),
-        noticed_by="tests/unit/supernode/replication/network/test_streams.py",
+        noticed_by="tests/unit/supernode/replication/network/test_peer_link.py",
         quick=True,
     ),
     Mutant(
         name="snapshot_not_checked",
         file=f"{REPLICATION}/storage/snapshot_receiver.py",
         edits=(("if hashlib.sha256(incoming.data).digest() != incoming.sha256:", "if False:"),),
-        noticed_by="tests/unit/supernode/replication/rules/test_closed_faults.py",
+        noticed_by="tests/unit/supernode/replication/rules/test_rules_closed_faults.py",
     ),
     Mutant(
         name="stored_snapshot_not_checked",
@@ -145,7 +145,7 @@ MUTANTS = (
         name="dedup_window_cut",
         file=f"{SUPERNODE}/core/answered.py",
         edits=(("MARKS_KEPT = 6\n", "MARKS_KEPT = 2\n"),),
-        noticed_by="tests/unit/supernode/test_operations.py",
+        noticed_by="tests/unit/supernode/core/test_answered.py",
     ),
     Mutant(
         name="host_counts_from_the_answer",
@@ -157,7 +157,7 @@ MUTANTS = (
                 "        sent = self._clock.boottime_nanos()\n",
             ),
         ),
-        noticed_by="tests/unit/channel_host/test_registration.py",
+        noticed_by="tests/unit/channel_host/cluster/test_registration.py",
     ),
     Mutant(
         name="lease_not_shorter_at_the_host",
@@ -175,7 +175,7 @@ MUTANTS = (
         name="expire_any_tenure",
         file=f"{SUPERNODE}/core/hosts/transitions.py",
         edits=(("not host.alive or operation.tenure != tenure:", "not host.alive:"),),
-        noticed_by="tests/unit/supernode/test_hosts.py",
+        noticed_by="tests/unit/supernode/core/hosts/test_transitions.py",
     ),
     Mutant(
         name="late_registration_is_done",

@@ -18,7 +18,7 @@ from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE
 from tests.robustness.replication.ext4 import Ext4
 from tests.robustness.replication.member_process import REFUSED, UNKNOWN_OUTCOME
 from tests.robustness.replication.test_killed_processes import IDS, MemberProcess, write
-from tests.unit.supernode.processes import attempts
+from tests.support.supernode.processes import attempts
 
 pytestmark = pytest.mark.skipif(
     os.geteuid() != 0 or not all(map(shutil.which, ("mkfs.ext4", "fsfreeze", "losetup"))), reason="needs root and ext4"

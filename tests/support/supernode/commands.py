@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from stampede_rt.v1 import directory_service_pb2 as pb
-from tests.unit.supernode.processes import PATIENCE_SECONDS, Supernode, attempts, clean_environment
+from tests.support.supernode.processes import PATIENCE_SECONDS, Supernode, attempts, clean_environment
 
 
 async def command(*words: str) -> tuple[int, str]:

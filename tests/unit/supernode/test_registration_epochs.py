@@ -16,7 +16,7 @@ from stampede_rt_supernode.core.commands import Operation, Refused, Result
 from stampede_rt_supernode.core.hosts.commands import HostRegistered
 from stampede_rt_supernode.core.peers.commands import PeerRegistered
 from stampede_rt_supernode.core.records import HostRecord, PeerRecord
-from tests.unit.supernode.operations import (
+from tests.support.supernode.operations import (
     Log,
     deregister,
     deregister_peer,

@@ -12,7 +12,7 @@ from stampede_rt_supernode.replication.wire.messages import (
     ForwardRefusal,
 )
 from tests.robustness.replication.machine import ListMachine
-from tests.unit.supernode.replication.lone_node import LoneNode, append
+from tests.support.supernode.lone_node import LoneNode, append
 
 NOT_TAKEN = ["QUEUE_FULL", "MISSING_LEADER", "DISCARDED", "NOT_LEADER"]
 UNKNOWN = ["LEADER_CHANGED", "UNKNOWN_OUTCOME"]

@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.commands import Command, Operation
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.rules.digests import DigestPoll, Digests
 from stampede_rt_supernode.replication.wire.messages import NO_DIGEST
-from tests.unit.supernode.operations import begin_tenure, id_of, open_channel, register
+from tests.support.supernode.operations import begin_tenure, id_of, open_channel, register
 
 UNKNOWN = b"\xff\xff what this release does not know"
 OPERATIONS = [begin_tenure(), register(1), open_channel("cam/1"), open_channel("cam/2"), open_channel("cam/3")]

@@ -10,7 +10,7 @@ from stampede_rt_supernode.replication.interface import Member, ReleaseOutdated
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.wire.buffered_transport import Connected, StreamOpened
 from tests.robustness.replication.machine import ListMachine
-from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement
+from tests.support.supernode.lone_node import LoneNode, acknowledgement
 
 NEWCOMER = Member(member_id="new", address="new:1")
 

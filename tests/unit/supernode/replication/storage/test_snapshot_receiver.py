@@ -14,7 +14,7 @@ from stampede_rt_supernode.replication.storage.store import MemoryStore, StoreCh
 from stampede_rt_supernode.replication.threads.worker_thread import Result
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message
 from tests.robustness.replication.machine import ListMachine
-from tests.unit.supernode.replication.lone_node import LoneNode, append, piece, snapshot_pieces
+from tests.support.supernode.lone_node import LoneNode, append, piece, snapshot_pieces
 
 T = TypeVar("T")
 

@@ -40,7 +40,7 @@ from stampede_rt_supernode.replication.wire.records import (
     encode_entry,
     encode_snapshot,
 )
-from tests.unit.supernode.replication.lone_node import acknowledgement, append, vote
+from tests.support.supernode.lone_node import acknowledgement, append, vote
 
 CHUNK = SnapshotChunk(last_log_index=9, offset_bytes=2, total_bytes=7, sha256=bytes(32), data=b"part")
 

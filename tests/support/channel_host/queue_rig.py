@@ -1,0 +1,258 @@
+"""Hosts with queues behind real gRPC, a directory in memory, and stubs as a client in any language has them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import grpc
+
+from stampede_rt.v1 import channel_service_pb2, item_pb2, queue_pb2
+from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.host import ChannelHost
+from stampede_rt_runtime.clock import HostClock, SystemClock
+from stampede_rt_runtime.dial import dial, dial_apart
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.server import ServiceServer, serving
+from tests.support.channel_host.fake_queue_directory import FakeQueueDirectory
+from tests.support.channel_host.rig import payloads_of
+
+HOST_ID = b"the-host-id-here"
+MS, S = 10**6, 10**9
+WAIT_SECONDS_MAX = 20.0
+
+
+class QueueRig:
+    """One host, its directory, and a connection to it."""
+
+    def __init__(self, directory: FakeQueueDirectory, host: ChannelHost, target: str) -> None:
+        self.directory = directory
+        self.host = host
+        self.target = target
+        # A stream that is not read must fill its window soon, whatever the machine's default is.
+        options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
+        self.connection = grpc.aio.insecure_channel(target, options=options)
+        self.stub = QueueServiceStub(self.connection)
+
+    def open(self, name: str = "q", **spec: Any) -> OpenedQueue:
+        """A queue that the directory positions at this host."""
+        return OpenedQueue(self, self.directory.add_queue(name, self.host.identity.host_id, **spec))
+
+
+class OpenedQueue:
+    """A queue, as its callers use it."""
+
+    def __init__(self, rig: QueueRig, record: queue_pb2.QueueRecord) -> None:
+        self.rig = rig
+        self.record = record
+        self.queue_id = record.queue_id
+
+    async def put(self, *payloads: bytes, **fields: Any) -> channel_service_pb2.PutAck:
+        """One run on a stream of its own; its ack."""
+        (ack,) = await self.enqueue(run_of(*payloads, **fields))
+        return ack
+
+    async def enqueue(
+        self, *runs: pb.EnqueueRun, producer_id: int = 0, epoch: int | None = None
+    ) -> list[channel_service_pb2.PutAck]:
+        call = self.rig.stub.Enqueue(iter((self.enqueue_request(*runs, producer_id=producer_id, epoch=epoch),)))
+        return [ack async for response in call for ack in response.acks]
+
+    def enqueue_request(
+        self, *runs: pb.EnqueueRun, producer_id: int = 0, epoch: int | None = None
+    ) -> pb.EnqueueRequest:
+        believed = self.record.epoch if epoch is None else epoch
+        return pb.EnqueueRequest(queue_id=self.queue_id, epoch=believed, producer_id=producer_id, runs=runs)
+
+    def take(self, taker_id: int = 1, credit: int = 0, **fields: Any) -> TakeCall:
+        return TakeCall(self, taker_id, credit, **fields)
+
+    async def settle(
+        self, *settlements: queue_pb2.Settlement, taker_id: int = 1, epoch: int | None = None
+    ) -> list[queue_pb2.SettlementResult]:
+        believed = self.record.epoch if epoch is None else epoch
+        request = pb.SettleRequest(queue_id=self.queue_id, epoch=believed, taker_id=taker_id, settlements=settlements)
+        return list((await self.rig.stub.Settle(request)).results)
+
+    async def status(self) -> queue_pb2.QueueStatus:
+        request = pb.GetQueueStatusRequest(queue_id=self.queue_id)
+        return (await self.rig.stub.GetQueueStatus(request)).status
+
+    async def until(self, condition: Callable[[queue_pb2.QueueStatus], bool]) -> queue_pb2.QueueStatus:
+        """Ask for the status, as fast as it is answered, until it is as wished."""
+        async with asyncio.timeout(WAIT_SECONDS_MAX):
+            while not condition(status := await self.status()):
+                pass
+        return status
+
+
+class Delivered:
+    """One item in a taker's hands."""
+
+    def __init__(self, payload: bytes, seq: int, delivery_id: int, delivery: int, run: queue_pb2.LeasedRun) -> None:
+        self.payload = payload
+        self.seq = seq
+        self.delivery_id = delivery_id
+        self.delivery = delivery
+        self.run = run
+
+
+class TakeCall:
+    """A stream that takes."""
+
+    def __init__(
+        self, queue: OpenedQueue, taker_id: int, credit: int, *, epoch: int | None = None, **fields: Any
+    ) -> None:
+        believed = queue.record.epoch if epoch is None else epoch
+        self.queue = queue
+        self.call = queue.rig.stub.Take()
+        self._first: pb.TakeRequest | None = pb.TakeRequest(
+            open=pb.TakeOpen(queue_id=queue.queue_id, epoch=believed, taker_id=taker_id, **fields), credit=credit
+        )
+        self.incarnation = 0
+        self._items: list[Delivered] = []
+        self.results: list[queue_pb2.SettlementResult] = []
+        self.drained = False
+
+    async def open(self) -> TakeCall:
+        """Returns when the host has answered."""
+        await self.send()
+        response = await self.read()
+        self.incarnation = response.incarnation
+        return self
+
+    async def send(self, **fields: Any) -> None:
+        if self._first is not None:
+            first, self._first = self._first, None
+            await self.call.write(first)
+        if fields:
+            await self.call.write(pb.TakeRequest(**fields))
+
+    async def read(self) -> pb.TakeResponse:
+        async with asyncio.timeout(WAIT_SECONDS_MAX):
+            response = await self.call.read()
+        assert response is not grpc.aio.EOF, "the stream goes on"
+        self._items += delivered_in(response)
+        self.results += response.results
+        self.drained = self.drained or response.drained
+        return response
+
+    async def items(self, count: int) -> list[Delivered]:
+        """The next so many."""
+        await self.send()
+        while len(self._items) < count:
+            await self.read()
+        found, self._items = self._items[:count], self._items[count:]
+        return found
+
+    async def settled(self, *settlements: queue_pb2.Settlement) -> list[queue_pb2.SettlementResult]:
+        """What became of settlements on this stream."""
+        before = len(self.results)
+        await self.send(settlements=settlements)
+        while len(self.results) < before + len(settlements):
+            await self.read()
+        return self.results[before:]
+
+    async def ended(self) -> grpc.StatusCode:
+        """How the stream ended, once it has; what comes before is read and dropped."""
+        async with asyncio.timeout(WAIT_SECONDS_MAX):
+            with contextlib.suppress(grpc.aio.AioRpcError):
+                while await self.call.read() is not grpc.aio.EOF:
+                    pass
+            code: grpc.StatusCode = await self.call.code()
+        return code
+
+
+def delivered_in(response: pb.TakeResponse) -> list[Delivered]:
+    return [
+        Delivered(payload, run.run.first_seq + at, delivery_id, run.deliveries[at] if run.deliveries else 1, run)
+        for run in response.runs
+        for at, (payload, delivery_id) in enumerate(zip(payloads_of(run.run), run.delivery_ids, strict=True))
+    ]
+
+
+def ack(one: Delivered | int) -> queue_pb2.Settlement:
+    return _settlement(one, acknowledge=queue_pb2.Acknowledge())
+
+
+def nack(one: Delivered | int, delay_nanos: int = 0) -> queue_pb2.Settlement:
+    return _settlement(one, give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos))
+
+
+def extend(one: Delivered | int, lease_nanos: int) -> queue_pb2.Settlement:
+    return _settlement(one, extend_lease=queue_pb2.ExtendLease(lease_nanos=lease_nanos))
+
+
+def term(one: Delivered | int, reason: str = "") -> queue_pb2.Settlement:
+    return _settlement(one, terminate=queue_pb2.Terminate(reason=reason))
+
+
+def _settlement(one: Delivered | int, **verdict: Any) -> queue_pb2.Settlement:
+    return queue_pb2.Settlement(delivery_id=one if isinstance(one, int) else one.delivery_id, **verdict)
+
+
+def run_of(*payloads: bytes, number: int = 1, **fields: Any) -> pb.EnqueueRun:
+    """A run as a producer encodes it; without times the host stamps it."""
+    run = item_pb2.ItemRun(
+        payload_length_bytes=[len(payload) for payload in payloads],
+        payloads=b"".join(payloads),
+        content_type=fields.pop("content_type", ""),
+        attributes=fields.pop("attributes", {}),
+    )
+    return pb.EnqueueRun(first_number=number, run=run, **fields)
+
+
+@asynccontextmanager
+async def queue_directory(lease_ttl_nanos: int = 600 * S) -> AsyncIterator[FakeQueueDirectory]:
+    directory = FakeQueueDirectory(lease_ttl_nanos=lease_ttl_nanos)
+    async with serving(directory.register) as supernode:
+        directory.target = supernode.address
+        yield directory
+
+
+@asynccontextmanager
+async def host_of(
+    directory: FakeQueueDirectory,
+    *,
+    host_id: bytes = HOST_ID,
+    name: str = "h1",
+    clock: HostClock | None = None,
+    memory_bytes_max: int = 2**30,
+) -> AsyncIterator[QueueRig]:
+    """A host that has entered the directory; it leaves at the end of the block."""
+    host = ChannelHost(
+        HostIdentity(host_id=host_id, name=name, boot_incarnation=7),
+        frontends=[directory.target],
+        dial=lambda target: dial(target, secret=None),
+        dial_apart=lambda target: dial_apart(target, secret=None),
+        clock=clock or SystemClock(),
+        memory_bytes_max=memory_bytes_max,
+        on_serving=lambda serving: None,
+        on_defect=_fail,
+    )
+    server = ServiceServer(secret=None)
+    rig = QueueRig(directory, host, server.bind("localhost:0"))
+    host.add_to(server.grpc)
+    await server.start()
+    await host.enter(rig.target)
+    try:
+        yield rig
+    finally:
+        await rig.connection.close(None)
+        await server.stop(host.leave)
+
+
+@asynccontextmanager
+async def running_queue_host(**settings: Any) -> AsyncIterator[QueueRig]:
+    """A host and its directory."""
+    async with queue_directory() as directory, host_of(directory, **settings) as rig:
+        yield rig
+
+
+def _fail(failure: BaseException) -> None:
+    raise AssertionError("a task of the host died") from failure

@@ -1,0 +1,85 @@
+"""What is read behind a put that waits is memory of the host, too."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+from typing import Any
+
+from grpc.aio import EOF
+
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.channels.read_ahead import ReadAhead
+from tests.support.channel_host.rig import run_of, running_host
+
+
+class Requests:
+    """A stream of equal requests without end."""
+
+    def __init__(self, request: bytes) -> None:
+        self.reads = 0
+        self._request = request
+
+    async def read(self) -> Any:
+        self.reads += 1
+        return self._request
+
+
+async def turns() -> None:
+    for _ in range(50):
+        await asyncio.sleep(0)
+
+
+async def test_what_is_read_ahead_is_charged_until_it_is_taken_or_nobody_asks_any_more() -> None:
+    memory, requests = MemoryBudget(2**30), Requests(bytes(2**20))
+    ahead = ReadAhead(requests.read, memory)
+    await ahead.next()
+    assert memory.used_bytes == 0
+    ahead.go_on()
+    await turns()
+    assert memory.used_bytes == 4 * 2**20
+    await ahead.next()
+    assert memory.used_bytes == 3 * 2**20
+    ahead.close()
+    assert memory.used_bytes == 0
+
+
+async def test_nothing_is_read_ahead_on_any_stream_when_the_hosts_memory_is_used_up() -> None:
+    memory, requests = MemoryBudget(3 * 2**20), Requests(bytes(2**20))
+    streams = [ReadAhead(requests.read, memory) for _ in range(10)]
+    for one in streams:
+        one.go_on()
+    await turns()
+    assert memory.used_bytes <= 3 * 2**20 + len(streams) * 2**20  # one request more on each
+    before = requests.reads
+    Charge(memory).set(3 * 2**20)
+    late = ReadAhead(requests.read, memory)
+    late.go_on()
+    await turns()
+    assert requests.reads == before
+    assert (await late.next())[0] is not EOF
+    for one in streams:
+        one.close()
+
+
+def large_blocks(size: int) -> int:
+    """How many bytes objects of that size and more something in Python refers to."""
+    return sum(
+        isinstance(held, bytes) and len(held) >= size for one in gc.get_objects() for held in gc.get_referents(one)
+    )
+
+
+async def test_a_stream_that_waits_for_its_next_put_does_not_hold_the_last_request() -> None:
+    async with running_host(memory_bytes_max=2**20) as rig:
+        channel = await rig.open()
+        call = rig.channels.Put()
+        size = 3 * 2**20
+        known = {"channel_id": channel.channel_id, "epoch": channel.epoch}
+        request = pb.PutRequest(puts=[run_of(bytes(size))], **known)
+        await call.write(request)
+        ack = (await call.read()).acks[0]
+        assert ack.HasField("error")
+        del request
+        assert large_blocks(size) == 0
+        call.cancel()

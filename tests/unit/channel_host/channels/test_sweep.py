@@ -1,0 +1,177 @@
+"""What retention has outdated is freed although nobody asks for it, at the cost of those in which something happens."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import pytest
+
+from stampede_rt.errors import Unavailable
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.records import policy_to_spec
+from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels import sweep
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.puts import IncomingRun
+from stampede_rt_channel_host.channels.sweep import Sweep
+from stampede_rt_channel_host.cluster.records import recorded_channel
+from stampede_rt_channel_host.core.channel.pieces import at_once
+from stampede_rt_channel_host.core.dedup import KEPT_NANOS
+from tests.support.clock import ManualClock
+
+S = 10**9
+
+
+class Host:
+    """Channels under one clock, one budget and one sweep."""
+
+    def __init__(self, bytes_max: int = 2**30) -> None:
+        self.clock = ManualClock()
+        self.sweep = Sweep(self.clock.time_unix_nano)
+        self.memory = MemoryBudget(bytes_max, self.sweep.reclaim)
+
+    def open(self, policy: Policy) -> HostedChannel:
+        record = channel_pb2.ChannelRecord(name="a", epoch=1, incarnation=5, spec=policy_to_spec(policy))
+        return HostedChannel(recorded_channel(record), self.memory, self.clock.time_unix_nano, self.sweep.touch)
+
+    def put(
+        self, channel: HostedChannel, *payloads: bytes, times: Sequence[int] | None = None, producer: int = 0
+    ) -> None:
+        encoded = encode_run(payloads, times=times, durations=[0] * len(payloads))
+        run = IncomingRun(encoded, producer_id=producer, first_number=1, wait_nanos=None)
+        ack = channel.puts.put(run, self.clock.time_unix_nano())
+        assert ack is not None
+        assert not ack.rejections
+
+
+async def test_a_channel_is_swept_when_its_items_are_of_age_and_keeps_the_newest() -> None:
+    host = Host()
+    channel = host.open(Policy(max_age_nanos=S))
+    for _ in range(2000):
+        host.put(channel, b"x")
+        host.clock.advance(1)
+    await host.sweep.sweep()
+    assert host.memory.used_bytes == channel.footprint_bytes()
+    host.clock.advance(2 * S)
+    await host.sweep.sweep()
+    assert channel.channel.collect(host.clock.time_unix_nano()) is False  # nothing is left to free
+    assert channel.channel.counters(host.clock.time_unix_nano()).collected["age"] == 1999
+    assert host.memory.used_bytes == channel.footprint_bytes() == 64 + len(b"x") + _overhead(b"x")
+
+
+def _overhead(payload: bytes) -> int:
+    """What stands around a payload in a run of one: columns, the stamp and the seq."""
+    return len(encode_run([payload], times=[0], durations=[0])) - len(payload) + 9
+
+
+async def test_channels_in_which_nothing_happens_cost_a_sweep_nothing() -> None:
+    """20,000 of them took 43 % of a core."""
+    host = Host()
+    idle = [host.open(Policy(max_age_nanos=S)) for _ in range(2000)]
+    for channel in idle:
+        host.put(channel, b"x")
+    await host.sweep.sweep()
+    host.sweep.looked_at = 0
+    host.clock.advance(3600 * S)
+    await host.sweep.sweep()
+    assert host.sweep.looked_at == 0, "the newest item never ages"
+    host.put(idle[7], b"y")
+    await host.sweep.sweep()
+    assert host.sweep.looked_at <= 3
+
+
+async def test_a_step_of_the_sweep_frees_few_entries_however_many_channels_have_some(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    host = Host()
+    channels = [host.open(Policy(max_age_nanos=S)) for _ in range(40)]
+    for channel in channels:
+        for _ in range(100):
+            host.put(channel, b"x")
+            host.clock.advance(1)
+    await host.sweep.sweep()
+    freed: list[int] = []
+
+    async def give_way() -> None:
+        freed.append(sum(one.channel.freed_entries for one in channels))
+
+    monkeypatch.setattr(sweep, "_give_way", give_way)
+    host.clock.advance(2 * S)
+    await host.sweep.sweep()
+    assert sum(one.channel.freed_entries for one in channels) == 40 * 99
+    assert max(after - before for before, after in pairwise(freed)) <= 3 * sweep.ENTRIES_PER_STEP_MAX
+
+
+async def test_what_is_known_of_producers_is_charged_and_goes_without_another_put() -> None:
+    host = Host()
+    channel = host.open(Policy(max_items=1))
+    host.put(channel, b"x")
+    without = host.memory.used_bytes
+    host.put(channel, b"x", producer=7)
+    assert host.memory.used_bytes > without
+    await host.sweep.sweep()
+    host.clock.advance(KEPT_NANOS)
+    await host.sweep.sweep()
+    assert host.memory.used_bytes == without
+
+
+async def test_memory_that_time_has_outdated_is_freed_before_a_put_is_refused() -> None:
+    host = Host(bytes_max=10_000)
+    full, other = host.open(Policy(max_age_nanos=S)), host.open(Policy(max_age_nanos=S))
+    host.put(full, b"x" * 9_000)
+    host.clock.advance(1)
+    host.put(full, b"x")
+    host.clock.advance(2 * S)
+    host.put(other, b"y" * 5_000)
+    assert host.memory.used_bytes < 6_000
+
+
+async def test_a_channel_that_goes_gives_its_memory_back() -> None:
+    host = Host()
+    channel = host.open(Policy(max_items=10))
+    host.put(channel, b"x")
+    at_once(channel.leaving(Unavailable("gone")))
+    host.sweep.forget(channel)
+    assert host.memory.used_bytes == 0
+    await host.sweep.sweep()
+
+
+@pytest.mark.parametrize("max_items", [1, 3])
+async def test_an_item_that_is_left_of_a_large_run_does_not_keep_it_all(max_items: int) -> None:
+    """It was charged with its length and 64 bytes, and kept 64 kB."""
+    host = Host()
+    channel = host.open(Policy(max_items=max_items))
+    payloads = [b"%03d" % place + bytes(250) for place in range(256)]
+    start = host.clock.time_unix_nano()
+    host.put(channel, *payloads, times=range(start, start + 256))
+    assert channel.footprint_bytes() < 2 * max_items * (253 + 64) + 256
+    found, _ = channel.channel.look(start)
+    (part,) = found.slices()
+    assert part.is_whole
+    assert payloads[-max_items] in part.run.body
+    assert payloads[0] not in part.run.body
+
+
+async def test_runs_of_which_items_in_the_middle_went_are_charged_as_they_are_kept() -> None:
+    """What is left of a run in many places stays where it is: it is charged with all that it keeps."""
+    host = Host()
+    channel = host.open(Policy(max_items=256))
+    start = host.clock.time_unix_nano()
+    late = [start + 10 * place for place in range(256)]
+    host.put(channel, *[bytes(200)] * 256, times=late)
+    whole = channel.footprint_bytes()
+    host.put(channel, *[bytes(200)] * 200, times=[time + 5 for time in late[56:]])
+    assert channel.footprint_bytes() > whole, "both runs have items left"
+    assert channel.footprint_bytes() == host.memory.used_bytes
+
+
+async def test_a_put_of_one_byte_with_large_attributes_is_charged_with_what_it_keeps() -> None:
+    host = Host()
+    channel = host.open(Policy(max_items=10))
+    encoded = encode_run([b"x"], times=None, attributes={"a": "b" * 10_000})
+    run = IncomingRun(encoded, producer_id=0, first_number=1, wait_nanos=None)
+    channel.puts.put(run, host.clock.time_unix_nano())
+    assert host.memory.used_bytes > 10_000

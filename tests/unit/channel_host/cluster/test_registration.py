@@ -1,0 +1,335 @@
+"""A host enters the directory, stays in it, and stops in time when it cannot."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import HostExists, LeaseExpired, NotLeader, PermissionDenied, Unavailable, VersionMismatch
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt.v1.directory_service_pb2 import RegisterHostResponse, RenewHostLeaseResponse
+from stampede_rt_channel_host.cluster.identity import (
+    HomeCluster,
+    HostIdentity,
+)
+from stampede_rt_channel_host.cluster.registration import Registration
+from stampede_rt_channel_host.cluster.supernodes import Supernodes
+from stampede_rt_runtime.clock import SystemClock
+from stampede_rt_runtime.dial import dial, naming_cluster
+from stampede_rt_runtime.server import serving
+from tests.support.channel_host.fake_directory import FakeDirectory
+
+MS = 10**6
+
+
+class Host:
+    """A registration under test, and what it was told."""
+
+    def __init__(self, frontend: str, name: str = "h1", folder: Path | None = None, boot: int = 7) -> None:
+        self.identity = HostIdentity(host_id=name.encode().ljust(16, b"."), name=name, boot_incarnation=boot)
+        self.home = HomeCluster(folder)
+        dial_home = naming_cluster(lambda target: dial(target, secret=None), lambda: self.home.cluster_id)
+        self.supernodes = Supernodes([frontend], dial_home, peer_name=name)
+        self.registered: asyncio.Queue[Any] = asyncio.Queue()
+        self.lease: asyncio.Queue[bool] = asyncio.Queue()
+        self.registration = Registration(
+            self.identity,
+            self.supernodes,
+            SystemClock(),
+            on_registered=self.registered.put,
+            on_lease=self.lease.put_nowait,
+            home=self.home,
+        )
+
+    async def lease_becomes(self, held: bool) -> None:
+        async with asyncio.timeout(5):
+            while await self.lease.get() is not held:
+                pass
+
+
+@asynccontextmanager
+async def directory(**options: Any) -> AsyncIterator[FakeDirectory]:
+    fake = FakeDirectory(**options)
+    async with serving(fake.register) as server:
+        fake.target = server.address
+        yield fake
+
+
+@asynccontextmanager
+async def keeping(host: Host) -> AsyncIterator[None]:
+    task = asyncio.create_task(host.registration.keep())
+    try:
+        yield
+    finally:
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+        await host.supernodes.aclose()
+
+
+async def test_a_host_enters_and_holds_its_lease() -> None:
+    async with directory() as fake:
+        host = Host(fake.target)
+        assert not host.registration.lease_held()
+        await host.registration.enter("localhost:1")
+        assert host.registration.lease_held()
+        assert fake.hosts[host.identity.host_id].gatekeepers[0].target == "localhost:1"
+        assert host.registered.qsize() == 1
+        await host.supernodes.aclose()
+
+
+async def test_a_host_tells_the_cluster_with_which_it_registered_first_also_after_a_restart(tmp_path: Path) -> None:
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        first = Host(fake.target, folder=tmp_path)
+        await first.registration.enter("localhost:1")
+        async with keeping(first):
+            await fake.called("RenewHostLease", times=1)
+        again = Host(fake.target, folder=tmp_path)
+        await again.registration.enter("localhost:1")
+        await again.supernodes.aclose()
+    assert fake.clusters_told == {"RegisterHost": ["", "c"], "RenewHostLease": ["c"] * fake.calls["RenewHostLease"]}
+
+
+async def test_it_renews_three_times_per_ttl_and_is_not_fenced() -> None:
+    async with directory(lease_ttl_nanos=2000 * MS) as fake:  # a busy machine may halt this process for a second
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            await fake.called("RenewHostLease", times=4)
+            assert host.registration.lease_held()
+            assert [host.lease.get_nowait()] == [True]
+            assert host.lease.empty()
+
+
+async def test_a_host_whose_renewals_fail_is_fenced_and_serves_again_after_the_next_one() -> None:
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            fake.refuse["RenewHostLease"] = Unavailable("no majority")
+            await host.lease_becomes(False)
+            assert not host.registration.lease_held()
+            fake.refuse.clear()
+            await host.lease_becomes(True)
+            assert host.registered.qsize() == 1  # it was only late: no second registration
+
+
+class SlowDirectory:
+    """Answers registration and the first renewal, both 3 s after they were sent, and nothing else."""
+
+    def __init__(self) -> None:
+        self.now = 100 * 10**9
+        self.asked: list[str] = []
+
+    def boottime_nanos(self) -> int:
+        return self.now
+
+    async def call(self, method: str, request: object, timeout_s: float) -> object:
+        self.asked.append(method)
+        if len(self.asked) > 2:
+            await asyncio.Event().wait()
+        self.now += 3 * 10**9
+        if method == "RegisterHost":
+            return RegisterHostResponse(lease_ttl_nanos=5 * 10**9)
+        return RenewHostLeaseResponse(lease_ttl_nanos=5 * 10**9)
+
+
+async def test_a_lease_counts_from_the_sending_and_not_from_the_answer() -> None:
+    slow = SlowDirectory()
+
+    async def ignore(_: object) -> None:
+        pass
+
+    registration = Registration(
+        HostIdentity(host_id=b"h" * 16, name="h1", boot_incarnation=7),
+        slow,  # type: ignore[arg-type]  # only `call` is used here
+        slow,  # type: ignore[arg-type]  # and of the clock this
+        on_registered=ignore,
+        on_lease=lambda held: None,
+    )
+    await registration.enter("localhost:1")
+    start = 100 * 10**9
+    for seconds, held in ((3.9, True), (4.1, False)):
+        slow.now = start + int(seconds * 10**9)
+        assert registration.lease_held() is held
+    slow.now = start + 3 * 10**9
+    keeping_on = asyncio.create_task(registration.keep())
+    while len(slow.asked) < 3:  # noqa: ASYNC110 - nothing announces it
+        await asyncio.sleep(0)
+    keeping_on.cancel()
+    for seconds, held in ((6.9, True), (7.1, False)):
+        slow.now = start + int(seconds * 10**9)
+        assert registration.lease_held() is held
+
+
+async def test_the_loss_of_renewals_and_their_return_are_logged_once_each(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            fake.refuse["RenewHostLease"] = Unavailable("no majority")
+            await host.lease_becomes(False)
+            await fake.called("RenewHostLease", times=5)
+            fake.refuse.clear()
+            await host.lease_becomes(True)
+            await fake.called("RenewHostLease", times=8)
+    told = [record.getMessage().partition(";")[0] for record in caplog.records if "lease" in record.getMessage()]
+    assert [line for line in told if "fenced" not in line] == ["lease not renewed", "lease renewed again"]
+
+
+async def test_a_host_whose_lease_has_ended_registers_again_as_the_same_start_of_the_process() -> None:
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        record = fake.add_channel("a", host.identity.host_id)
+        async with keeping(host):
+            fake.hosts[host.identity.host_id].alive = False
+            await host.registered.get()
+            async with asyncio.timeout(5):
+                answer = await host.registered.get()
+            assert [one.channel_id for one in answer.channels] == [record.channel_id]
+            assert answer.channels[0].epoch == 1
+            await host.lease_becomes(True)
+
+
+async def test_the_end_of_a_lease_and_the_next_registration_are_both_warnings(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("WARNING", logger="stampede_rt_channel_host")
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            fake.hosts[host.identity.host_id].alive = False
+            await fake.called("RegisterHost", times=2)
+            await fake.called("RenewHostLease", times=2)
+    told = [record.getMessage() for record in caplog.records]
+    assert [line for line in told if line in ("the lease has ended", "registered", "registered again")] == [
+        "the lease has ended",
+        "registered again",
+    ]
+
+
+async def test_a_name_still_held_by_a_predecessor_is_waited_for() -> None:
+    async with directory() as fake:
+        fake.refuse["RegisterHost"] = HostExists("another live host has the name h1")
+        host = Host(fake.target)
+        entering = asyncio.create_task(host.registration.enter("localhost:1"))
+        await fake.called("RegisterHost", times=2)
+        fake.refuse.clear()
+        await entering
+        assert host.registration.lease_held()
+        await host.supernodes.aclose()
+
+
+async def test_a_host_that_is_started_again_takes_its_own_place_with_the_next_number() -> None:
+    async with directory() as fake:
+        for boot in (7, 8, 9):
+            host = Host(fake.target, boot=boot)
+            await host.registration.enter("localhost:1")
+            assert fake.hosts[host.identity.host_id].boot_incarnation == boot
+            await host.supernodes.aclose()
+        assert fake.hosts[host.identity.host_id].registration_epoch == 2
+
+
+async def test_a_host_whose_newer_process_lives_does_not_take_its_place_back_until_that_one_is_gone() -> None:
+    """The two of them took the channels from each other again and again."""
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        former, newer = Host(fake.target), Host(fake.target, boot=8)
+        await former.registration.enter("localhost:1")
+        await newer.registration.enter("localhost:1")
+        tried = fake.calls["RegisterHost"]
+        async with keeping(former):
+            await fake.called("RegisterHost", times=tried + 2)
+            own = fake.hosts[newer.identity.host_id]
+            assert (own.boot_incarnation, own.registration_epoch) == (8, 1)
+            assert not former.registration.lease_held()
+            own.alive = False
+            await former.lease_becomes(False)
+            await former.lease_becomes(True)
+        assert fake.hosts[former.identity.host_id].registration_epoch == 2
+        await newer.supernodes.aclose()
+
+
+async def test_a_refusal_that_stays_ends_the_start_at_once() -> None:
+    async with directory() as fake:
+        fake.refuse["RegisterHost"] = PermissionDenied("not this one")
+        host = Host(fake.target)
+        with pytest.raises(PermissionDenied, match="not this one"):
+            await host.registration.enter("localhost:1")
+        assert fake.calls["RegisterHost"] == 1
+        await host.supernodes.aclose()
+
+
+async def test_a_start_without_any_front_end_ends_with_a_reason() -> None:
+    host = Host("localhost:1")
+    with pytest.raises(Unavailable, match="cannot find the supernodes by localhost:1"):
+        await host.registration.enter("localhost:1", timeout_s=0.1)
+    await host.supernodes.aclose()
+
+
+async def test_the_leader_named_by_a_follower_is_asked() -> None:
+    async with directory() as follower, directory() as leader:
+        follower.refuse["RegisterHost"] = NotLeader("not me", metadata={"leader_endpoint": leader.target})
+        host = Host(follower.target)
+        await host.registration.enter("localhost:1")
+        assert leader.hosts.keys() == {host.identity.host_id}
+        await host.supernodes.aclose()
+
+
+async def test_a_dead_supernode_is_passed_over() -> None:
+    async with directory() as fake:
+        fake.others = ["localhost:1"]
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        assert host.registration.lease_held()
+        await host.supernodes.aclose()
+
+
+async def test_leaving_deregisters_and_gives_the_lease_up() -> None:
+    async with directory() as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        await host.registration.leave()
+        assert not host.registration.lease_held()
+        assert not fake.hosts[host.identity.host_id].alive
+        await host.supernodes.aclose()
+
+
+async def test_an_ended_lease_is_reported_to_the_fence_before_registering_again() -> None:
+    async with directory() as fake:
+        host = Host(fake.target)
+        await host.registration.enter("localhost:1")
+        fake.refuse["RenewHostLease"] = LeaseExpired("ended")
+        fake.refuse["RegisterHost"] = HostExists("another has the name now")
+        with pytest.raises(HostExists):
+            async with asyncio.timeout(6):
+                await host.registration._renew_or_register()
+        await host.lease_becomes(False)
+        assert not host.registration.lease_held()
+        await host.supernodes.aclose()
+
+
+class NewerDirectory(FakeDirectory):
+    """Answers registrations in a later protocol."""
+
+    async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:  # noqa: N802
+        assert request.protocol_version == 1
+        response = await super().RegisterHost(request, context)
+        response.protocol_version = 2
+        return response
+
+
+async def test_a_host_does_not_enter_a_directory_of_another_protocol() -> None:
+    fake = NewerDirectory()
+    async with serving(fake.register) as server:
+        fake.target = server.address
+        host = Host(server.address)
+        with pytest.raises(VersionMismatch, match="the directory speaks protocol 2, this host 1"):
+            await host.registration.enter("localhost:1", 5)
+        assert not host.registration.lease_held()
+        await host.supernodes.aclose()

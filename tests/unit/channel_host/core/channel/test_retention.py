@@ -1,0 +1,166 @@
+"""When items go, in the words of the time model; and that letting go of many stalls nobody."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Match
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.run import Slice
+from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
+from tests.support.channel_host.channel_cores import CLOCK, a_channel, get, put, times_of
+
+
+def test_the_window_of_the_age_can_always_be_answered_in_full() -> None:
+    channel = a_channel(max_age_nanos=100)
+    put(channel, *range(CLOCK - 500, CLOCK, 30))
+    answer = get(channel, NOW - "100ns", NOW)
+    assert times_of(answer.slices)[0] <= CLOCK - 100
+    assert not answer.truncated
+
+
+def test_a_quiet_stream_keeps_its_newest_bucket() -> None:
+    channel = a_channel(max_age_nanos=100)
+    put(channel, CLOCK, CLOCK, durations=[5, 5])
+    assert times_of(get(channel, now=CLOCK + 10**6, match=Match.START).slices) == [CLOCK, CLOCK]
+    assert channel.next_deadline(CLOCK + 10**6) is None
+
+
+def test_a_bucket_goes_whole_when_its_last_span_is_past() -> None:
+    channel = a_channel(max_age_nanos=100)
+    put(channel, CLOCK, CLOCK, CLOCK + 90, durations=[1, 60, -1])
+    assert channel.next_deadline(CLOCK) == CLOCK + 160
+    assert times_of(get(channel, now=CLOCK + 159, match=Match.START).slices) == [CLOCK, CLOCK, CLOCK + 90]
+    assert times_of(get(channel, now=CLOCK + 160, match=Match.START).slices) == [CLOCK + 90]
+    assert channel.frontier == CLOCK + 60
+    assert channel.counters(CLOCK + 160).collected["age"] == 2
+
+
+def test_the_oldest_go_by_count_and_by_bytes_with_64_bytes_for_each_item() -> None:
+    by_count = a_channel(max_items=2)
+    put(by_count, 10, 20, 30)
+    assert times_of(get(by_count).slices) == [20, 30]
+    by_bytes = a_channel(max_bytes=2 * (64 + 10))
+    put(by_bytes, 10, 20, 30)
+    assert times_of(get(by_bytes).slices) == [20, 30]
+    assert by_bytes.counters(CLOCK).collected == {"age": 0, "count": 0, "bytes": 1, "consumption": 0}
+
+
+def test_a_narrower_policy_outdates_at_once_and_tells_which_it_was() -> None:
+    channel = a_channel(max_items=100)
+    put(channel, *range(10, 100, 10))
+    channel.configure(Policy(max_items=2), CLOCK)
+    assert (channel.oldest, channel.frontier) == (80, 80)
+    answer = get(channel, 10, 70)
+    assert answer.reason == "COLLECTED"
+    assert answer.reason is not None
+    assert "max_items (2)" in answer.reason.detail
+
+
+def test_a_late_item_may_come_between_what_was_collected_and_what_is_held() -> None:
+    channel = a_channel(max_items=2)
+    put(channel, 10, 20, 40)
+    channel.configure(Policy(max_items=9), CLOCK)
+    assert channel.frontier == 20
+    put(channel, 15)
+    assert channel.frontier == 15
+    assert times_of(get(channel, 10, 19).slices) == [15]
+
+
+def test_what_is_outdated_is_never_returned_though_its_memory_is_freed_in_small_parts() -> None:
+    channel = a_channel(max_age_nanos=1000)
+    for time in range(CLOCK, CLOCK + 500):
+        put(channel, time, now=time)
+    later = CLOCK + 100_000
+    answer = get(channel, OLDEST, NEWEST, now=later)
+    assert times_of(answer.slices) == [CLOCK + 499]
+    assert channel.counters(later).collected["age"] == 499
+    assert channel.next_deadline(later) == later
+    assert channel.collect(later, entries_max=10), "there is more to free"
+    assert not channel.collect(later, entries_max=10_000)
+    assert channel.next_deadline(later) is None
+    assert times_of(get(channel, now=later).slices) == [CLOCK + 499]
+
+
+def test_age_looks_at_a_bounded_part_of_what_it_outdates_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A million items that went together once stalled the host for most of a second."""
+    channel = a_channel(max_age_nanos=1_000_000)
+    for time in range(CLOCK, CLOCK + 9000):
+        put(channel, time, now=time)
+    looked = count_slices(monkeypatch)
+    counters = channel.counters(CLOCK + 1_008_000)
+    assert (counters.held, counters.held_bytes, counters.collected["age"]) == (1000, 10_000, 8000)
+    assert (channel.oldest, channel.frontier) == (CLOCK + 8000, CLOCK + 8000)
+    assert len(looked) <= BLOCK_ITEMS + 10
+
+
+def count_slices(monkeypatch: pytest.MonkeyPatch) -> list[Slice]:
+    """Every slice that is looked at from now on."""
+    looked: list[Slice] = []
+    for name in ("slices", "slices_from"):
+        found = getattr(ChannelIndex, name)
+
+        def look(*places: object, found: Callable[..., Iterator[Slice]] = found) -> Iterator[Slice]:
+            for part in found(*places):
+                looked.append(part)
+                yield part
+
+        monkeypatch.setattr(ChannelIndex, name, look)
+    return looked
+
+
+def test_age_counts_what_it_outdates_however_late_it_came_and_whatever_went_before() -> None:
+    rng = random.Random(5)
+    channel = a_channel(max_age_nanos=1_000_000, max_items=4500)
+    held: list[int] = []
+    now = CLOCK
+    for step in range(1, 4001):
+        now += 500 if step % 1000 else 900_000  # so long a pause outdates a few blocks at once
+        late = rng.choice((1, 1, 300_000))
+        times = [now - rng.randrange(late) for _ in range(rng.randrange(1, 5))]
+        put(channel, *times, now=now)
+        held = sorted(held + times)
+        past = [time for time in held if time <= now - 1_000_000]
+        held = [time for time in held if not past or time >= past[-1]][-4500:]
+        if step % 50 == 0:
+            counters = channel.counters(now)
+            assert (counters.held, counters.held_bytes, channel.oldest) == (len(held), 10 * len(held), held[0])
+
+
+def test_freeing_keeps_pace_with_puts_so_that_memory_stays_bounded() -> None:
+    channel = a_channel(max_items=10)
+    for first in range(0, 20_000, 20):
+        put(channel, *range(first, first + 20))
+        put(channel, *range(first + 1, first + 20, 2))
+    assert not channel.collect(CLOCK, entries_max=100)
+
+
+def test_one_large_item_that_outdates_many_small_ones_does_not_double_the_memory_twice() -> None:
+    channel = a_channel(max_bytes=64 * 1000)
+    for time in range(1000):
+        put(channel, time, lengths=[0])
+    for time in range(1000, 1010):
+        put(channel, time, lengths=[60_000])
+    counters = channel.counters(CLOCK)
+    assert (counters.held, counters.collected["bytes"]) == (1, 1009)
+    assert not channel.collect(CLOCK, entries_max=1000)
+
+
+def test_a_clock_that_is_told_an_earlier_time_stays_where_it_was() -> None:
+    channel = a_channel(max_items=9)
+    put(channel, 10)
+    assert get(channel, OLDEST, NOW, now=CLOCK + 5).interval.end == CLOCK + 5  # type: ignore[union-attr]
+    assert get(channel, OLDEST, NOW, now=CLOCK).interval.end == CLOCK + 5  # type: ignore[union-attr]
+
+
+def test_what_is_still_to_come_is_not_called_collected_once_a_limit_took_the_last_item() -> None:
+    channel = a_channel(max_items=1)
+    put(channel, 10, durations=[10**15])
+    channel.configure(Policy(max_bytes=64), CLOCK)
+    assert channel.frontier == CLOCK
+    assert get(channel, 10, CLOCK, "[)").reason == "COLLECTED"
+    assert get(channel, CLOCK + 5, CLOCK + 10).reason == "NOT_YET"

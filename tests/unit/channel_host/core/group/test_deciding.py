@@ -1,0 +1,236 @@
+"""Cut events: when they are due, and what they bring."""
+
+from __future__ import annotations
+
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
+from stampede_rt_channel_host.core.group import Boundary, CutFollower, CutMember, EventDecider, Heard, OwnTimes
+from stampede_rt_channel_host.core.group.deciding import PENDING_MAX
+from stampede_rt_channel_host.core.group.times import ChannelTimes
+from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put, times
+
+WAIT = 100
+
+
+def member(name: bytes, newest: int | None, *, idle: bool = False) -> CutMember:
+    heard = None if newest is None else Heard(ChannelTimes(1, 1, newest), 0, None)
+    return CutMember(name, heard, newest, idle)
+
+
+def test_an_event_is_due_when_every_member_is_as_far_as_the_cut() -> None:
+    decider = EventDecider(0, WAIT)
+    decider.note(50, now=0)
+    assert decider.due([member(b"a", 50), member(b"b", 40)], 0) is None
+    assert decider.due([member(b"a", 60), member(b"b", 55)], 0) == Boundary(50)
+    assert decider.wake_at() is None
+
+
+def test_after_max_wait_the_event_comes_and_names_who_was_not_there() -> None:
+    decider = EventDecider(0, WAIT)
+    decider.note(50, now=7)
+    assert decider.wake_at() == 107
+    assert decider.due([member(b"a", 50), member(b"b", None)], 107) == Boundary(50, (b"b",))
+
+
+def test_with_a_lateness_every_member_has_to_be_so_much_farther_or_advanced_to_the_cut() -> None:
+    decider = EventDecider(0, WAIT, 20)
+    decider.note(50, now=7)
+    assert decider.wake_at() == 127
+    assert decider.due([member(b"a", 70), member(b"b", None)], 126) is None
+    assert decider.due([member(b"a", 70), member(b"b", 69)], 126) == Boundary(49), "the cut has jumped over it"
+    assert decider.due([member(b"a", 70), member(b"b", 69)], 126) is None
+    advanced = CutMember(b"b", Heard(ChannelTimes(1, 1, 40, advance=50), 0, None), 50, is_idle=False)
+    assert decider.due([member(b"a", 70), advanced], 126) == Boundary(50)
+    decider.note(60, now=8)
+    assert decider.due([member(b"a", 80), member(b"b", 1)], 127) is None
+    assert decider.due([member(b"a", 80), member(b"b", 1)], 128) == Boundary(60, (b"b",))
+
+
+def test_an_idle_member_is_not_waited_for() -> None:
+    decider = EventDecider(0, WAIT)
+    decider.note(50, now=0)
+    assert decider.due([member(b"a", 50), member(b"b", 1, idle=True)], 0) == Boundary(50, (b"b",))
+
+
+def test_each_step_of_the_reference_is_an_event_though_a_member_lags() -> None:
+    decider = EventDecider(0, WAIT)
+    for at in (10, 20, 30):
+        decider.note(at, now=at)
+    assert decider.due([member(b"text", 30), member(b"video", 15)], 30) == Boundary(10)
+    assert decider.due([member(b"text", 30), member(b"video", 25)], 31) == Boundary(20)
+
+
+def test_a_slow_reader_gets_merged_events_and_nothing_grows() -> None:
+    decider = EventDecider(0, WAIT)
+    for at in range(1, PENDING_MAX * 3):
+        decider.note(at, now=0)
+    assert decider.due([member(b"a", 10**6)], 0) == Boundary(PENDING_MAX * 3 - 1)
+
+
+def test_fifteen_frames_come_with_each_text_item() -> None:
+    """Figure 7 of the paper, with the frames' channel as a member and the text as the reference."""
+    second, frame = 30_000_000, 2_000_000
+    video, text = channel(), channel()
+    follower = CutFollower(video, 0, NOW)
+    decider, of_text, of_video = EventDecider(0, second), OwnTimes(text, NOW), OwnTimes(video, NOW)
+    counts = []
+    for number in range(1, 61):
+        clock = number * frame
+        offer_time = clock - 1
+        put_at(video, offer_time, clock)
+        if number % 15 == 0:
+            put_at(text, offer_time, clock)
+        of_text.observe(clock)
+        of_video.observe(clock)
+        newest = of_text.times(1).newest
+        decider.note(newest, clock)
+        due = decider.due([member(b"text", newest), member(b"video", of_video.times(1).newest)], clock)
+        if due is not None:
+            follower.begin(due.cut)
+            counts.append(len(times([one.slice for one in follower.take(clock, 10**6).slices])))
+    assert counts == [14, 15, 15, 15]  # the frame at the very time of the text is hidden with it
+
+
+def put_at(into: ChannelCore, time: int, clock: int) -> None:
+    into.put(Offer(times=[time], durations=None, lengths=[1]), clock, lambda first_seq, kept, stamped: b"")
+
+
+def test_late_items_come_with_the_next_event_and_apart() -> None:
+    made = channel(10, 20, 30)
+    follower = CutFollower(made, 15, NOW)
+    put(made, 12)
+    follower.begin(25)
+    step = follower.take(NOW, 10**6)
+    assert (times([one.slice for one in step.slices]), times([one.slice for one in step.late])) == ([20], [12])
+    assert step.is_last
+
+
+def test_what_is_accepted_while_an_event_is_under_way_is_late_in_the_next_one() -> None:
+    made = channel(10, 20, 30)
+    follower = CutFollower(made, 0, NOW)
+    follower.begin(25)
+    first = follower.take(NOW, 1)
+    put(made, 5)
+    put(made, 22)
+    rest = []
+    while not (step := follower.take(NOW, 1)).is_last:
+        rest += times([one.slice for one in step.slices + step.late])
+    assert times([one.slice for one in first.slices]) + rest == [10, 20]
+    follower.begin(31)
+    step = follower.take(NOW, 10**6)
+    assert times([one.slice for one in step.slices]) == [30]
+    assert times([one.slice for one in step.late]) == [5, 22]
+
+
+def test_items_that_went_before_they_were_shown_are_counted() -> None:
+    made = channel(10, 20, policy=Policy(max_items=3))
+    follower = CutFollower(made, 5, NOW)
+    for time in (30, 40, 50):
+        put(made, time)
+    follower.begin(60)
+    step = follower.take(NOW, 10**6)
+    assert times([one.slice for one in step.slices]) == [30, 40, 50]
+    assert step.loss is not None
+    assert (step.loss.items, step.loss.is_exact, step.loss.before, step.loss.reason) == (2, True, 21, "COLLECTED")
+
+
+def test_a_follower_goes_on_in_another_process_with_cut_and_seq() -> None:
+    made = channel(10, 20, 30)
+    first = CutFollower(made, 0, NOW)
+    first.begin(25)
+    first.take(NOW, 10**6)
+    put(made, 15)
+    resumed = CutFollower(made, first.cut, NOW, next_seq=first.next_seq, incarnation=INCARNATION)
+    resumed.begin(35)
+    step = resumed.take(NOW, 10**6)
+    assert (times([one.slice for one in step.slices]), times([one.slice for one in step.late])) == ([30], [15])
+    assert step.loss is None
+
+
+def test_a_position_from_before_the_host_was_lost_is_told_as_lost() -> None:
+    made = channel(10, 20)
+    follower = CutFollower(made, 15, NOW, next_seq=9, incarnation=INCARNATION + 1)
+    follower.begin(25)
+    step = follower.take(NOW, 10**6)
+    assert (times([one.slice for one in step.slices]), times([one.slice for one in step.late])) == ([20], [10])
+    assert step.loss is not None
+    assert (step.loss.reason, step.loss.is_exact) == ("LOST", False)
+
+
+def test_items_that_all_consumers_used_up_before_they_were_shown_are_counted_up_to_where_they_lay() -> None:
+    made = channel(10, 20, 30, policy=Policy(consumers=1, max_items=10))
+    follower = CutFollower(made, 5, NOW)
+    made.consume(1, [1, 2], NOW)
+    follower.begin(25)
+    step = follower.take(NOW, 10**6)
+    assert step.loss is not None
+    assert (step.loss.items, step.loss.before) == (2, 21)
+
+
+def test_a_reader_who_resumes_hears_that_something_was_used_up_meanwhile() -> None:
+    made = channel(10, 20, 30, policy=Policy(consumers=1, max_items=10))
+    made.consume(1, [1, 2], NOW)
+    follower = CutFollower(made, 15, NOW, next_seq=2, incarnation=INCARNATION)
+    follower.begin(25)
+    loss = follower.take(NOW, 10**6).loss
+    assert loss is not None
+    assert (loss.before, loss.is_exact) == (21, False)
+
+
+def test_what_is_lost_between_coming_back_and_the_first_step_lies_within_what_is_told() -> None:
+    made = channel(10, 20, 30, policy=Policy(max_items=2))
+    follower = CutFollower(made, 5, NOW, next_seq=1, incarnation=INCARNATION)
+    for time in (40, 50):
+        put(made, time)
+    follower.begin(60)
+    loss = follower.take(NOW, 10**6).loss
+    assert loss is not None
+    assert (loss.before, loss.is_exact, loss.last_seq) == (31, False, 5)
+
+
+def test_a_duration_is_no_promise_so_that_by_end_an_event_waits_for_items_or_for_max_wait() -> None:
+    """Were the duration believed and wrong, what came in order would count as late."""
+    until_133 = CutMember(b"a", Heard(ChannelTimes(1, 1, 100, 133), 0, None), 133, False)
+    decider = EventDecider(100, WAIT)
+    decider.note(133, now=0)
+    assert decider.due([until_133], 0) is None
+    assert decider.due([until_133], WAIT) == Boundary(133, (b"a",))
+    decider.note(166, now=WAIT)
+    assert decider.due([member(b"a", 166)], WAIT) == Boundary(166)
+
+
+def test_however_many_cuts_wait_each_has_its_event_when_it_has_waited_long_enough() -> None:
+    """Too many once became one, whose wait began anew with each: what they showed came after twice the wait."""
+    wait, every = 1_000_000, 100
+    decider, lagging = EventDecider(0, wait), [member(b"a", 10**9), member(b"b", 0)]
+    told: list[int] = []
+    for now in range(every, 3 * wait, every):
+        decider.note(now, now)
+        while (due := decider.due(lagging, now)) is not None:
+            told.append(due.cut)
+        assert len(decider._pending) <= PENDING_MAX
+        assert (told[-1] if told else 0) >= now - wait - 2 * wait // PENDING_MAX - every
+    assert len(told) > PENDING_MAX / 2
+
+
+def test_the_span_of_what_an_event_brings_ends_at_the_next_visible_item_alone() -> None:
+    made = channel(10, 20, 30)
+    follower = CutFollower(made, 0, NOW)
+    follower.begin(30)
+    assert [one.next_time for one in follower.take(NOW, 10**6).slices] == [20, None]
+    put(made, 15)
+    follower.begin(31)
+    step = follower.take(NOW, 10**6)
+    assert ([one.next_time for one in step.late], [one.next_time for one in step.slices]) == ([20], [None])
+
+
+def test_what_was_used_up_is_counted_though_a_late_item_then_came_in_below() -> None:
+    made = channel(10, 20, policy=Policy(consumers=1, max_items=10))
+    follower = CutFollower(made, 5, NOW)
+    made.consume(1, [1, 2], NOW)
+    put(made, 7)
+    follower.begin(25)
+    step = follower.take(NOW, 10**6)
+    assert times([one.slice for one in step.slices]) == [7]
+    assert step.loss is not None
+    assert step.loss.items == 2

@@ -1,0 +1,88 @@
+"""What a group's reader looks at in one go does not grow with what came late or is held."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import parse_interval
+from stampede_rt_channel_host.core.channel import ChannelCore, Slice, index, pieces
+from stampede_rt_channel_host.core.group import CutFollower, Horizon, VisibleAll, VisibleChannel, VisibleNewest
+from tests.support.channel_host.group_channels import NOW, channel, put
+
+ITEMS = 10_000
+POLICY = Policy(max_items=10**6, max_future_nanos=10**9)
+
+
+class Counter:
+    """How many slices of any index were looked at."""
+
+    def __init__(self) -> None:
+        self.slices = 0
+
+
+@pytest.fixture
+def looked(monkeypatch: pytest.MonkeyPatch) -> Counter:
+    counter = Counter()
+    for name in ("_clipped", "_clipped_by_seq"):
+        clipped = getattr(index, name)
+
+        def counting(*args: Any, clipped: Any = clipped) -> Iterator[Slice]:
+            counter.slices += 1
+            yield from clipped(*args)
+
+        monkeypatch.setattr(index, name, counting)
+    return counter
+
+
+def late() -> tuple[ChannelCore, CutFollower]:
+    """A reader at cut 1,000,000, and 10,000 items below it that came since, the latest first."""
+    made = channel(1_000_000, policy=POLICY)
+    follower = CutFollower(made, 1_000_001, NOW)
+    for time in range(ITEMS, 0, -1):
+        put(made, time)
+    return made, follower
+
+
+def test_many_late_items_are_looked_at_once_each_and_come_in_order_in_bounded_parts(looked: Counter) -> None:
+    _, follower = late()
+    looked.slices = 0
+    follower.begin(1_000_002)
+    times: list[int] = []
+    while follower.under_way:
+        before = looked.slices
+        step = follower.take(NOW, 2**20)
+        times += [one.slice.first_time for one in step.late]
+        assert looked.slices - before <= 2 * pieces.STEPS_PER_PIECE
+    assert times == list(range(1, ITEMS + 1))
+    assert looked.slices <= 2 * ITEMS
+
+
+def test_a_reader_through_a_group_is_told_that_there_is_more_to_look_at() -> None:
+    made = channel(1_000_000, policy=POLICY)
+    horizon = Horizon(1_000_001, lambda: "held back")
+    reader, newest = VisibleAll(made, horizon, NOW), VisibleNewest(made, horizon, NOW)
+    for time in range(ITEMS, 0, -1):
+        put(made, time)
+    first = reader.take(horizon, NOW, 2**20)
+    assert (first.is_empty, first.more) == (True, True)
+    counts = []
+    while (part := newest.take(horizon, NOW)).more:
+        counts.append(newest.skipped)
+        assert part.is_empty
+    assert newest.skipped == ITEMS
+    assert len(counts) > 2
+
+
+def test_a_subscription_through_a_group_from_the_oldest_item_on_begins_without_a_walk(looked: Counter) -> None:
+    made = channel(*range(1, ITEMS + 1), policy=POLICY)
+    looked.slices = 0
+    horizon = Horizon(ITEMS + 1, lambda: "held back")
+    VisibleAll(made, horizon, NOW, start=parse_interval(0, NOW).start)
+    assert looked.slices <= 5000
+    looked.slices = 0
+    assert VisibleChannel(made).hidden_items(ITEMS // 2, NOW) == ITEMS // 2 + 1
+    assert looked.slices <= 3000

@@ -1,0 +1,109 @@
+"""How far a channel is, as its owner sees it and as others are told."""
+
+from __future__ import annotations
+
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT
+from stampede_rt_channel_host.core.channel import ChannelCore, Offer
+from stampede_rt_channel_host.core.group import ChannelTimes, OwnTimes, TimesBoard
+from tests.support.channel_host.group_channels import INCARNATION, NOW, channel, put
+
+A = b"a"
+
+
+def told(of: ChannelCore, follower: OwnTimes) -> tuple[int | None, int | None]:
+    follower.observe(NOW)
+    times = follower.times(1)
+    assert times.incarnation == of.incarnation
+    return times.newest, times.newest_end
+
+
+def test_the_largest_end_in_the_newest_bucket_counts_and_a_later_bucket_has_its_own() -> None:
+    made = channel(10, durations=[5])
+    follower = OwnTimes(made, NOW)
+    assert told(made, follower) == (10, 15)
+    put(made, 10, 90)
+    put(made, 10, 2)
+    put(made, 10)
+    assert told(made, follower) == (10, 100)
+    put(made, 20)
+    assert told(made, follower) == (20, None)
+    put(made, 20, 0)
+    assert told(made, follower) == (20, 20)
+
+
+def test_late_items_and_what_goes_change_nothing() -> None:
+    made = channel(10, 30, durations=[5, 5], policy=Policy(max_items=2))
+    follower = OwnTimes(made, NOW)
+    put(made, 20, 2**62)
+    assert told(made, follower) == (30, 35)
+    put(made, 40)
+    put(made, 50)
+    assert made.oldest == 40
+    assert told(made, follower) == (50, None)
+
+
+def test_a_run_is_looked_through_for_its_latest_bucket() -> None:
+    made = channel()
+    times, durations = [30, 10, 30, 20], [1, 500, 9, 500]
+    made.put(Offer(times=times, durations=durations, lengths=[1] * 4), NOW, lambda first_seq, kept, stamped: b"")
+    assert told(made, OwnTimes(made, NOW)) == (30, 39)
+
+
+def test_an_endless_duration_ends_with_time() -> None:
+    made = channel(10, durations=[2**63 - 1])
+    assert told(made, OwnTimes(made, NOW)) == (10, MAX_INSTANT)
+
+
+def test_silence_ends_with_a_late_item_and_with_an_advance_but_not_with_looking() -> None:
+    made = channel(10, 20)
+    follower = OwnTimes(made, 5)
+    assert follower.observe(7) is False
+    assert follower.silent_since == 5
+    put(made, 15)
+    assert follower.observe(8) is False  # nothing to tell, though it has spoken
+    assert follower.silent_since == 8
+    made.advance(30, NOW)
+    assert follower.observe(9) is True
+    assert (follower.silent_since, follower.times(1).mark) == (9, 30)
+
+
+def test_of_one_life_all_that_was_told_counts_and_of_another_only_what_is_told_of_it() -> None:
+    board = TimesBoard()
+    board.hear(A, ChannelTimes(1, INCARNATION, 50, 90, advance=10), 0, 0)
+    board.tell_own(A, ChannelTimes(2, INCARNATION, 50, 60, advance=70), 0)  # the next owner holds less of the bucket
+    assert _known(board) == ChannelTimes(2, INCARNATION, 50, 90, 70)
+    board.hear(A, ChannelTimes(3, INCARNATION, 40, 99), 0, 0)
+    assert _known(board) == ChannelTimes(3, INCARNATION, 50, 90, 70)
+    board.hear(A, ChannelTimes(4, INCARNATION + 1, 20), 0, 0)
+    assert _known(board) == ChannelTimes(4, INCARNATION + 1, 20)
+
+
+def test_whether_a_channel_is_silent_is_known_up_to_the_last_sign_of_life() -> None:
+    board = TimesBoard()
+    board.hear(A, ChannelTimes(1, INCARNATION, 50), silent_nanos=5, now=100)
+    heard = board.find(A)
+    assert heard is not None
+    assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (5, 100)
+    board.confirm([A, b"unheard of"], 150)
+    assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (55, 50)
+    board.tell_own(A, ChannelTimes(2, INCARNATION, 50), silent_since=160)
+    heard = board.find(A)
+    assert heard is not None
+    assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (40, 0)
+    board.disown(A, 210)
+    assert (heard.silent_nanos(300), heard.heard_ago_nanos(300)) == (50, 90)
+    board.keep_only(set())
+    assert board.find(A) is None
+
+
+def test_a_time_is_passed_by_an_item_there_or_later_and_by_an_advance_beyond_it() -> None:
+    assert ChannelTimes(1, 1, newest=50).has_passed(50)
+    assert not ChannelTimes(1, 1, newest=49).has_passed(50)
+    assert not ChannelTimes(1, 1, advance=50).has_passed(50)
+    assert ChannelTimes(1, 1, advance=51).has_passed(50)
+
+
+def _known(board: TimesBoard) -> ChannelTimes | None:
+    heard = board.find(A)
+    return None if heard is None else heard.times

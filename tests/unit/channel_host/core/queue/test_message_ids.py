@@ -1,0 +1,54 @@
+"""Message ids: a message that comes again under its id is taken once."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_channel_host.core.queue import (
+    message_ids,
+)
+from tests.support.channel_host.queue_cores import Core
+
+TEN_MINUTES = 600 * 10**9
+
+
+def test_message_ids_are_known_for_ten_minutes_and_forgotten_without_a_further_put() -> None:
+    core = Core()
+    core.put(1, message_id="one")
+    assert core.put(1, message_id="one").is_duplicate
+    assert core.queue.next_deadline() == core.now + TEN_MINUTES
+    before = core.queue.footprint_bytes
+    core.now += TEN_MINUTES
+    core.queue.tick(core.now)
+    assert core.queue.footprint_bytes == before - len("one") - message_ids.OVERHEAD_BYTES
+    assert core.queue.next_deadline() is None
+    assert not core.put(1, message_id="one").is_duplicate
+
+
+def test_the_oldest_message_ids_are_forgotten_when_they_take_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(message_ids, "KNOWN_BYTES_MAX", 2 * (1 + message_ids.OVERHEAD_BYTES))
+    core = Core()
+    for message_id in ("a", "b", "c"):
+        core.put(1, message_id=message_id)
+    assert core.put(1, message_id="c").is_duplicate
+    assert core.put(1, message_id="b").is_duplicate
+    assert not core.put(1, message_id="a").is_duplicate
+
+
+def test_of_two_waiting_runs_with_the_same_message_id_one_comes_in() -> None:
+    core = Core(max_items=1)
+    core.put(1)
+    first, second = core.put(1, message_id="one"), core.put(1, message_id="one")
+    core.taker(1, credit=1)
+    core.dealt()
+    core.ack(1, 1)
+    assert core.queue.take_finished() == [first, second]
+    assert (first.is_duplicate, second.is_duplicate) == (False, True)
+    assert core.counted("accepted", "held", "duplicates") == (2, 1, 1)
+
+
+def test_a_retry_of_a_put_with_a_message_id_is_answered_as_the_put_was() -> None:
+    core = Core()
+    core.put(1, message_id="one", producer_id=5, first_number=1)
+    assert not core.put(1, message_id="one", producer_id=5, first_number=1).is_duplicate
+    assert core.put(1, message_id="one", producer_id=5, first_number=2).is_duplicate

@@ -1,0 +1,478 @@
+"""The rules of a queue, sentence by sentence."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument, Overloaded, QueueNotFound, Unavailable
+from stampede_rt_channel_host.core.queue import (
+    BATCH_BYTES_MAX,
+    BLOCK,
+    DROP_OLDEST,
+    REJECT,
+    TERMINATED,
+    FailedDelivery,
+    QueueCore,
+    QueueLimits,
+    dispatcher,
+    enqueuing,
+)
+from stampede_rt_channel_host.core.queue import queue as queue_module
+from stampede_rt_channel_host.core.queue.queue import DUE_PER_CALL_MAX
+from tests.support.channel_host.queue_cores import Core
+
+TEN_MINUTES = 600 * 10**9
+
+
+def test_a_stale_acknowledgement_is_told_that_the_lease_has_expired() -> None:
+    core = Core(lease_nanos=10)
+    core.put(1)
+    core.taker(1, credit=1)
+    core.now += 10
+    assert core.ack(1, 1) == ["LEASE_EXPIRED"]
+    assert core.counted("held", "leased", "leases_expired") == (1, 0, 1)
+
+
+def test_a_lease_holds_until_the_nanosecond_before_its_end() -> None:
+    core = Core(lease_nanos=10)
+    core.put(1)
+    core.taker(1, credit=1)
+    core.now += 9
+    assert core.ack(1, 1) == [""]
+
+
+def test_a_repeated_acknowledgement_of_the_same_taker_succeeds_for_ten_minutes() -> None:
+    core = Core()
+    core.put(1)
+    core.taker(1, credit=1)
+    assert core.ack(1, 1, 1) == ["", ""]
+    core.now += TEN_MINUTES - 1
+    assert core.ack(1, 1) == [""]
+    core.now += 1
+    assert core.ack(1, 1) == ["LEASE_EXPIRED"]
+
+
+def test_another_taker_cannot_settle_what_it_was_not_given() -> None:
+    core = Core()
+    core.put(1)
+    core.taker(1, credit=1)
+    assert core.ack(2, 1) == core.nack(2, 1) == core.extend(2, 1, 5) == ["LEASE_EXPIRED"]
+    assert core.ack(1, 1) == [""]
+    assert core.ack(2, 1) == core.nack(1, 1) == ["LEASE_EXPIRED"]
+
+
+def test_an_extended_lease_is_counted_from_now_and_may_get_shorter() -> None:
+    core = Core(lease_nanos=100)
+    core.put(1)
+    core.taker(1, credit=1)
+    core.extend(1, 1, 5)
+    assert core.queue.next_deadline() == core.now + 5
+    core.extend(1, 1, 1000)
+    assert core.queue.next_deadline() == core.now + 1000
+
+
+def test_a_given_back_item_holds_up_no_other_while_it_is_delayed() -> None:
+    core = Core()
+    core.put(1, 1)
+    core.taker(1, credit=1)
+    assert core.dealt() == {1: [1]}
+    core.nack(1, 1, delay_nanos=50)
+    core.taker(2, credit=5)
+    assert core.dealt() == {2: [2]}
+    core.now += 50
+    core.queue.tick(core.now)
+    assert core.dealt() == {2: [1]}
+
+
+def test_each_item_goes_to_as_many_distinct_takers_as_there_are_copies() -> None:
+    core = Core(copies=2)
+    core.put(1, 1)
+    for taker_id in (1, 1, 2, 3):
+        core.taker(taker_id, credit=10)
+    assert core.dealt() == {1: [1, 2], 2: [1, 2]}
+    core.ack(1, 1, 2)
+    assert core.counted("held", "consumed") == (2, 0)
+    core.ack(2, 3)
+    assert core.counted("held", "consumed") == (1, 1)
+
+
+def test_a_copy_that_comes_back_goes_to_a_taker_that_passed_it_by() -> None:
+    core = Core(copies=2)
+    core.put(1, 1)
+    core.taker(1, credit=10)
+    leaving = core.taker(2, credit=10)
+    core.taker(3, credit=10)
+    assert core.dealt() == {1: [1, 2], 2: [1, 2]}
+    core.queue.leave(leaving, core.now)
+    core.put(1)
+    assert core.dealt() == {1: [3], 3: [3]}
+    core.nack(2, 3)
+    assert core.dealt() == {3: [1]}
+
+
+def test_takers_that_wait_share_what_comes_and_are_served_in_turn() -> None:
+    core = Core()
+    takers = [core.taker(number, credit=10) for number in (1, 2, 3)]
+    core.put(*[1] * 6)
+    assert core.dealt() == {1: [1, 2], 2: [3, 4], 3: [5, 6]}
+    core.put(1)
+    core.put(1)
+    assert core.dealt() == {1: [7], 2: [8]}
+    core.put(1)
+    assert core.dealt() == {3: [9]}
+    assert core.queue.waiting_takers == len(takers)
+
+
+def test_credit_bounds_what_a_taker_is_given_and_drain_voids_it() -> None:
+    core = Core()
+    taker = core.taker(1, credit=2)
+    core.put(*[1] * 5)
+    assert core.dealt() == {1: [1, 2]}
+    core.queue.grant(taker, 1, core.now)
+    assert core.dealt() == {1: [3]}
+    core.queue.grant(taker, 0, core.now)
+    core.queue.drain(taker)
+    core.put(1)
+    assert core.dealt() == {}
+
+
+def test_what_was_dealt_and_never_sent_goes_back_as_if_it_had_not_been_dealt() -> None:
+    core = Core(max_deliveries=1)
+    core.put(1, 1)
+    taker = core.taker(1, credit=2)
+    core.queue.take_dealt()
+    core.queue.leave(taker, core.now)
+    assert core.counted("leased", "delivered", "expelled", "held") == (0, 0, 0, 2)
+    core.taker(2, credit=2)
+    assert core.dealt() == {2: [1, 2]}
+
+
+def test_what_a_taker_was_sent_stays_leased_when_it_leaves() -> None:
+    core = Core()
+    core.put(1)
+    taker = core.taker(1, credit=1)
+    core.dealt()
+    core.queue.leave(taker, core.now)
+    assert core.counted("leased") == (1,)
+    assert core.ack(1, 1) == [""]
+
+
+def test_a_taker_that_leaves_as_a_lease_ends_is_neither_dealt_the_item_nor_asked_whether_it_lives() -> None:
+    core = Core(lease_nanos=100)
+    core.put(1)
+    silent, waiting, leaving = core.taker(1, credit=2), core.taker(2), core.taker(3)
+    core.dealt()
+    core.queue.grant(leaving, 1, core.now)
+    core.now += 200  # the first taker's lease ends, and the item is the leaving one's turn
+    core.queue.leave(leaving, core.now)
+    assert core.dealt() == {}
+    core.queue.grant(waiting, 1, core.now)
+    assert core.dealt() == {2: [1]}
+    assert core.queue.take_silent() == [silent]
+    core.queue.grant(silent, 1, core.now)
+    core.put(1)
+    core.dealt()
+    core.now += 200
+    core.queue.leave(silent, core.now)
+    assert silent not in core.queue.take_silent()
+
+
+def test_a_batch_of_several_items_keeps_the_limit_of_a_message_and_a_large_item_goes_alone() -> None:
+    core = Core()
+    for length in (BATCH_BYTES_MAX // 2 - 100, BATCH_BYTES_MAX // 2 - 100, 10**3, 2 * BATCH_BYTES_MAX, 1):
+        core.put(length)
+    taker = core.taker(1, credit=10)
+    sizes = []
+    while batches := core.queue.take_dealt():
+        sizes += [batch.items for _, batch in batches]
+        core.queue.sent(taker, core.now)
+    assert sizes == [2, 1, 1, 1]
+
+
+def test_a_full_queue_lets_runs_wait_in_the_order_of_their_coming() -> None:
+    core = Core(max_items=2)
+    core.put(1, 1)
+    first, second = core.put(1, 1), core.put(1)
+    core.taker(1, credit=10)
+    core.dealt()
+    core.ack(1, 1)
+    assert (first.judging.first_seq, first.is_through, second.judging.first_seq) == (3, False, None)
+    core.ack(1, 2)
+    assert core.queue.take_finished() == [first]
+    assert (first.judging.first_seq, core.queue.waiting_enqueues) == (3, 1)
+
+
+def test_a_wait_that_is_over_refuses_what_is_left_of_the_run() -> None:
+    core = Core(max_items=1)
+    run = core.put(1, 1, 1, wait_nanos=20)
+    core.now += 20
+    core.queue.tick(core.now)
+    assert core.queue.take_finished() == [run]
+    assert run.outcome is not None
+    assert (run.outcome.first_seq, [one.position for one in run.outcome.refusals]) == (1, [1, 2])
+    assert core.counted("accepted", "rejected_full") == (1, 2)
+
+
+def test_a_retry_of_a_run_that_was_cut_short_goes_on_where_it_was() -> None:
+    """The rest was remembered as refused, so that a retry was refused, too, though there was room by then."""
+    core = Core(max_items=1)
+    run = core.put(1, 1, 1, producer_id=5, first_number=1)
+    core.queue.withdraw(run, core.now)
+    assert core.counted("accepted", "rejected_full") == (1, 0)
+    core.now += 5
+    again = core.put(1, 1, 1, producer_id=5, first_number=1)
+    core.taker(1, credit=3)
+    core.dealt()
+    core.ack(1, 1)
+    core.dealt()
+    core.ack(1, 2)
+    assert core.queue.take_finished() == [again]
+    assert again.outcome is not None
+    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 3, 1000)], "the seqs follow, under one stamp"
+    assert not again.outcome.refusals
+    assert core.counted("accepted") == (3,)
+
+
+def test_seqs_that_others_got_meanwhile_are_not_told_as_those_of_a_run_that_went_on() -> None:
+    core = Core(max_items=1)
+    run = core.put(1, 1, producer_id=5, first_number=1)
+    core.queue.withdraw(run, core.now)
+    other = core.put(1)
+    again = core.put(1, 1, producer_id=5, first_number=1)
+    core.taker(1, credit=3)
+    for delivery_id in (1, 2):
+        core.dealt()
+        core.ack(1, delivery_id)
+    assert core.queue.take_finished() == [other, again]
+    assert again.outcome is not None
+    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 1, 1000), (1, 3, 1, 1000)]
+
+
+def test_a_run_that_waits_while_its_queue_goes_elsewhere_goes_on_when_it_is_sent_again() -> None:
+    core = Core(max_items=1)
+    run = core.put(1, 1, producer_id=5, first_number=1)
+    assert not core.queue.end_line(Unavailable("the lease is lost", reason="NOT_HERE"), core.now)
+    assert core.queue.take_finished() == [run]
+    assert run.error is not None
+    assert run.error.retryable
+    state = core.queue.export(core.now)
+    core.queue = QueueCore.restore(core.queue.limits, state, core.now, incarnation=1)
+    core.queue.configure(QueueLimits(max_items=2), core.now)
+    again = core.put(1, 1, producer_id=5, first_number=1)
+    assert again.outcome is not None
+    assert [tuple(part) for part in again.outcome.parts] == [(0, 1, 2, 1000)]
+
+
+def test_of_a_run_that_will_not_come_again_the_rest_is_refused_when_its_queue_goes() -> None:
+    core = Core(max_items=1)
+    run = core.put(1, 1, producer_id=5, first_number=1)
+    assert not core.queue.end_line(QueueNotFound("deleted"), core.now)
+    assert run.outcome is not None
+    assert [(one.position, one.error.reason) for one in run.outcome.refusals] == [(1, "QUEUE_NOT_FOUND")]
+
+
+def test_a_run_that_waits_twice_since_it_was_retried_comes_in_once() -> None:
+    core = Core(max_items=1)
+    core.put(1)
+    first = core.put(1, producer_id=5, first_number=1)
+    retried = core.put(1, producer_id=5, first_number=1)
+    core.taker(1, credit=1)
+    core.dealt()
+    core.ack(1, 1)
+    assert core.queue.take_finished() == [first, retried]
+    assert first.outcome == retried.outcome
+    assert core.counted("accepted", "held") == (2, 1)
+
+
+def test_a_queue_that_rejects_says_what_it_holds_and_the_way_out() -> None:
+    core = Core(max_bytes=200, on_full=REJECT)
+    run = core.put(100, 100)
+    assert run.outcome is not None
+    (rejection,) = run.outcome.refusals
+    assert rejection.error.reason == "QUEUE_FULL"
+    assert "'q'" in rejection.error.message
+    assert "200 bytes" in rejection.error.message
+
+
+def test_the_oldest_items_that_nobody_has_make_room() -> None:
+    core = Core(max_items=3, on_full=DROP_OLDEST)
+    core.put(1, 1, 1)
+    core.taker(1, credit=1)
+    core.dealt()
+    core.put(1, 1)
+    assert core.counted("dropped", "held") == (2, 3)
+    core.taker(2, credit=5)
+    assert core.dealt() == {2: [4, 5]}
+    run = core.put(1)
+    assert run.outcome is not None
+    assert [one.error.reason for one in run.outcome.refusals] == ["QUEUE_FULL"]
+
+
+def test_an_item_that_was_delivered_too_often_is_expelled_with_its_other_leases() -> None:
+    core = Core(copies=2, max_deliveries=1)
+    core.put(1)
+    core.taker(1, credit=1)
+    core.taker(2, credit=1)
+    core.dealt()
+    core.nack(1, 1)
+    assert core.ack(2, 2) == ["LEASE_EXPIRED"]
+    assert core.counted("expelled", "held", "leased") == (1, 0, 0)
+
+
+def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> None:
+    core = Core(max_deliveries=1, dead_letters=True, max_items=1)
+    core.put(1)
+    core.taker(1, credit=5)
+    core.dealt()
+    core.nack(1, 1)
+    assert [one.seq for one in core.queue.departing(10)] == [1]
+    assert core.counted("held", "dead_lettered") == (1, 0)
+    waiting = core.put(1)
+    core.queue.departed(1, core.now)
+    core.queue.departed(1, core.now)
+    assert core.counted("dead_lettered", "held", "accepted") == (1, 1, 2)
+    assert core.queue.take_finished() == [waiting]
+    assert core.dealt() == {1: [2]}
+
+
+def test_a_lowered_number_of_deliveries_holds_at_once_for_items_that_were_delivered_more_often() -> None:
+    core = Core(max_deliveries=9, dead_letters=True)
+    core.put(1, 1, 1)
+    core.taker(1, credit=5)
+    core.dealt()
+    for delivery_id in (1, 2, 4, 5, 3):  # the first and the second item twice, the third once
+        core.nack(1, delivery_id)
+        core.dealt()
+    core.queue.configure(QueueLimits(max_deliveries=2, dead_letters=True), core.now)
+    assert [one.seq for one in core.queue.departing(10)] == [1, 2]
+    core.taker(2, credit=1)
+    assert core.dealt() == {2: [3]}
+    core.nack(2, 6)
+    assert [one.seq for one in core.queue.departing(10)] == [1, 2, 3]
+
+
+def test_after_other_limits_some_items_are_looked_at_in_one_go_and_none_is_dealt_before_all_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(queue_module, "CHECKED_PER_CALL_MAX", 4)
+    core = Core()
+    core.put(*[1] * 10)
+    giver = core.taker(1, credit=10)
+    core.dealt()
+    for delivery_id in range(1, 11):
+        core.nack(1, delivery_id)
+    core.queue.drain(giver)
+    core.queue.configure(QueueLimits(max_deliveries=1), core.now)
+    core.taker(2, credit=10)
+    assert core.dealt() == {}
+    assert core.queue.next_deadline() == core.now
+    while core.queue.next_deadline() is not None:
+        core.queue.tick(core.now)
+    assert core.counted("expelled", "held") == (10, 0)
+
+
+def test_a_terminated_item_leaves_with_its_other_leases_and_its_last_delivery_is_told() -> None:
+    core = Core(copies=2, dead_letters=True)
+    core.put(1)
+    core.taker(1, credit=1)
+    core.taker(2, credit=1)
+    core.dealt()
+    assert core.term(2, 2, "broken") == [""]
+    assert core.ack(1, 1) == ["LEASE_EXPIRED"]
+    (departure,) = core.queue.departing(10)
+    assert departure.last == FailedDelivery(1, 2, "", TERMINATED, "broken")
+    assert core.counted("terminated", "leased", "held") == (1, 0, 1)
+
+
+def test_the_line_of_runs_that_wait_is_bounded_by_number_and_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(enqueuing, "WAITING_RUNS_MAX", 2)
+    core = Core(max_items=1)
+    core.put(1)
+    core.put(1)
+    core.put(1)
+    with pytest.raises(Overloaded, match="2 runs with 130 bytes wait"):
+        core.put(1)
+    monkeypatch.setattr(enqueuing, "WAITING_RUNS_MAX", 10)
+    monkeypatch.setattr(enqueuing, "WAITING_BYTES_MAX", 200)
+    with pytest.raises(Overloaded):
+        core.put(100)
+
+
+def test_one_call_looks_after_a_bounded_number_of_ended_leases_and_the_rest_is_due_at_once() -> None:
+    core = Core(lease_nanos=10)
+    for _ in range(8):
+        core.put(*[1] * 256)
+    core.taker(1, credit=2048)
+    core.dealt()
+    core.now += 10
+    core.queue.tick(core.now)
+    assert core.queue.next_deadline() is not None
+    assert core.queue.next_deadline() <= core.now  # type: ignore[operator]
+    assert core.counted("leases_expired") == (2 * DUE_PER_CALL_MAX,)
+
+
+def test_overlapping_numbers_of_a_producer_are_refused() -> None:
+    core = Core()
+    core.put(1, 1, producer_id=5, first_number=1)
+    with pytest.raises(InvalidArgument, match="overlap"):
+        core.put(1, 1, producer_id=5, first_number=2)
+
+
+@pytest.mark.parametrize("field", ["max_items", "max_bytes", "copies", "lease_nanos", "max_deliveries"])
+def test_a_limit_below_one_is_refused_by_name(field: str) -> None:
+    with pytest.raises(InvalidArgument, match=field):
+        QueueLimits(**{field: 0})
+
+
+def test_an_unknown_rule_for_a_full_queue_is_refused() -> None:
+    with pytest.raises(InvalidArgument, match="on_full"):
+        QueueLimits(on_full=BLOCK.upper())
+
+
+def test_a_taker_finds_every_copy_that_came_back_however_few_it_looks_at_in_one_go(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(dispatcher, "RETURNS_PER_LOOK_MAX", 2)
+    core = Core(copies=2)
+    core.put(*[1] * 50)
+    core.taker(1, credit=50)
+    leaving = core.taker(2, credit=50)
+    late = core.taker(3, credit=0)
+    core.dealt()
+    core.queue.leave(leaving, core.now)
+    core.queue.grant(late, 1, core.now)
+    for delivery_id in range(100, 50, -1):
+        core.nack(2, delivery_id)
+    core.queue.grant(late, 100, core.now)
+    assert sorted(core.dealt()[3]) == list(range(1, 51))
+
+
+def test_a_queue_that_changed_hosts_goes_on_where_it_was() -> None:
+    core = Core(copies=2, lease_nanos=100)
+    core.put(1, 2, 3, producer_id=5, first_number=1)
+    core.taker(1, credit=2)
+    core.dealt()
+    core.ack(1, 1)
+    core.nack(1, 2, delay_nanos=40)
+    core.taker(2, credit=1)
+    core.dealt()
+    state = core.queue.export(core.now + 10)
+    assert [(one.seq, one.deliveries, one.acknowledged, one.delay_nanos) for one in state.items] == [
+        (1, [1], (1,), 0),
+        (2, [1], (), 30),
+    ]
+    core.queue = QueueCore.restore(core.queue.limits, state, 10**6, incarnation=1)
+    core.now = 10**6
+    assert core.counted("accepted", "held", "leased", "delivered", "given_back") == (3, 3, 1, 3, 1)
+    assert core.ack(1, 1) == core.ack(2, 3) == [""]
+    again = core.put(1, 2, 3, producer_id=5, first_number=1)
+    assert again.outcome is not None
+    assert again.outcome.first_seq == 1, "recognised: nothing new came in"
+    core.taker(3, credit=5)
+    assert core.dealt() == {3: [3]}
+    core.now += 30
+    core.queue.tick(core.now)
+    assert core.dealt() == {3: [2]}
+    last = core.put(1)
+    assert last.outcome is not None
+    assert last.outcome.first_seq == 4

@@ -1,0 +1,155 @@
+"""What one call of a queue does is bounded, however much it holds and however many wait; the next calls go on."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.v1 import queue_pb2
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.cluster.records import recorded_queue
+from stampede_rt_channel_host.core.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, QueueLimits, TakerState
+from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DEALT_MAX
+from stampede_rt_channel_host.core.queue.enqueuing import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
+from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE, ENDED_PER_CALL_MAX
+from stampede_rt_channel_host.queues.hosted_queue import STREAMS_PER_PIECE, HostedQueue
+from tests.support.channel_host.queue_cores import Core
+
+
+def test_a_batch_holds_a_bounded_number_of_items_however_small_they_are() -> None:
+    core = Core()
+    for _ in range(2000):
+        core.put(1)
+    core.taker(1, 2000)
+    ((taker, batch),) = core.queue.take_dealt()
+    assert len(batch.slices) == ITEMS_DEALT_MAX
+    core.queue.sending(taker)
+    core.queue.sent(taker, core.now)
+    assert core.dealt() == {1: [*range(ITEMS_DEALT_MAX + 1, 2001)]}
+
+
+def test_many_takers_that_wait_are_served_some_by_each_call_and_all_alike() -> None:
+    core = Core(max_items=10_000)
+    for taker_id in range(1, 101):
+        core.taker(taker_id, 100)
+    core.put(*[1] * 10_000)
+    served: dict[int, list[int]] = {}
+    while dealt := core.queue.take_dealt():
+        assert sum(one.hi - one.lo for _, batch in dealt for one in batch.slices) < 2 * ITEMS_DEALT_MAX
+        served |= {taker.taker_id: [one.hi - one.lo for one in batch.slices] for taker, batch in dealt}
+        if len(served) < 100:
+            assert core.queue.next_deadline() == core.now
+        core.queue.tick(core.now)
+    assert served == {taker_id: [100] for taker_id in range(1, 101)}
+
+
+def test_a_taker_that_comes_while_others_are_still_to_be_served_waits_behind_them() -> None:
+    core = Core(max_items=10_000)
+    for taker_id in range(1, 21):
+        core.taker(taker_id, 100)
+    core.put(*[1] * 2000)
+    before = {taker.taker_id for taker, _ in core.queue.take_dealt()}
+    core.taker(100, 100)
+    assert 100 not in {taker.taker_id for taker, _ in core.queue.take_dealt()}
+    assert before == {*range(1, len(before) + 1)}
+
+
+def test_room_for_many_runs_that_wait_is_given_to_some_by_each_call_in_order() -> None:
+    core = Core(max_items=1)
+    core.put(1)
+    waiting = [core.put(1, wait_nanos=10**9) for _ in range(5 * OFFERED_PER_CALL_MAX)]
+    core.queue.configure(QueueLimits(max_items=10_000), core.now)
+    finished: list[Enqueue] = []
+    while more := core.queue.take_finished():
+        assert len(more) == OFFERED_PER_CALL_MAX
+        finished += more
+        core.queue.tick(core.now)
+    assert finished == waiting
+    assert core.queue.next_deadline() is None
+
+
+def test_what_a_smaller_limit_leaves_too_much_is_dropped_by_many_calls_while_the_put_waits() -> None:
+    core = Core(max_items=20_000, on_full="drop_oldest")
+    core.put(*[1] * 10_000)
+    core.queue.configure(QueueLimits(max_items=10, on_full="drop_oldest"), core.now)
+    run, held = core.put(1, wait_nanos=0), 10_000
+    while not run.is_through:
+        (now_held,) = core.counted("held")  # looks after what is due
+        assert held - 2 * (DROPPED_PER_RUN_MAX + 2) <= now_held < held
+        held = now_held
+    assert core.counted("held", "dropped") == (10, 9991)
+    assert core.queue.take_finished() == [run]
+    assert run.outcome is not None
+    assert run.outcome.parts
+
+
+def test_a_queue_that_goes_lets_go_of_its_items_in_pieces() -> None:
+    core = Core(max_items=20_000)
+    for _ in range(20):
+        core.put(*[1] * 500)
+    core.taker(1, 2000)
+    core.dealt()
+    held = 10_000
+    for _ in core.queue.emptying():
+        (now_held,) = core.counted("held")
+        assert held - EMPTIED_PER_PIECE <= now_held <= held
+        held = now_held
+    assert core.counted("held", "leased") == (0, 0)
+
+
+def test_runs_that_wait_are_refused_by_many_calls_in_their_order_and_none_slips_in() -> None:
+    core = Core(max_items=1)
+    core.put(1)
+    waiting = [
+        core.put(1, wait_nanos=10**9, producer_id=5, first_number=at + 2) for at in range(3 * ENDED_PER_CALL_MAX)
+    ]
+    refused: list[Enqueue] = []
+    more = True
+    while more:
+        more = core.queue.end_line(Unavailable("gone", reason="NOT_HERE"), core.now)
+        refused += core.queue.take_finished()
+        assert len(refused) % ENDED_PER_CALL_MAX == 0
+        if more:
+            core.queue.configure(QueueLimits(max_items=10_000), core.now)  # there is room now, for nobody
+            again = core.put(1, producer_id=5, first_number=len(waiting) + 1)  # which is still in line
+            assert again.error is not None
+    assert refused == waiting
+    assert all(run.error is not None for run in waiting)
+    assert core.counted("held") == (1,)
+    assert core.put(1, producer_id=5, first_number=2).outcome is not None
+
+
+def test_while_a_queue_is_paused_or_may_not_serve_nobody_is_dealt_anything() -> None:
+    core, serves = Core(max_items=10), True
+    core.queue = QueueCore(QueueLimits(max_items=1), incarnation=1, may_serve=lambda: serves)
+    core.put(1)
+    waits = core.put(1, wait_nanos=10**9)
+    serves = False
+    core.taker(1, 10)
+    core.queue.configure(QueueLimits(max_items=10), core.now)
+    core.queue.tick(core.now)
+    assert (core.queue.take_dealt(), waits.is_through) == ([], False)
+    serves = True
+    core.queue.pause()
+    core.queue.tick(core.now)
+    assert core.queue.take_dealt() == []
+    core.queue.go_on(core.now)
+    assert core.dealt() == {1: [1, 2]}
+
+
+async def test_the_streams_of_takers_are_ended_in_pieces() -> None:
+    record = queue_pb2.QueueRecord(queue_id=b"q" * 16, name="q", epoch=1, incarnation=1)
+    hosted = HostedQueue(recorded_queue(record), MemoryBudget(2**30), lambda: 1000, lambda hosted: None, Deadlines())
+    ended: list[StampedeError] = []
+
+    class Stream:
+        def deliver(self, batch: Batch) -> None: ...
+
+        def ask(self) -> None: ...
+
+        def end(self, error: StampedeError) -> None:
+            ended.append(error)
+
+    for taker_id in range(1, 3 * STREAMS_PER_PIECE + 1):
+        hosted.attach(TakerState(taker_id), Stream())
+    counts = [len(ended) for _ in hosted.ending(Unavailable("gone"))]
+    assert counts == [STREAMS_PER_PIECE * pieces for pieces in (1, 2, 3, 3)]

@@ -1,0 +1,233 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from stampede_rt_supernode.core.channels.commands import ChannelOpened
+from stampede_rt_supernode.core.commands import Operation, Refused
+from stampede_rt_supernode.core.records import ChannelRecord, ReplicaKind, ReplicaRecord
+from stampede_rt_supernode.core.replicas import transitions as replica_transitions
+from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
+from stampede_rt_supernode.core.replicas.loads import LOAD_AGE_NANOS_MAX, ReplicaLoad, ReplicaLoads
+from tests.support.supernode.operations import (
+    Log,
+    add_replica,
+    delete,
+    deregister,
+    expire,
+    id_of,
+    open_channel,
+    register,
+    remove_replica,
+    set_in_sync,
+)
+
+
+@pytest.fixture
+def log() -> Log:
+    """Hosts 1 to 4, registered at the log positions 2 to 5; channel "cam" at host 1."""
+    log = Log()
+    for number in (1, 2, 3, 4):
+        log.apply(register(number))
+    log.apply(open_channel("cam", host="host-1"))
+    return log
+
+
+def cam(log: Log) -> ChannelRecord:
+    found = log.directory.tables.channel_named("cam")
+    assert found is not None
+    return found
+
+
+def copies(log: Log) -> tuple[ReplicaRecord, ...]:
+    return log.directory.tables.replicas.of(cam(log).channel_id)
+
+
+def added(log: Log, operation: Operation) -> ReplicaRecord:
+    result = log.apply(operation)
+    assert isinstance(result, ReplicaAdded), result
+    return result.replica
+
+
+def refusal(log: Log, operation: Operation) -> Refused:
+    result = log.apply(operation)
+    assert isinstance(result, Refused)
+    return result
+
+
+def warm_in_sync(log: Log, host: int) -> None:
+    added(log, add_replica(cam(log).channel_id, host, warm=True))
+    assert isinstance(log.apply(set_in_sync(cam(log).channel_id, host)), ReplicaInSyncSet)
+
+
+def test_a_copy_is_added_once_and_the_channel_names_its_host(log: Log) -> None:
+    channel_id = cam(log).channel_id
+    first = added(log, add_replica(channel_id, 2))
+    assert added(log, add_replica(channel_id, 2)) == first
+    assert (first.kind, first.source_host_id, first.boot_incarnation) == (ReplicaKind.PROXY, id_of(1), 1)
+    assert cam(log).proxy_host_ids == (id_of(2),)
+    assert cam(log).epoch == 1
+
+
+def test_the_directory_chooses_the_host_with_the_fewest_channels_and_copies(log: Log) -> None:
+    log.apply(open_channel("mic", host="host-2"))
+    channel_id = cam(log).channel_id
+    chosen = [added(log, add_replica(channel_id)).host_id for _ in range(3)]
+    assert chosen == [id_of(3), id_of(4), id_of(2)]
+    assert refusal(log, add_replica(channel_id)).reason == "NO_HOST"
+
+
+def test_a_copy_that_makes_no_sense_is_refused(log: Log) -> None:
+    channel_id = cam(log).channel_id
+    added(log, add_replica(channel_id, 2))
+    for operation, reason in (
+        (add_replica(id_of(99), 3), "CHANNEL_NOT_FOUND"),
+        (add_replica(channel_id, 3, epoch=2), "WRONG_EPOCH"),
+        (add_replica(channel_id, 9), "HOST_NOT_FOUND"),
+        (add_replica(channel_id, 1), "CHANNEL_EXISTS"),
+        (add_replica(channel_id, 2, warm=True), "CHANNEL_EXISTS"),
+        (add_replica(channel_id, 3, source=4), "INVALID_ARGUMENT"),
+        (add_replica(channel_id, 3, source=2, warm=True), "INVALID_ARGUMENT"),
+        (add_replica(channel_id, 3, acknowledged=True), "INVALID_ARGUMENT"),
+    ):
+        assert refusal(log, operation).reason == reason, operation
+
+
+def test_a_channel_has_a_bounded_number_of_copies(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replica_transitions, "REPLICAS_MAX", 1)
+    added(log, add_replica(cam(log).channel_id, 2))
+    refused = refusal(log, add_replica(cam(log).channel_id, 3))
+    assert (refused.reason, refused.metadata["channel"]) == ("INVALID_ARGUMENT", "cam")
+
+
+def test_what_a_removed_proxy_fed_is_fed_by_the_owner(log: Log) -> None:
+    channel_id = cam(log).channel_id
+    added(log, add_replica(channel_id, 2))
+    assert added(log, add_replica(channel_id, 3, source=2)).source_host_id == id_of(2)
+    assert log.apply(remove_replica(channel_id, 2)) == ReplicaRemoved()
+    assert [(one.host_id, one.source_host_id) for one in copies(log)] == [(id_of(3), id_of(1))]
+    assert log.apply(remove_replica(channel_id, 2)) == ReplicaRemoved(), "an absent one is no error"
+    assert cam(log).proxy_host_ids == (id_of(3),)
+
+
+def test_the_flag_is_set_by_the_owner_of_the_epoch_for_one_boot_of_the_copy(log: Log) -> None:
+    channel_id = cam(log).channel_id
+    added(log, add_replica(channel_id, 2, warm=True))
+    added(log, add_replica(channel_id, 3))
+    done = log.apply(set_in_sync(channel_id, 2))
+    assert isinstance(done, ReplicaInSyncSet)
+    assert done.replica.in_sync
+    for operation, reason in (
+        (set_in_sync(channel_id, 2, False, epoch=2), "WRONG_EPOCH"),
+        (set_in_sync(channel_id, 2, False, boot=2), "HOST_NOT_FOUND"),
+        (set_in_sync(channel_id, 4), "HOST_NOT_FOUND"),
+        (set_in_sync(channel_id, 3), "INVALID_ARGUMENT"),
+        (set_in_sync(id_of(99), 2), "CHANNEL_NOT_FOUND"),
+    ):
+        assert refusal(log, operation).reason == reason, operation
+    assert copies(log)[0].in_sync
+
+
+ENDINGS: dict[str, Callable[[int], Operation]] = {
+    "expired": lambda number: expire(number, registered_index=number + 1),
+    "left": deregister,
+    "restarted": lambda number: register(number, boot=2),
+}
+
+
+@pytest.mark.parametrize("end", ENDINGS.values(), ids=ENDINGS)
+def test_a_warm_replica_in_sync_takes_over_when_the_owners_registration_ends(
+    log: Log, end: Callable[[int], Operation]
+) -> None:
+    before = cam(log)
+    warm_in_sync(log, 2)
+    added(log, add_replica(before.channel_id, 3))
+    log.apply(end(1))
+    after = cam(log)
+    assert (after.host_id, after.epoch, after.incarnation) == (id_of(2), 2, before.incarnation + 1)
+    assert after.proxy_host_ids == (id_of(3),)
+    assert [(one.source_host_id, one.epoch) for one in copies(log)] == [(id_of(2), 2)]
+    assert log.directory.tables.hosts[id_of(2)].channels == 1
+    late = refusal(log, set_in_sync(before.channel_id, 2, False))
+    assert late.reason == "WRONG_EPOCH", "the former owner cannot acknowledge without the replica any more"
+
+
+@pytest.mark.parametrize("end", [ENDINGS["expired"], ENDINGS["left"]], ids=["expired", "left"])
+def test_a_replica_that_is_not_in_sync_never_takes_over(log: Log, end: Callable[[int], Operation]) -> None:
+    warm_in_sync(log, 2)
+    log.apply(set_in_sync(cam(log).channel_id, 2, False))
+    added(log, add_replica(cam(log).channel_id, 3))
+    log.apply(end(1))
+    assert (cam(log).host_id, cam(log).epoch) == (id_of(1), 1)
+    late = refusal(log, set_in_sync(cam(log).channel_id, 2))
+    assert late.reason == "HOST_NOT_FOUND", "an owner without a lease cannot make it an heir"
+
+
+@pytest.mark.parametrize("end", ENDINGS.values(), ids=ENDINGS)
+def test_a_copy_goes_with_the_registration_of_its_host(log: Log, end: Callable[[int], Operation]) -> None:
+    warm_in_sync(log, 2)
+    added(log, add_replica(cam(log).channel_id, 3))
+    log.apply(end(2))
+    assert [one.host_id for one in copies(log)] == [id_of(3)]
+    assert cam(log).proxy_host_ids == (id_of(3),)
+    log.apply(expire(1, registered_index=2))
+    assert cam(log).host_id == id_of(1), "there is nobody to take over"
+
+
+def test_an_expiry_that_comes_too_late_moves_nothing(log: Log) -> None:
+    warm_in_sync(log, 2)
+    log.apply(register(1))
+    log.apply(expire(1, registered_index=2))
+    assert (cam(log).host_id, cam(log).epoch) == (id_of(1), 1)
+
+
+def test_an_heir_is_the_replica_at_the_host_with_the_fewest_channels(log: Log) -> None:
+    log.apply(open_channel("mic", host="host-2"))
+    warm_in_sync(log, 2)
+    warm_in_sync(log, 3)
+    log.apply(deregister(1))
+    assert cam(log).host_id == id_of(3)
+    assert [(one.host_id, one.in_sync) for one in copies(log)] == [(id_of(2), False)]
+
+
+def test_a_channel_that_is_placed_anew_at_a_copy_has_no_copy_there(log: Log) -> None:
+    added(log, add_replica(cam(log).channel_id, 2))
+    added(log, add_replica(cam(log).channel_id, 3, source=2))
+    log.apply(deregister(1))
+    opened = log.apply(open_channel("cam", host="host-2"))
+    assert isinstance(opened, ChannelOpened)
+    assert opened.channel == cam(log)
+    assert (opened.channel.host_id, opened.channel.proxy_host_ids) == (id_of(2), (id_of(3),))
+    assert copies(log)[0].source_host_id == id_of(2)
+
+
+def test_copies_go_with_their_channel(log: Log) -> None:
+    channel_id = cam(log).channel_id
+    added(log, add_replica(channel_id, 2))
+    log.apply(delete(channel_id))
+    assert not log.directory.tables.replicas
+    assert refusal(log, remove_replica(channel_id, 2)).reason == "CHANNEL_NOT_FOUND"
+
+
+def load(host: int, *, bytes_per_second: int = 0, subscriptions: int = 0) -> ReplicaLoad:
+    return ReplicaLoad(
+        channel_id=id_of(9),
+        host_id=id_of(host),
+        subscriptions=subscriptions,
+        delivered_bytes_per_second=bytes_per_second,
+        next_seq=1,
+        lag_nanos=0,
+    )
+
+
+def test_loads_come_the_least_loaded_first_and_go_with_age_and_tenure() -> None:
+    loads, hosts = ReplicaLoads(), [id_of(1), id_of(2), id_of(3)]
+    loads.lead(1)
+    loads.note([load(1, bytes_per_second=5), load(2, subscriptions=2), load(3, subscriptions=1)], 0)
+    assert [one.host_id for one in loads.of(id_of(9), hosts, 1)] == [id_of(3), id_of(2), id_of(1)]
+    assert [one.host_id for one in loads.of(id_of(9), hosts[:1], 1)] == hosts[:1]
+    loads.note([load(1)], LOAD_AGE_NANOS_MAX)
+    assert [one.host_id for one in loads.of(id_of(9), hosts, LOAD_AGE_NANOS_MAX + 1)] == hosts[:1]
+    loads.lead(2)
+    assert loads.of(id_of(9), hosts, LOAD_AGE_NANOS_MAX + 1) == []

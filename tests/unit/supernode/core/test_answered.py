@@ -1,0 +1,172 @@
+"""Repeating a request id repeats the answer, not the operation."""
+
+import itertools
+
+import pytest
+
+from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core import answered
+from stampede_rt_supernode.core.answered import (
+    FORGOTTEN_AT_ONCE,
+    FORGOTTEN_BY_MARK,
+    MARK_NANOS,
+    MARKS_KEPT,
+    REPEAT_NANOS_MAX,
+)
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened
+from stampede_rt_supernode.core.cluster.commands import MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.commands import Refused, Result
+from tests.support.supernode.operations import Log, begin_tenure, delete, id_of, open_channel, register
+
+
+def test_a_repeated_operation_gives_the_same_answer_although_other_ids_were_drawn_for_it() -> None:
+    log = Log()
+    log.apply(register(1))
+    first = log.apply(open_channel("cam"), op_id=id_of(1))
+    again = log.apply(open_channel("cam"), op_id=id_of(1))
+    assert isinstance(again, ChannelOpened)
+    assert again == first
+    assert again.created
+
+
+def test_a_repeated_deletion_does_not_hit_the_next_channel_of_that_name() -> None:
+    log = Log()
+    log.apply(register(1))
+    first = log.apply(open_channel("cam"))
+    assert isinstance(first, ChannelOpened)
+    gone = log.apply(delete(first.channel.channel_id), op_id=id_of(1))
+    log.apply(open_channel("cam"))
+    assert log.apply(delete(first.channel.channel_id), op_id=id_of(1)) == gone
+    assert isinstance(gone, ChannelDeleted)
+    assert "cam" in log.directory.tables.channel_ids
+
+
+def test_a_refusal_is_not_remembered_since_it_changed_nothing() -> None:
+    log = Log()
+    assert isinstance(log.apply(open_channel("cam"), op_id=id_of(1)), Refused)
+    log.apply(register(1))
+    assert isinstance(log.apply(open_channel("cam"), op_id=id_of(1)), ChannelOpened)
+
+
+def test_a_request_id_used_for_something_else_is_refused() -> None:
+    log = Log()
+    log.apply(register(1), op_id=id_of(1))
+    result = log.apply(open_channel("cam"), op_id=id_of(1))
+    assert isinstance(result, Refused)
+    assert result.reason == "INVALID_ARGUMENT"
+    assert "request id" in result.message
+    short = log.apply(open_channel("cam"), op_id=b"x")
+    assert isinstance(short, Refused)
+    assert "16" in short.message
+
+
+def request_id(number: int) -> bytes:
+    return id_of(2**32 + number)
+
+
+def done(log: Log, number: int) -> Result:
+    """Open a channel under the request id of that number, by a supernode that has applied everything."""
+    as_of_index = log.directory.applied_index
+    return log.apply(open_channel(f"cam/{number}"), op_id=request_id(number), as_of_index=as_of_index)
+
+
+def test_an_answer_is_kept_however_much_is_done_until_time_was_marked_often_enough() -> None:
+    log = Log()
+    log.apply(register(1))
+    first = done(log, 1)
+    for number in range(2, 20_000):
+        done(log, number)
+    assert done(log, 1) == first
+    for _ in range(MARKS_KEPT - 1):
+        assert log.mark_time() == TimeMarked(marked=True)
+    assert done(log, 1) == first
+    log.mark_time()
+    assert request_id(1) not in {answer.op_id for answer in log.directory.answered}
+
+
+def test_an_answer_is_kept_for_longer_than_a_request_may_be_repeated() -> None:
+    log = Log()
+    log.apply(register(1))
+    done = log.apply(open_channel("cam"), op_id=id_of(77))
+    # The first mark may come at once, and the request be under way for one more.
+    for _ in range(REPEAT_NANOS_MAX // MARK_NANOS + 2):
+        log.mark_time()
+        assert log.apply(open_channel("cam"), op_id=id_of(77)) == done
+
+
+def test_forgetting_takes_a_bounded_part_of_each_command() -> None:
+    log = Log()
+    log.apply(register(1))
+    for number in range(2 * FORGOTTEN_BY_MARK):
+        done(log, number)
+    for _ in range(MARKS_KEPT):
+        log.mark_time()
+    held = [len(log.directory.answered)]
+    for number in range(3):
+        done(log, 10**6 + number)
+        held.append(len(log.directory.answered))
+    assert [before - after for before, after in itertools.pairwise(held)] == [FORGOTTEN_AT_ONCE - 1] * 3
+
+
+def test_a_command_that_was_under_way_while_time_was_marked_twice_is_refused_and_not_done() -> None:
+    log = Log()
+    log.apply(register(1))
+    asked = log.directory.applied_index
+    log.mark_time()
+    assert isinstance(log.apply(open_channel("in-time"), as_of_index=asked), ChannelOpened)
+    log.mark_time()
+    late = log.apply(open_channel("late"), as_of_index=asked)
+    assert isinstance(late, Refused)
+    assert (late.reason, "within 30 s" in late.message) == ("AMBIGUOUS", True)
+    assert "late" not in log.directory.tables.channel_ids
+    assert isinstance(log.apply(open_channel("late"), as_of_index=log.directory.applied_index), ChannelOpened)
+
+
+def test_nothing_that_is_forgotten_is_done_again() -> None:
+    """Whenever a command was taken in and whenever it is applied, no more than 40 s of marks after the first time."""
+    for applied_after in range(2 * MARKS_KEPT):
+        for taken_in_after in range(min(applied_after + 1, MARKS_KEPT - 2)):
+            log = Log()
+            log.apply(register(1))
+            opened = done(log, 1)
+            assert isinstance(opened, ChannelOpened)
+            log.apply(delete(opened.channel.channel_id))
+            as_of = 0
+            for number in range(applied_after + 1):
+                as_of = log.directory.applied_index if number == taken_in_after else as_of
+                if number < applied_after:
+                    log.mark_time()
+            again = log.apply(open_channel("cam/1"), op_id=request_id(1), as_of_index=as_of)
+            assert again == opened or isinstance(again, Refused), (applied_after, taken_in_after)
+            assert "cam/1" not in log.directory.tables.channel_ids
+
+
+def test_another_leaders_mark_and_a_repeated_one_are_without_effect() -> None:
+    log = Log()
+    assert log.mark_time(tenure=2) == TimeMarked(marked=False)
+    repeated = MarkTime(tenure=1, after_index=0)
+    assert [log.apply(repeated), log.apply(repeated)] == [TimeMarked(marked=True), TimeMarked(marked=False)]
+    assert len(log.directory.answered.marks) == 1
+
+
+def test_what_cannot_be_remembered_is_refused_and_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(answered, "BYTES_MAX", 4 * answered.ANSWER_BYTES)
+    log = Log()
+    log.apply(register(1))
+    assert [type(done(log, number)) for number in range(3)] == [ChannelOpened, ChannelOpened, Refused]
+    full = done(log, 3)
+    assert isinstance(full, Refused)
+    assert full.reason == "OVERLOADED"
+    assert isinstance(log.apply(begin_tenure(2)), TenureBegun)
+    for _ in range(MARKS_KEPT):
+        log.mark_time(tenure=2)
+    assert isinstance(done(log, 3), ChannelOpened)
+
+
+def test_marks_survive_a_snapshot() -> None:
+    log = Log()
+    log.apply(register(1))
+    done(log, 1)
+    log.mark_time()
+    again = decode_snapshot(encode_snapshot(log.directory)).answered
+    assert (again.marks, list(again)) == (log.directory.answered.marks, list(log.directory.answered))

@@ -1,0 +1,87 @@
+"""What hosts and peers may say of themselves when they register, and who may ask for queues and peers at all."""
+
+from __future__ import annotations
+
+import secrets
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import PermissionDenied, VersionMismatch
+from stampede_rt.v1 import directory_pb2, peer_service_pb2, queue_directory_service_pb2
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt.version import PROTOCOL_VERSION
+from stampede_rt_runtime.identity import Identity, Role
+from stampede_rt_runtime.roles import roles_for
+from stampede_rt_supernode.core.callers import check_host_caller, check_protocol
+from stampede_rt_supernode.servicers import calls
+from tests.support.supernode.node import reason_of, running_node
+from tests.support.supernode.operations import id_of
+
+H1 = Identity("c", Role.HOST, "h1")
+
+
+def registration(**fields: int | str) -> pb.RegisterHostRequest:
+    return pb.RegisterHostRequest(
+        request_id=secrets.token_bytes(16),
+        host_id=id_of(1),
+        name="host-1",
+        gatekeepers=[directory_pb2.Endpoint(target="localhost:7001")],
+        boot_incarnation=1,
+        **fields,  # type: ignore[arg-type]
+    )
+
+
+@pytest.mark.parametrize(("known_as", "name"), [(None, "h1"), ("h1", "h1"), ("h1", None), (None, None)])
+def test_a_host_speaks_for_itself(known_as: str | None, name: str | None) -> None:
+    check_host_caller(H1, known_as=known_as, name=name)
+
+
+@pytest.mark.parametrize(("known_as", "name"), [(None, "h2"), ("h2", "h1"), ("h2", None), ("h1", "h2")])
+def test_a_host_cannot_speak_for_another(known_as: str | None, name: str | None) -> None:
+    with pytest.raises(PermissionDenied, match="cannot speak for host h2"):
+        check_host_caller(H1, known_as=known_as, name=name)
+
+
+def test_without_certificates_every_caller_is_believed() -> None:
+    check_host_caller(None, known_as="h2", name="h1")
+
+
+def test_another_protocol_is_told_with_both_versions() -> None:
+    with pytest.raises(VersionMismatch, match=r"the host \(version 9\.9\) speaks protocol 7, this directory 1"):
+        check_protocol(7, "9.9")
+    check_protocol(0, "0.0.1")
+
+
+async def test_only_another_protocol_keeps_a_host_out_and_not_another_release() -> None:
+    async with running_node() as node:
+        refused = await reason_of(node.stub.RegisterHost(registration(protocol_version=7, version="9.9"), timeout=5))
+        assert refused.reason == "VERSION_MISMATCH"
+        assert "install the same release on both" in refused.message
+        answer = await node.stub.RegisterHost(registration(protocol_version=PROTOCOL_VERSION, version="9.9"), timeout=5)
+        assert answer.protocol_version == PROTOCOL_VERSION
+        assert answer.host.version == "9.9"
+
+
+@pytest.mark.parametrize("service", [queue_directory_service_pb2, peer_service_pb2], ids=["queues", "peers"])
+def test_every_participant_may_ask_for_queues_and_peers_and_no_service_of_the_cluster_does(service: Any) -> None:
+    for described in service.DESCRIPTOR.services_by_name.values():
+        for method in described.methods:
+            allowed = roles_for(f"/{described.full_name}/{method.name}")
+            assert allowed == {Role.CLIENT, Role.OPERATOR, Role.HOST}
+
+
+@pytest.mark.parametrize(("caller", "refused"), [("host-1", False), ("host-2", True)])
+async def test_only_a_host_itself_registers_as_the_peer_that_it_is(
+    monkeypatch: pytest.MonkeyPatch, caller: str, refused: bool
+) -> None:
+    async with running_node() as node:
+        await node.register(1)
+        monkeypatch.setattr(calls, "caller_identity", lambda context: Identity("c", Role.HOST, caller))
+        entering = peer_service_pb2.RegisterPeerRequest(
+            request_id=secrets.token_bytes(16), peer_id=id_of(7), boot_incarnation=1, host_id=id_of(1)
+        )
+        if refused:
+            assert (await reason_of(node.peers.RegisterPeer(entering))).reason == "PERMISSION_DENIED"
+        else:
+            assert (await node.peers.RegisterPeer(entering)).peer.host_id == id_of(1)

@@ -1,0 +1,147 @@
+"""A request to open that comes late, after its caller had its answer, makes nothing again.
+
+The story: a caller opens `cam`, hears nothing, and tries again at another supernode. `cam` is there by now, so the
+second attempt is answered at once, without an entry in the log. Somebody deletes `cam`. Then the first attempt, which
+had been under way all the time, comes to be applied; nobody remembered the request, so it made the channel anew.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+import pytest_asyncio
+
+from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_supernode.codecs.command_codec import decode_result
+from stampede_rt_supernode.core.answered import MARKS_KEPT
+from stampede_rt_supernode.core.channels.commands import ChannelOpened
+from stampede_rt_supernode.core.commands import Operation, Refused, Result
+from stampede_rt_supernode.core.groups.commands import GroupOpened
+from stampede_rt_supernode.core.queues.commands import QueueOpened
+from tests.support.supernode.node import Node, reason_of, running_node
+from tests.support.supernode.operations import (
+    Log,
+    delete,
+    delete_group,
+    delete_queue,
+    id_of,
+    open_channel,
+    open_group,
+    open_queue,
+    register,
+)
+
+
+@pytest_asyncio.fixture
+async def node() -> AsyncIterator[Node]:
+    async with running_node() as node:
+        await node.register(1, name="one")
+        yield node
+
+
+async def open_and_delete(node: Node, request: pb.OpenChannelRequest) -> None:
+    """Another makes the channel, the second attempt of `request` finds it there, and it is deleted."""
+    made = await node.open("cam")
+    index = node.log.index
+    assert (await node.stub.OpenChannel(request)).channel == made.channel
+    assert node.log.index == index, "answered without an entry"
+    gone = pb.DeleteChannelRequest(request_id=id_of(6), channel_id=made.channel.channel_id)
+    await node.stub.DeleteChannel(gone)
+
+
+async def is_there(node: Node) -> bool:
+    return bool((await node.stub.ListChannels(pb.ListChannelsRequest())).channels)
+
+
+async def test_an_entry_that_was_under_way_does_not_bring_a_deleted_channel_back(node: Node) -> None:
+    request = pb.OpenChannelRequest(request_id=id_of(5), name="cam", create=True)
+    node.log.holds = True
+    first = node.stub.OpenChannel(request, timeout=10)
+    await node.log.held_one.wait()
+    first.cancel()
+    await open_and_delete(node, request)
+    (late,) = (decode_result(result) for result in node.log.apply_held())
+    assert isinstance(late, Refused)
+    assert (late.reason, late.metadata["channel"]) == ("AMBIGUOUS", "cam")
+    assert not await is_there(node)
+
+
+async def test_a_request_that_stood_still_at_a_supernode_does_not_bring_a_deleted_channel_back(node: Node) -> None:
+    request = pb.OpenChannelRequest(request_id=id_of(5), name="cam", create=True)
+    stands_still = node.log.reads_may_end
+    stands_still.clear()
+    node.log.read_waits.clear()
+    first = asyncio.ensure_future(reason_of(node.stub.OpenChannel(request, timeout=10)))
+    await node.log.read_waits.wait()
+    node.log.reads_may_end = asyncio.Event()
+    node.log.reads_may_end.set()
+    await open_and_delete(node, request)
+    stands_still.set()
+    assert (await first).reason == "AMBIGUOUS"
+    assert not await is_there(node)
+    assert (await node.stub.OpenChannel(request)).created, "who is still there asks again, and means it"
+
+
+@pytest.fixture
+def log() -> Log:
+    log = Log()
+    log.apply(register(1, name="one"))
+    return log
+
+
+def delete_what(log: Log, opened: Result) -> Operation:
+    match opened:
+        case ChannelOpened(channel=channel):
+            return delete(channel.channel_id)
+        case GroupOpened(group=group):
+            return delete_group(group.group_id)
+        case QueueOpened(queue=queue):
+            return delete_queue(queue.queue_id)
+    raise AssertionError(opened)
+
+
+@pytest.mark.parametrize("kind", ["channel", "group", "queue"])
+def test_whether_an_open_is_late_is_told_by_what_was_deleted_since_it_was_asked_for(log: Log, kind: str) -> None:
+    member = log.apply(open_channel("member"))
+    assert isinstance(member, ChannelOpened)
+    openings: dict[str, Operation] = {
+        "channel": open_channel("x"),
+        "group": open_group("x", (member.channel.channel_id,)),
+        "queue": open_queue("x"),
+    }
+    opening = openings[kind]
+    asked = log.directory.applied_index
+    log.apply(delete_what(log, log.apply(opening)))
+    late = log.apply(opening, as_of_index=asked)
+    assert isinstance(late, Refused)
+    assert (late.reason, late.metadata) == ("AMBIGUOUS", {kind: "x"})
+    assert not isinstance(log.apply(opening, as_of_index=log.directory.applied_index), Refused)
+
+
+def test_what_was_deleted_under_another_name_makes_no_open_late(log: Log) -> None:
+    asked = log.directory.applied_index
+    log.apply(delete_what(log, log.apply(open_channel("y"))))
+    assert isinstance(log.apply(open_channel("x"), as_of_index=asked), ChannelOpened)
+
+
+def test_an_open_that_comes_later_than_answers_are_remembered_is_late(log: Log) -> None:
+    asked = log.directory.applied_index
+    for _ in range(MARKS_KEPT):
+        log.mark_time()
+    late = log.apply(open_channel("x"), as_of_index=asked)
+    assert isinstance(late, Refused)
+    assert late.reason == "AMBIGUOUS"
+    assert isinstance(log.apply(open_channel("x"), as_of_index=log.directory.applied_index), ChannelOpened)
+
+
+def test_an_open_of_what_is_there_is_never_late(log: Log) -> None:
+    opened = log.apply(open_channel("x"))
+    assert isinstance(opened, ChannelOpened)
+    log.apply(delete(opened.channel.channel_id))
+    there = log.apply(open_channel("x"))
+    assert isinstance(there, ChannelOpened)
+    again = log.apply(open_channel("x"), as_of_index=1)
+    assert isinstance(again, ChannelOpened)
+    assert (again.channel, again.created) == (there.channel, False)

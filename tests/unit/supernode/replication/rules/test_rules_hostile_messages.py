@@ -1,0 +1,222 @@
+"""What a hostile holder of valid credentials says to one node: it is at fault, or not heard, and the node goes on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from stampede_rt_supernode.replication.configuration import Configuration
+from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.library.node import CANDIDATE, Fate
+from stampede_rt_supernode.replication.log_entries import Entry
+from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX
+from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
+from stampede_rt_supernode.replication.storage.store import Promise
+from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Introduced, MembersTold, Received
+from stampede_rt_supernode.replication.wire.messages import (
+    AppendReply,
+    ForwardedCommandReply,
+    Message,
+    ReadIndexRequest,
+    TimeoutNow,
+    VoteReply,
+    VoteRequest,
+)
+from stampede_rt_supernode.replication.wire.records import encode_configuration
+from tests.support.supernode.lone_node import LoneNode, acknowledgement, append
+
+X = Member(member_id="x", address="x:1")
+
+
+def vote_request(term: int, *, last: tuple[int, int] = (9, 9), pre_vote: bool = False) -> Message:
+    return VoteRequest(term=term, last_log_index=last[0], last_log_term=last[1], pre_vote=pre_vote)
+
+
+def locked_out(lone: LoneNode) -> None:
+    """Let so much time pass without a leader that those whom the node knows may all be gone."""
+    lone.node.before_tick()
+    lone.now += 2 * lone.node.locked_out_seconds
+    lone.node.before_tick()
+    lone.said()
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        vote_request(TERMS_AHEAD_MAX + 1),
+        vote_request(2**62, pre_vote=True),
+        append(2**62, (1, 0), []),
+        AppendReply(term=2**62, next_index=2, reset=False, success=False),
+        VoteReply(term=0, pre_vote=True, voter_term=2**62),
+        TimeoutNow(term=2**62),
+    ],
+    ids=lambda message: type(message).__name__,
+)
+def test_a_term_that_no_elections_explain_is_not_taken_over(message: Message) -> None:
+    lone = LoneNode()
+    with pytest.raises(PeerAtFault, match="b speaks of term"):
+        lone.receive("b", message)
+    assert lone.node.term == 0
+    assert "b" not in lone.log.promises
+
+
+def test_elections_go_on_from_the_last_term_that_is_taken_over() -> None:
+    lone = LoneNode()
+    lone.receive("b", vote_request(TERMS_AHEAD_MAX))
+    assert lone.node.term == TERMS_AHEAD_MAX
+    [(to, reply)] = lone.receive("c", vote_request(TERMS_AHEAD_MAX + 1))
+    assert (to, reply.term) == ("c", TERMS_AHEAD_MAX + 1)  # type: ignore[union-attr]
+    lone.now += 100.0
+    assert lone.lead() == TERMS_AHEAD_MAX + 2
+
+
+def test_a_claim_to_lead_does_not_end_the_leader() -> None:
+    lone = LoneNode()
+    term = lone.lead()
+    with pytest.raises(PeerAtFault, match="and this node does"):
+        lone.receive("b", append(term, (1, 0), []))
+    assert lone.node.is_leader
+
+
+def test_an_acknowledgement_beyond_the_log_counts_for_nothing() -> None:
+    lone = LoneNode()
+    term = lone.lead()
+    with pytest.raises(PeerAtFault, match="acknowledged up to 98, past 2"):
+        lone.receive("b", acknowledgement(term, 99))
+    lone.tick()
+    assert (lone.node.is_leader, lone.node.commit_index) == (True, 1)
+
+
+def test_a_stranger_that_introduces_itself_neither_votes_nor_unseats_the_leader() -> None:
+    lone = LoneNode()
+    term = lone.lead()
+    lone.node.transport.deliver(Introduced("x", X))
+    lone.node.transport.deliver(Connected("x"))
+    assert lone.receive("x", vote_request(term + 5)) == []
+    assert lone.receive("x", append(term + 5, (1, 0), [])) == []
+    assert (lone.node.is_leader, lone.node.term) == (True, term)
+    assert "x" not in lone.node.peers
+
+
+def test_who_is_locked_out_hears_strangers_until_it_follows_somebody_whom_it_knows() -> None:
+    lone = LoneNode()
+    lone.node.transport.deliver(Introduced("x", X))
+    locked_out(lone)
+    assert "x" in lone.node.peers
+    lone.node.transport.deliver(Connected("x"))
+    lone.receive("x", append(3, (1, 0), [(2, 3)]))
+    lone.node.before_tick()
+    assert lone.node.leader.id == "x"
+    assert lone.held() == [(1, 0), (2, 3)]
+    lone.receive("b", append(4, (2, 3), []))
+    lone.node.before_tick()
+    assert "x" not in lone.node.peers
+
+
+def test_whom_a_stranger_names_is_a_stranger() -> None:
+    lone = LoneNode()
+    lone.node.transport.deliver(Introduced("x", X))
+    locked_out(lone)
+    lone.node.transport.deliver(MembersTold("x", (Member(member_id="y", address="y:1"),)))
+    lone.receive("b", append(4, (1, 0), []))
+    lone.node.before_tick()
+    assert set(lone.node.peers) == {"b", "c"}
+    lone.node.transport.deliver(MembersTold("b", (X,)))
+    assert set(lone.node.peers) == {"b", "c", "x"}
+
+
+def test_however_many_strangers_come_few_are_remembered() -> None:
+    lone = LoneNode()
+    for number in range(1000):
+        name = f"x{number}"
+        lone.node.transport.deliver(Introduced(name, Member(member_id=name, address=f"{name}:1")))
+    locked_out(lone)
+    assert len(lone.node.peers) < 20
+    assert {"b", "c"} <= set(lone.node.peers)
+
+
+def test_nobody_pushes_out_what_a_member_has_promised() -> None:
+    lone = LoneNode()
+    lone.log.note_promise("b", 7, 70)
+    for number in range(1000):
+        lone.log.note_promise(f"x{number}", 9, 9)
+    assert lone.log.promises["b"] == Promise(7, 70)
+    assert len(lone.log.promises) <= 64
+
+
+def test_while_a_member_refuses_its_store_a_node_neither_votes_nor_stands() -> None:
+    lone = LoneNode()
+    lone.node.on_disputed("b", "an older copy")
+    assert lone.receive("c", vote_request(1, pre_vote=True)) == []
+    assert lone.receive("c", vote_request(1)) == []
+    lone.now += 100.0
+    lone.node.before_tick()
+    lone.tick()
+    assert lone.node.role != CANDIDATE
+    lone.node.on_disputed("b", "")
+    assert [type(message) for _, message in lone.receive("c", vote_request(2))] == [VoteReply]
+
+
+def test_what_a_stranger_refuses_disputes_nothing() -> None:
+    lone = LoneNode()
+    lone.node.transport.deliver(Introduced("x", X))
+    locked_out(lone)
+    lone.node.on_disputed("x", "an older copy")
+    assert lone.node.disputed_by == {}
+
+
+def forwarded(lone: LoneNode, outcomes: list[bytes | Fate]) -> int:
+    """Have the node forward a command to its leader; returns the id of the request."""
+    lone.node.propose(b"command", outcomes.append)
+    [(_, message)] = lone.tick()
+    return int(message.request_id)
+
+
+def taken(request_id: int, log_index: int) -> Message:
+    return ForwardedCommandReply(request_id=request_id, log_index=log_index, log_term=1)
+
+
+def test_only_the_leader_answers_what_was_asked_of_it() -> None:
+    lone, outcomes = LoneNode(), []  # type: LoneNode, list[bytes | Fate]
+    lone.receive("b", append(1, (1, 0), []))
+    request_id = forwarded(lone, outcomes)
+    lone.receive("c", taken(request_id, 5))
+    assert lone.node.callers_waiting_count() == 0
+    lone.receive("b", taken(request_id, 5))
+    assert lone.node.callers_waiting_count() == 1
+
+
+def test_positions_that_a_leader_invents_keep_no_more_callers_than_may_wait() -> None:
+    lone, outcomes = LoneNode(), []  # type: LoneNode, list[bytes | Fate]
+    lone.receive("b", append(1, (1, 0), []))
+    most = lone.node.conf.commandsQueueSize
+    for number in range(most + 10):
+        lone.receive("b", taken(forwarded(lone, outcomes), 1000 + number))
+    assert lone.node.callers_waiting_count() == most
+    assert outcomes == [Fate.UNKNOWN] * 10
+
+
+def test_a_member_that_asks_for_a_position_over_and_over_waits_for_the_last_answer_only() -> None:
+    lone = LoneNode()
+    for number in range(1000):
+        lone.node.transport.deliver(Received("b", ReadIndexRequest(request_id=number)))
+    lone.node.reads.start_round()
+    assert [message.request_id for _, message in lone.said()] == [999]
+
+
+def test_a_removed_member_that_a_hostile_leader_has_named_again_ends_no_process() -> None:
+    lone = LoneNode()
+    ab, abc = (
+        Configuration.of([Member(member_id=name, address=f"{name}:1") for name in names], retired)
+        for names, retired in (("ab", "c"), ("abc", ""))
+    )
+    entries = [Entry(encode_configuration(one), index, 1) for index, one in enumerate((ab, abc), start=2)]
+    first = append(1, (1, 0), [], commit=2)
+    lone.receive("b", replace(first, entries=entries[:1]))
+    lone.tick()
+    lone.node.before_tick()
+    assert set(lone.node.peers) == {"b"}
+    lone.receive("b", replace(append(1, (2, 1), [], commit=2), entries=entries[1:]))
+    lone.tick()
+    assert lone.node.voter_ids() == {"b", "c"}

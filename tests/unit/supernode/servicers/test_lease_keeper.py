@@ -1,0 +1,147 @@
+"""Leases from end to end: RPCs, the leader's table, and what the log makes of it. On a manual clock."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+import pytest_asyncio
+
+from stampede_rt_supernode.core.answered import MARKS_KEPT
+from stampede_rt_supernode.servicers import lease_keeper
+from tests.support.supernode.memory_log import OTHER, Fate
+from tests.support.supernode.node import Node, reason_of, running_node
+
+
+@pytest_asyncio.fixture
+async def node() -> AsyncIterator[Node]:
+    async with running_node() as node:
+        await node.register(1)
+        yield node
+
+
+async def test_a_lease_that_is_renewed_lives_and_one_that_is_not_ends(node: Node) -> None:
+    for _ in range(4):
+        await node.pass_seconds(3)
+        assert (await node.renew(1)).tenure == 1
+    await node.pass_seconds(4)
+    assert (await node.host(1)).alive
+    await node.pass_seconds(2)
+    assert not (await node.host(1)).alive
+    assert (await reason_of(node.renew(1))).reason == "LEASE_EXPIRED"
+
+
+async def test_a_host_whose_lease_ended_keeps_its_channels_until_somebody_opens_them(node: Node) -> None:
+    opened = await node.open("cam")
+    await node.pass_seconds(6)
+    assert not (await node.host(1)).alive
+    again = await node.register(1)
+    assert again.channels[0] == opened.channel
+    await node.pass_seconds(4)
+    assert (await node.renew(1)).tenure == 1
+
+
+async def test_a_renewal_under_another_boot_incarnation_is_refused(node: Node) -> None:
+    error = await reason_of(node.renew(1, boot=2))
+    assert error.reason == "LEASE_EXPIRED"
+    assert "data folder" in error.message
+
+
+async def test_a_follower_names_the_leader(node: Node) -> None:
+    node.log.leader_id = OTHER.member_id
+    error = await reason_of(node.renew(1))
+    assert error.reason == "NOT_LEADER"
+    assert error.metadata["leader_endpoint"] == OTHER.address
+    node.log.leader_id = None
+    assert (await reason_of(node.renew(1))).reason == "NO_QUORUM"
+
+
+async def test_a_leader_grants_nothing_before_its_tenure_is_committed(node: Node) -> None:
+    node.log.tenure = 2
+    assert (await reason_of(node.renew(1))).reason == "NO_QUORUM"
+    await node.leases.tick()
+    assert (await node.renew(1)).tenure == 2
+
+
+async def test_a_new_tenure_grants_everybody_a_full_ttl(node: Node) -> None:
+    await node.pass_seconds(4)
+    node.log.tenure = 2
+    await node.leases.tick()
+    await node.pass_seconds(4)
+    assert (await node.host(1)).alive
+    await node.pass_seconds(2)
+    assert not (await node.host(1)).alive
+
+
+async def test_a_follower_ends_no_lease(node: Node) -> None:
+    node.log.leader_id = OTHER.member_id
+    await node.pass_seconds(60)
+    assert (await node.host(1)).alive
+
+
+async def test_a_renewal_is_acknowledged_only_after_a_read_confirmed_since(node: Node) -> None:
+    node.log.reads_may_end.clear()
+    node.log.read_waits.clear()
+    renewal = asyncio.ensure_future(node.renew(1))
+    await node.log.read_waits.wait()
+    assert not renewal.done()
+    node.log.reads_may_end.set()
+    assert (await renewal).tenure == 1
+
+
+async def test_a_leader_replaced_while_it_confirms_acknowledges_nothing(node: Node) -> None:
+    node.log.reads_may_end.clear()
+    node.log.read_waits.clear()
+    renewal = asyncio.ensure_future(node.renew(1))
+    await node.log.read_waits.wait()
+    node.log.tenure = 2
+    await node.leases.tick()
+    node.log.reads_may_end.set()
+    assert (await reason_of(renewal)).reason == "NO_QUORUM"
+
+
+async def test_once_its_end_is_proposed_a_lease_is_not_renewed_even_if_the_proposal_fails(node: Node) -> None:
+    await node.pass_seconds(4)
+    node.log.fates.append(Fate.REFUSED)
+    node.clock.advance(2 * 10**9)
+    ending = asyncio.ensure_future(node.leases.tick())
+    await node.log.fate_met.wait()
+    error = await reason_of(node.renew(1))
+    assert error.reason == "LEASE_EXPIRED"
+    await ending
+
+
+async def test_a_failure_to_take_over_is_tried_again(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lease_keeper, "PROPOSAL_SECONDS", 0.01)
+    node.log.tenure = 2
+    node.log.quorum = False
+    await node.leases.tick()
+    node.log.quorum = True
+    await node.leases.tick()
+    assert (await node.renew(1)).tenure == 2
+
+
+async def test_a_leader_marks_the_time_for_as_long_as_anything_is_remembered(node: Node) -> None:
+    def marks() -> tuple[int, int]:
+        return node.replica.read(lambda directory: (len(directory.answered.marks), len(directory.answered)))
+
+    await node.pass_seconds(9)
+    assert marks() == (0, 3)  # the tenure, the host, and by now the end of its lease
+    await node.pass_seconds(11)
+    assert marks()[0] == 1
+    await node.pass_seconds(10 * MARKS_KEPT + 10)
+    assert marks() == (MARKS_KEPT, 0)
+    index = node.replica.read(lambda directory: directory.applied_index)
+    await node.pass_seconds(60)
+    assert node.replica.read(lambda directory: directory.applied_index) == index
+
+
+async def test_a_new_leader_marks_no_time_that_it_has_not_seen_pass(node: Node) -> None:
+    await node.pass_seconds(9)
+    node.log.tenure = 2
+    await node.leases.tick()
+    await node.pass_seconds(9)
+    assert node.replica.read(lambda directory: directory.answered.marks) == ()
+    await node.pass_seconds(2)
+    assert len(node.replica.read(lambda directory: directory.answered.marks)) == 1
