@@ -7,7 +7,8 @@ UV_VERSION := 0.13.8
 UV := .tools/bin/uv
 RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools
-PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/test_,directory_properties.py peer_properties.py lease_safety.py)
+PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
+	peers/test_peers_properties.py test_lease_safety.py)
 export UV_PYTHON_DOWNLOADS := never
 
 .PHONY: help setup demo test explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench clean
@@ -58,6 +59,7 @@ check: setup  ## lint, types, import rules, names, signposts, protobuf rules, fr
 	$(RUN)/lint-imports
 	$(RUN)/python tools/class_names.py
 	$(RUN)/python tools/private_names.py
+	$(RUN)/python tools/unit_tests.py
 	$(RUN)/python tools/signposts.py --check
 	cd proto && ../$(RUN)/buf lint
 	$(RUN)/python tools/breaking.py
