@@ -39,7 +39,9 @@ class KnownValues:
         """Names a field and what is worth saying in it."""
         known = self._values.setdefault(name, [])
         for value in values:
-            if value not in known and value not in self._spared:
+            if value in known:
+                known.remove(value)  # what was learnt last is kept longest
+            if value not in self._spared:
                 known.append(value)
         del known[:-KEPT_OF_EACH]
 
@@ -89,8 +91,11 @@ def _whole_run(source: ByteSource, message: Any) -> None:
     del message.payload_length_bytes[:]
     message.payload_length_bytes.extend(map(len, payloads))
     message.payloads = b"".join(payloads)
+    message.ClearField("origin")
     for column in (message.time_unix_nano, message.duration_nanos):
-        if column:
+        if column and source.chance(50):
+            del column[:]  # the host stamps the items, and they last until the next ones
+        elif column:
             values = sorted((*column, *column, *column, *column)[: len(payloads)])
             del column[:]
             column.extend(values)

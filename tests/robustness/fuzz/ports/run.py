@@ -5,22 +5,15 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import stampede_rt as st
-from stampede_rt.v1 import directory_service_pb2 as directory_pb
-from stampede_rt.v1 import group_directory_service_pb2 as group_pb
-from stampede_rt.v1 import queue_directory_service_pb2 as queue_pb
-from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
-from stampede_rt.v1.group_directory_service_pb2_grpc import GroupDirectoryServiceStub
-from stampede_rt.v1.queue_directory_service_pb2_grpc import QueueDirectoryServiceStub
-from stampede_rt.version import PROTOCOL_VERSION
 from stampede_rt_runtime.identity import Role
 from tests.robustness.fuzz.messages import KnownValues
 from tests.robustness.fuzz.ports.cluster import FuzzedCluster, fuzzed_cluster
 from tests.robustness.fuzz.ports.command_line import check_commands
+from tests.robustness.fuzz.ports.garden import first_known, keep_garden
 from tests.robustness.fuzz.ports.hostile_caller import HostileCaller
 from tests.robustness.fuzz.ports.methods import methods_of
 from tests.robustness.fuzz.ports.outcome import Finding, Outcome
@@ -33,32 +26,6 @@ GOOD_SECONDS = 0.1
 GOOD_CALL_SECONDS = 20.0
 STILL_SECONDS = 15.0
 STARVED_SECONDS = 0.5  # a host renews its lease some times each second, in time for a lease of about 2 s
-MS, S = 10**6, 10**9
-NAMES = ("a", "b", "c", "cam/1", "cam/2", "q", "r", "g", "h1", "hostile")
-MEMBERS = ("s1", "s9")
-TOLD: dict[str, Sequence[Any]] = {
-    **dict.fromkeys(("name", "name_glob", "taker_name", "host_name", "mailbox_host_name"), NAMES),
-    **dict.fromkeys(("supernode_id", "member_id", "peer_member_id"), MEMBERS),
-    **dict.fromkeys(
-        ("producer_id", "consumer_id", "taker_id", "call_id", "first_number", "boot_incarnation"), (1, 2, 3)
-    ),
-    **dict.fromkeys(("wait_nanos", "max_wait_nanos", "delay_nanos"), (0, MS, -1)),
-    **dict.fromkeys(("lease_nanos", "valid_nanos"), (S, 10 * S)),
-    **dict.fromkeys(("tolerance_nanos", "lateness_nanos"), (0, MS)),
-    **dict.fromkeys(("credit", "credit_bytes", "limit", "page_size"), (1, 100, 1000)),
-    **dict.fromkeys(("kind", "mode", "match"), (1, 2)),
-    **dict.fromkeys(("request_id", "peer_id", "host_id"), tuple(bytes([one]) * 16 for one in range(1, 20))),
-    "target": ("localhost:1", "127.0.0.1:2"),
-    "proof": (b"p" * 32, b""),
-    "epoch": (1, 0),
-    "protocol_version": (PROTOCOL_VERSION,),
-}
-LISTED: tuple[tuple[Any, str, Any], ...] = (
-    (DirectoryServiceStub, "ListChannels", directory_pb.ListChannelsRequest(name_glob="?")),
-    (DirectoryServiceStub, "ListSupernodes", directory_pb.ListSupernodesRequest()),
-    (QueueDirectoryServiceStub, "ListQueues", queue_pb.ListQueuesRequest()),
-    (GroupDirectoryServiceStub, "ListGroups", group_pb.ListGroupsRequest()),
-)
 
 
 async def run(
@@ -79,48 +46,23 @@ async def run(
     outcome = Outcome(port, seed)
     async with fuzzed_cluster(outcome, tls=tls) as cluster:
         async with cluster.connect() as rt:
-            known = await _known(rt, cluster)
+            await rt.channel(GOOD, max_items=100)
+            known = await first_known(cluster, GOOD)
+            gardening = asyncio.create_task(keep_garden(rt, cluster, known))
             outcome.before_mib = cluster.memory_mib()
             good = asyncio.create_task(_good_client(rt, outcome))
             await _attack(cluster, known, inputs, seconds, told)
+            assert not gardening.done(), gardening.exception()
+            gardening.cancel()
             if outcome.leases_lost and outcome.starved_s < STARVED_SECONDS:
                 outcome.add(Finding(what=f"{outcome.leases_lost} leases were lost", method="lease"))
             good.cancel()
-            await asyncio.wait({good})
+            await asyncio.wait({good, gardening})
             await _check_serves(cluster)
             if commands:
                 await check_commands(cluster.environment(), outcome)
         await _check_memory(cluster)
     return outcome
-
-
-async def _known(rt: st.aio.Connection, cluster: FuzzedCluster) -> KnownValues:
-    """What the callers say at first. The good client's channel and the host's identity are nobody else's."""
-    known = KnownValues()
-    await rt.channel(GOOD, max_items=100)
-    known.spare(GOOD, *await _own_ids(cluster))
-    channels = [await rt.channel(name, max_items=50) for name in ("a", "b", "c")]
-    for channel in channels:
-        await channel.put(b"first")
-    for name in ("q", "r"):
-        await (await rt.queue(name, max_items=50)).put(b"first")
-    await rt.group("g", channels)
-    for name, values in TOLD.items():
-        known.add(name, *values)
-    for service, method, request in LISTED:
-        known.learn(await _asked(cluster, service, method, request))
-    return known
-
-
-async def _own_ids(cluster: FuzzedCluster) -> list[object]:
-    request = directory_pb.ResolveChannelRequest(name=GOOD)
-    answer = await _asked(cluster, DirectoryServiceStub, "ResolveChannel", request)
-    return [answer.channel.channel_id, answer.host.host_id, answer.host.boot_incarnation]
-
-
-async def _asked(cluster: FuzzedCluster, service: Any, method: str, request: Any) -> Any:
-    async with cluster.channel(cluster.processes.supernodes[0].address, Role.CLIENT) as channel:
-        return await getattr(service(channel), method)(request, metadata=cluster.metadata)
 
 
 async def _attack(

@@ -11,6 +11,7 @@ from collections import deque
 
 from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
+from stampede_rt.values.timeline import clamp
 from stampede_rt.wire.reads import reason_to_message
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
@@ -234,7 +235,7 @@ class CutEvents:
                 continue
             about = pb.CutPart(channel_id=followed.hosted.record.channel_id)
             if step.loss is not None:
-                about.loss.CopyFrom(_loss(step.loss))
+                about.loss.CopyFrom(loss_message(step.loss))
             if step.is_last:
                 about.cursor.CopyFrom(followed.cursor())
             await self._writer.write(cut_part(about, step.slices, step.late, without_payloads=without_payloads))
@@ -242,9 +243,10 @@ class CutEvents:
                 followed.hosted.count_delivered(sum(one.slice.payload_bytes for one in step.slices + step.late))
 
 
-def _loss(loss: Loss) -> pb.CutLoss:
+def loss_message(loss: Loss) -> pb.CutLoss:
+    """What a reader is told of it; an overlap may put its end before all times that there are."""
     return pb.CutLoss(
-        before_unix_nano=loss.before,
+        before_unix_nano=clamp(loss.before),
         items=loss.items if loss.is_exact else None,
         reason=reason_to_message(loss.reason),
         detail=loss.reason.detail,
