@@ -34,7 +34,7 @@ class HostileCaller:
     def __init__(
         self, methods: Sequence[Method], known: KnownValues, credential: Metadata, outcome: Outcome, *, seed: str
     ) -> None:
-        self._methods = methods
+        self._methods = [method for method in methods for _ in range(method.weight)]
         self._known = known
         self._credential = credential
         self._outcome = outcome

@@ -14,6 +14,7 @@ from stampede_rt import v1
 PORTS = ("host", "supernode", "frontend")
 _HOST = ("ChannelService", "GatekeeperService", "GroupService", "QueueService", "MigrationService", "ReplicaService")
 _FRONTEND = ("FrontendService",)
+_SELDOM = ("/Delete", "/Drop", "/Deregister", "/Remove", "Migration", ".ReplicaService")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +26,11 @@ class Method:
     response: type
     takes_stream: bool
     answers_stream: bool
+
+    @property
+    def weight(self) -> int:
+        """How often it is called: what makes an end of things, and what nobody serves, seldom."""
+        return 1 if any(word in self.path for word in _SELDOM) else 8
 
     @property
     def may_stay_open(self) -> bool:
