@@ -79,11 +79,11 @@ async def keep_garden(rt: Any, cluster: FuzzedCluster, known: KnownValues) -> No
 
 
 async def _make(rt: Any) -> None:
-    channels = [await rt.channel(name, **policy) for name, policy in CHANNELS.items()]
+    channels = [await rt.channel(name, host="h1", **policy) for name, policy in CHANNELS.items()]
     for channel in channels:
         await _put(channel)
     for name, policy in QUEUES.items():
-        await _put(await rt.queue(name, **policy))
+        await _put(await rt.queue(name, host="h1", **policy))
     await rt.group("g", channels)
 
 
