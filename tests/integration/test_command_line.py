@@ -122,7 +122,7 @@ def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, in
         ("cli/thinned", ["--bounds", "[)", "+2500", "+2500"], "NEVER: the interval is empty as it was resolved"),
         ("cli/thinned", ["now+1h", "now+2h"], "NOT_YET: the channel is at 20"),
         ("cli/empty", ["--last", "5s"], "NOT_YET: the channel holds nothing; items up to 20"),
-        ("cli/empty", [], "NOT_YET: the channel holds no item, so that there is no newest or oldest one"),
+        ("cli/empty", [], "NOT_YET: the channel holds no items, so NEWEST and OLDEST have no time yet"),
     ],
 )
 def test_get_says_in_a_sentence_why_it_has_nothing(

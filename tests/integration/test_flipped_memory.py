@@ -76,7 +76,7 @@ async def test_the_one_of_three_that_differs_is_found_even_if_it_leads_and_the_o
         for other in cluster.others(odd):
             await served_by(other)
             assert (await other.stub.Ping(pb.DirectoryServicePingRequest(), timeout=5)).ready
-        with pytest.raises(Unavailable, match="go to another one"):
+        with pytest.raises(Unavailable, match="use another one"):
             await open_channel(odd, "cam/refused")
         assert (await cluster.leader()) is not odd
         code, printed = await command("status", "--member", cluster.others(odd)[0].address)

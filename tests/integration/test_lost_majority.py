@@ -56,8 +56,8 @@ def test_without_a_majority_callers_hear_just_that_and_doctor_leaves_the_clocks_
         assert "synchronise" not in told
         [clocks] = [line for line in told.splitlines() if line.startswith("clocks ")]
         assert clocks.split()[2] in ("0", "unknown:") or clocks.split()[3] in ("us", "ms", "ns")
-        for words in ("lease not renewed", LOST):
+        for words in ("the lease could not be renewed", LOST):
             wait_for(cluster, words, more_than=before.get(words, 0))
         cluster.supernodes[1].restart()
-        for words in ("lease renewed again", FOUND):
+        for words in ("the lease is renewed again", FOUND):
             wait_for(cluster, words, more_than=before.get(words, 0))

@@ -96,7 +96,7 @@ async def test_a_member_with_an_older_copy_of_its_folder_is_refused_for_good_and
         code, printed = await command(*restored._arguments)
         assert (code, "is an older copy" in printed, "join under a new id" in printed) == (1, True, True), printed
         code, printed = await command(*restored._arguments)
-        assert (code, "is of no use any more" in printed) == (1, True), printed
+        assert (code, "cannot be used any more" in printed) == (1, True), printed
         await status_has(leader.address, f"{restored.name} is refused: '{restored.name}' comes with an older copy")
         code, printed = await doctor(leader.address)
         assert (code, "store refused" in printed, "let it join under a new id" in printed) == (1, True, True), printed
@@ -137,7 +137,9 @@ async def test_an_older_copy_is_refused_also_by_a_leader_that_was_restarted_mean
         await away.start()
         assert await restored.ended() == 1
         code, printed = await command(*restored._arguments)
-        assert (code, "is of no use any more" in printed, f"says {leader.name}" in printed) == (1, True, True), printed
+        assert (code, "cannot be used any more" in printed, f"says {leader.name}" in printed) == (1, True, True), (
+            printed
+        )
         await loses_nothing(leader, names)
 
 

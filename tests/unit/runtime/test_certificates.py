@@ -102,7 +102,7 @@ def test_a_second_init_does_not_replace_the_authority(tmp_path: Path, capsys: py
     assert stampede(["certs", "init", str(tmp_path)]) == 0
     before = (tmp_path / "ca.pem").read_bytes()
     assert stampede(["certs", "init", str(tmp_path)]) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
     assert (tmp_path / "ca.pem").read_bytes() == before
 
 

@@ -217,5 +217,5 @@ def test_a_data_folder_of_another_member_is_refused_in_one_line(
 
 def test_a_supernode_does_not_run_the_verbs_of_the_client_and_says_who_does(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["status"]) == 2
-    said = "stampede supernode: the client runs 'status', and not the supernode; say: stampede supernode status\n"
+    said = "stampede supernode: the client runs 'status'; write: stampede supernode status\n"
     assert capsys.readouterr().err == said

@@ -150,13 +150,13 @@ def is_there(record: SupernodeRecord, pong: Any) -> bool:
 def no_member(supernode_id: str, known: Sequence[SupernodeRecord]) -> StampedeError:
     """What to raise for an id that no member has."""
     names = ", ".join(one.supernode_id for one in known)
-    return StampedeError(f"no member is called {supernode_id}; there are {names}")
+    return StampedeError(f"no supernode has the id {supernode_id}; the members are {names}")
 
 
 def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
     return Unavailable(
-        f"nobody leads, and only a leader lets a member go: start supernodes until {len(known) // 2 + 1} of "
-        f"{', '.join(one.supernode_id for one in known)} serve, or, if they are gone for good, restore the cluster "
+        f"no supernode leads, and only a leader removes a member: start supernodes until {len(known) // 2 + 1} of "
+        f"{', '.join(one.supernode_id for one in known)} serve, or, if they are lost for good, restore the cluster "
         "from one that is left, or from a backup (stampede supernode init --restore)"
     )
 

@@ -129,7 +129,7 @@ class Prober:
 
 def _log_defect(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (error := task.exception()) is not None:
-        logger.error("probing ended by a defect", exc_info=error, extra={"task": task.get_name()})
+        logger.error("the probe of the supernodes ended with a defect", exc_info=error, extra={"task": task.get_name()})
 
 
 async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub) -> ProbeAnswer:

@@ -38,7 +38,7 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
 
     def _respond(self, zone: str) -> frontend_service_pb2.BindResponse:
         if not self._roster.any_answered():
-            why = "; ".join(self._roster.failures()) or "none was reached yet"
+            why = "; ".join(self._roster.failures()) or "it has reached none yet"
             raise Unavailable(
                 f"no supernode answers this front-end ({why}); start them, or correct the front-end's --supernodes",
                 reason="NO_QUORUM",

@@ -62,4 +62,6 @@ def _of_one(target: str, why: str | None, *, is_return: bool) -> Note:
 def _of_all(any_serves: bool, *, is_return: bool) -> Note:
     if any_serves:
         return Note("the directory can serve: callers can connect", True, is_return, {})
-    return Note("no supernode can serve this front-end: nobody can connect by it until one can", False, False, {})
+    return Note(
+        "no supernode can serve this front-end: no client can connect through it until one can", False, False, {}
+    )

@@ -39,7 +39,9 @@ def load_secret(path: Path | None) -> Secret | None:
     if values is None:
         if path is None and "STAMPEDE_SECRET_FILE" not in os.environ:
             return None
-        raise PermissionDenied(f"there is no secret file {secret_path}; make one with `stampede dev`, or name another")
+        raise PermissionDenied(
+            f"there is no secret file {secret_path}; make one with `stampede dev`, or name another file"
+        )
     if not values:
         raise PermissionDenied(f"the secret file {secret_path} is empty; remove it, and `stampede dev` makes a new one")
     return Secret(text=values[0], path=secret_path, other=values[1] if len(values) > 1 else "")
@@ -56,7 +58,7 @@ def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | Non
     assert found is not None, "an explicit path never gives None"
     if secret is None:
         raise PermissionDenied(
-            f"the clients have a secret, {path}, and the cluster has none: its members would have nothing to bring; "
+            f"the clients have a secret, {path}, but the cluster has none for its members; "
             "give the services --secret-file, too"
         )
     if set(found.accepted) & set(secret.accepted):

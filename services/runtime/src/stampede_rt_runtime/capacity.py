@@ -37,12 +37,12 @@ class Slots:
             kind = "reserved"
         elif is_stream and self.streams >= limits.streams_max:
             raise Overloaded(
-                f"{limits.streams_max} streams are open at this port already, the most there may be; close some "
+                f"{limits.streams_max} streams are open at this port already, the limit; close some "
                 "subscriptions or watches, or go to another supernode or host"
             )
         elif self.streams + self.singles >= limits.concurrent_rpcs_max:
             raise Overloaded(
-                f"{limits.concurrent_rpcs_max} calls are under way at this port already, the most there may be; try "
+                f"{limits.concurrent_rpcs_max} calls are under way at this port already, the limit; try "
                 "again in a moment"
             )
         else:

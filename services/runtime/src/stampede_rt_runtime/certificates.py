@@ -89,7 +89,7 @@ def issue(
         raise CertificateError(f"a {identity.role} needs the addresses at which it is called")
     lifetime = min(lifetime, signer.not_valid_after_utc - now)
     if lifetime <= timedelta(0):
-        raise CertificateError("the authority has expired; make a new one, and let all trust both for a while")
+        raise CertificateError("the authority has expired; make a new one, and let all parts trust both for a while")
     key = ec.generate_private_key(ec.SECP256R1())
     names = [*map(_general_name, addresses), x509.UniformResourceIdentifier(identity.uri)]
     purposes = [ExtendedKeyUsageOID.CLIENT_AUTH]

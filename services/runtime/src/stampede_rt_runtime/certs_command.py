@@ -105,8 +105,7 @@ def _init(arguments: argparse.Namespace) -> list[str]:
     made = make_authority(arguments.cluster, now=datetime.now(UTC), lifetime=timedelta(days=arguments.days))
     if (folder / "ca.key").exists():
         raise CertificateError(
-            f"{folder / 'ca.key'} is there already; for a second authority, which can take over from it, name another "
-            "folder"
+            f"{folder / 'ca.key'} exists already; for a second authority, which can replace it, name another folder"
         )
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     write_pair(made, folder, "ca")

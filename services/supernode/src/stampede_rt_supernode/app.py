@@ -229,7 +229,7 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
                 f"supernode {status.self_id} was removed from the cluster, for good; to come back, empty its folder "
                 "and let it join under a new id"
             )
-        anew = f"let it go (stampede supernode remove {status.self_id}), empty the folder, and join under a new id"
+        anew = f"remove it (stampede supernode remove {status.self_id}), empty the folder, and join under a new id"
         if status.has_lost_store:
             here = "another data folder" if keeps else "a data folder, and was started without --data-dir now"
             raise StampedeError(
@@ -244,7 +244,7 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
         if status.has_old_store:
             raise StampedeError(
                 f"supernode {status.self_id} has promised more than its data folder holds, which is an older copy, "
-                f"as of a backup or a machine that was restored; start it with the folder as it was last, or {anew}"
+                f"as of a backup or a machine that was restored; start it with its latest data folder, or {anew}"
             )
         await asyncio.sleep(HEALTH_SECONDS)
 
@@ -260,7 +260,7 @@ async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
         parts.watches.close()
         name = parts.members.self_id
         logger.error(
-            "%s; it serves nobody any more: let it go (stampede supernode remove %s), empty its folder, and let it "
+            "%s; it no longer serves callers: remove it (stampede supernode remove %s), empty its folder, and let it "
             "join under a new id",
             *(why_diverged(parts.log.status()), name),
         )
@@ -313,7 +313,7 @@ async def _background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -
     if len(failures) == 1 and isinstance(failures[0], StampedeError):
         raise failures[0]
     if failures:
-        raise ExceptionGroup("the supernode cannot go on", failures)
+        raise ExceptionGroup("the supernode ends with a defect", failures)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -329,6 +329,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _not_a_verb(word: str) -> str:
     if word in ADMINISTRATIVE_VERBS:
-        return f"the client runs {word!r}, and not the supernode; say: stampede supernode {word}"
+        return f"the client runs {word!r}; write: stampede supernode {word}"
     verbs = ", ".join((*PREPARING, *ADMINISTRATIVE_VERBS))
-    return f"there is no verb {word!r}; there are {verbs}, and flags alone start one"
+    return f"there is no verb {word!r}; the verbs are {verbs}; flags alone start a supernode"

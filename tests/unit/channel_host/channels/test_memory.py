@@ -12,7 +12,7 @@ def test_a_claim_beyond_the_bound_is_refused_with_the_way_out() -> None:
     budget = MemoryBudget(1000)
     Charge(budget).set(864)
     budget.claim(136)
-    with pytest.raises(Overloaded, match="864 bytes together and 1000 are their most"):
+    with pytest.raises(Overloaded, match="864 bytes together, of at most 1000"):
         budget.claim(137)
 
 

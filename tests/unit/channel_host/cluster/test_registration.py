@@ -180,7 +180,10 @@ async def test_the_loss_of_renewals_and_their_return_are_logged_once_each(caplog
             await host.lease_becomes(True)
             await fake.called("RenewHostLease", times=8)
     told = [record.getMessage().partition(";")[0] for record in caplog.records if "lease" in record.getMessage()]
-    assert [line for line in told if "fenced" not in line] == ["lease not renewed", "lease renewed again"]
+    assert [line for line in told if "fenced" not in line] == [
+        "the lease could not be renewed",
+        "the lease is renewed again",
+    ]
 
 
 async def test_a_host_whose_lease_has_ended_registers_again_as_the_same_start_of_the_process() -> None:
@@ -267,7 +270,7 @@ async def test_a_refusal_that_stays_ends_the_start_at_once() -> None:
 
 async def test_a_start_without_any_front_end_ends_with_a_reason() -> None:
     host = Host("localhost:1")
-    with pytest.raises(Unavailable, match="cannot find the supernodes by localhost:1"):
+    with pytest.raises(Unavailable, match="cannot learn the supernodes from localhost:1"):
         await host.registration.enter("localhost:1", timeout_s=0.1)
     await host.supernodes.aclose()
 

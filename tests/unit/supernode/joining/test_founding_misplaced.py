@@ -45,7 +45,7 @@ def test_a_folder_in_which_a_restore_was_cut_off_says_so(tmp_path: Path) -> None
     (folder / DATABASE_NAME).touch()
     with pytest.raises(ZeroDivisionError), restoring(folder):
         raise ZeroDivisionError
-    with pytest.raises(StampedeError, match=r"init --restore` failed or was cut off while it wrote there; empty the"):
+    with pytest.raises(StampedeError, match=r"init --restore` failed or was interrupted there; empty the"):
         check_unused(folder)
     with pytest.raises(StampedeError, match=r"empty the folder, and run it again"):
         SupernodeSettings(data_dir=folder).founding("localhost:1")

@@ -35,11 +35,11 @@ async def test_a_cluster_is_founded_joined_and_left_and_no_id_comes_back(tmp_pat
         await newcomer.start()
         await status_has(newcomer.address, "2 of 2 serve")
         code, printed = await command("remove", "a", "--member", newcomer.address)
-        assert (code, "there remain b" in printed) == (0, True), printed
+        assert (code, "the members are b" in printed) == (0, True), printed
         await status_has(newcomer.address, "1 of 1 serve")
         assert await founder.ended() == 1
         code, printed = await command(*founder._arguments)
-        assert (code, "is of no use any more: 'a' was removed" in printed) == (1, True), printed
+        assert (code, "cannot be used any more: 'a' was removed" in printed) == (1, True), printed
         await newcomer.end(signal.SIGKILL)
         await newcomer.start()
         await status_has(newcomer.address, "1 of 1 serve")
@@ -90,7 +90,7 @@ async def test_who_is_no_member_cannot_be_asked_for_a_snapshot(tmp_path: Path) -
         await one.start()
         await status_has(address, "1 of 1 serve")
         code, printed = await command("snapshot", "s9", "--member", address)
-        assert (code, printed) == (1, "stampede supernode: no member is called s9; there are s1\n")
+        assert (code, printed) == (1, "stampede supernode: no supernode has the id s9; the members are s1\n")
         code, printed = await command("snapshot", "--member", address, "--out", "/nowhere/backup")
         assert (code, "cannot be written: No such file" in printed) == (1, True), printed
     finally:
@@ -102,7 +102,7 @@ async def test_a_folder_that_is_in_use_is_not_prepared_again_and_a_lost_disk_is_
     founder = await prepared("init", "a", port, tmp_path)
     again = ("init", "--data-dir", str(tmp_path / "a"), "--listen", f"127.0.0.1:{port}")
     code, printed = await command(*again)
-    assert (code, "is a supernode's already" in printed) == (1, True)
+    assert (code, "belongs to a supernode already" in printed) == (1, True)
     try:
         await founder.start()
     finally:
@@ -136,7 +136,7 @@ async def test_what_a_command_cannot_do_it_says_in_one_line(tmp_path: Path) -> N
         ((*join, "--listen", "nowhere", "--advertise", "here:1"), 2, "--listen must be HOST:PORT"),
         (("init", "--data-dir", folder, "--listen", "h:1", "--advertise", "here"), 2, "--advertise must be HOST:PORT"),
         (("remove", "a", "--member", nobody), 1, f"{nobody} cannot be reached"),
-        (("stauts",), 2, "there is no verb 'stauts'; there are init, join, status, add, remove, snapshot"),
+        (("stauts",), 2, "there is no verb 'stauts'; the verbs are init, join, status, add, remove, snapshot"),
     ):
         code, printed = await command(*words)
         assert (code, text in printed, printed.count("\n")) == (expected, True, 1), printed

@@ -92,7 +92,9 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
 
 def _check_id(channel_id: bytes) -> None:
     if len(channel_id) != ID_BYTES:
-        raise InvalidArgument(f"channel_id has {len(channel_id)} bytes; give the {ID_BYTES} that the directory told")
+        raise InvalidArgument(
+            f"channel_id has {len(channel_id)} bytes; give the {ID_BYTES} bytes that the directory gave"
+        )
 
 
 def _first_sent_s(context: Context) -> float:
@@ -110,5 +112,5 @@ def _check_request_id(request_id: bytes) -> None:
 def _glob(text: str) -> Callable[[str], bool]:
     """Whether a name matches the pattern."""
     if len(text) > GLOB_LENGTH_MAX:
-        raise InvalidArgument(f"name_glob has {len(text)} characters; {GLOB_LENGTH_MAX} are the most")
+        raise InvalidArgument(f"name_glob has {len(text)} characters; it has at most {GLOB_LENGTH_MAX}")
     return matcher(text)

@@ -49,7 +49,7 @@ class GetPlans:
     def read(self, raw: bytes) -> GetCall:
         """The request. Raises InvalidArgument if the bytes are none, or too many."""
         if len(raw) > REQUEST_BYTES_MAX:
-            raise InvalidArgument(f"the get request has {len(raw)} bytes; {REQUEST_BYTES_MAX} are the most")
+            raise InvalidArgument(f"the get request has {len(raw)} bytes; it has at most {REQUEST_BYTES_MAX}")
         call_id, rest = _split(raw)
         plan = self._plans.get(rest)
         return GetCall(call_id, plan) if plan is not None else self._read_new(raw, rest)

@@ -96,9 +96,9 @@ class GetStream:
 
     def _begin(self, call_id: int, plan: GetPlan) -> None:
         if call_id in self._calls:
-            raise InvalidArgument(f"call {call_id} is under way on this stream; choose an id that is not")
+            raise InvalidArgument(f"call {call_id} is under way on this stream; choose another id")
         if len(self._calls) >= CALLS_MAX:
-            raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, which is the most; open another stream")
+            raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, the limit; open another stream")
         hosted, now = self._store.find(plan.channel_id, plan.epoch), self._store.now()
         if plan.group is not None:
             self._begin_in_group(call_id, plan, plan.group, hosted, now)

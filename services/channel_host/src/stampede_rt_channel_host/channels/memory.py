@@ -35,9 +35,8 @@ class MemoryBudget:
         self._reclaim()
         if self.used_bytes + wanted_bytes > self.bytes_max:
             raise Overloaded(
-                f"the host's channels and queues hold {self.used_bytes} bytes together and {self.bytes_max} are "
-                "their most (--memory-bytes-max); put again when items have gone, tighten retention, or use "
-                "another host",
+                f"the host's channels and queues hold {self.used_bytes} bytes together, of at most {self.bytes_max} "
+                "(--memory-bytes-max); put again later, tighten retention, or use another host",
                 metadata={"memory_bytes_max": str(self.bytes_max)},
             )
 

@@ -177,7 +177,9 @@ class ChannelPuts:
         if run.wait_nanos is not None and run.wait_nanos <= 0:
             return self._refuse_rest(run, now)
         if len(self._line) >= WAITING_PUTS_MAX:
-            raise Overloaded(f"{WAITING_PUTS_MAX} puts wait for room in the channel already; put less at once")
+            raise Overloaded(
+                f"{WAITING_PUTS_MAX} puts wait for room in the channel already, the limit; put less at once"
+            )
         if self._line:
             self._memory.claim(run.charged_bytes)
         self._line.append(run)

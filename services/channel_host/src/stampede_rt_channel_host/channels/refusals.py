@@ -5,7 +5,7 @@ from __future__ import annotations
 from stampede_rt.errors import ChannelNotFound, IncarnationLost, StampedeError, error_for
 
 SHUTTING_DOWN = error_for(
-    "SHUTTING_DOWN", "this host is shutting down; resolve the channel again, it gets a new host, or wait for this one"
+    "SHUTTING_DOWN", "this host is shutting down; resolve the channel again for its new host, or wait for this one"
 )
 
 
@@ -13,7 +13,7 @@ def fenced(host: str) -> StampedeError:
     """The lease was not renewed in time: another host may own the channels by now."""
     return error_for(
         "NOT_HERE",
-        f"host {host} could not renew its lease at the directory in time and serves nothing until it has; resolve the "
+        f"host {host} could not renew its lease in time and serves nothing until it does; resolve the "
         "channel again, or wait",
         {"host": host},
     )
@@ -49,8 +49,8 @@ def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
 def other_incarnation(name: str, stated: int, actual: int) -> StampedeError:
     """The seqs that a consumer names do not belong to the channel's present life."""
     return IncarnationLost(
-        f"the seqs come from incarnation {stated:x} of channel {name}, which is {actual:x} now: its host was lost and "
-        "items with it; read again, and consume what you are given",
+        f"the seqs come from incarnation {stated:x} of channel {name}, which is {actual:x} now: its host was lost with "
+        "its items; read again, and consume those items",
         metadata={"channel": name},
     )
 

@@ -113,7 +113,7 @@ class ChannelStore:
         try:
             await self._directory.delete(channel_id, request_id=request_id, since_s=since_s)
         except ChannelNotFound:
-            logger.info("channel was deleted already", extra={"channel": hosted.record.name})
+            logger.info("the channel is deleted already", extra={"channel": hosted.record.name})
         self._drops[request_id] = None
         if len(self._drops) > DROPS_REMEMBERED_MAX:
             self._drops.popitem(last=False)
@@ -240,7 +240,7 @@ class ChannelStore:
                 return held
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         if len(self._channels) >= CHANNELS_MAX:
-            raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, which is the most; use another")
+            raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, the limit; use another host")
         hosted = HostedChannel(
             record, self.memory, self.now, self.sweep.touch, self._may_serve, self.scheduler.begin, self.limits
         )

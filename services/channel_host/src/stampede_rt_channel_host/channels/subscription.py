@@ -112,7 +112,7 @@ class Subscription:
         begun = request.open
         if len(self._hosted.listeners) >= SUBSCRIPTIONS_MAX:
             raise Overloaded(
-                f"channel {self._hosted.record.name} has {SUBSCRIPTIONS_MAX} subscriptions, which is the most"
+                f"channel {self._hosted.record.name} has {SUBSCRIPTIONS_MAX} subscriptions, the limit; end some"
             )
         self._credit.grant(request.credit_bytes)
         reading = self._stream.spawn(self._read())

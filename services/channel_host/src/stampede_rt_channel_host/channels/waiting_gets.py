@@ -183,9 +183,7 @@ class WaitingGets:
         Raises Overloaded if as many as there may be are blocked already.
         """
         if len(self) >= WAITING_GETS_MAX:
-            raise Overloaded(
-                f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
-            )
+            raise Overloaded(f"{WAITING_GETS_MAX} gets wait at the channel already, the limit; subscribe, or get later")
         if not self._waiting:
             self._coming.begin(self._cut())
         self._arrivals += 1

@@ -67,6 +67,6 @@ async def _next(
         async with asyncio.timeout(SILENCE_SECONDS_MAX):
             return await anext(responses)
     except TimeoutError:
-        raise Unavailable(f"the directory said nothing for {SILENCE_SECONDS_MAX:g} s") from None
+        raise Unavailable(f"the directory gave no sign of life for {SILENCE_SECONDS_MAX:g} s") from None
     except StopAsyncIteration:
         raise Unavailable("the directory ended the watch") from None

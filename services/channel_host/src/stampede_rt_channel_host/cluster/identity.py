@@ -96,7 +96,7 @@ def _read(path: Path) -> bytes:
     except ValueError:
         host_id = b""
     if len(host_id) != ID_BYTES:
-        raise InvalidArgument(f"{path} holds no host id; remove it, and the host enters as a new one")
+        raise InvalidArgument(f"{path} holds no host id; remove it, and the host registers as a new one")
     return host_id
 
 

@@ -53,7 +53,7 @@ class ServingLoop:
         """On the serving loop's own thread."""
         late_s = time.monotonic() - asked_s
         if late_s > LOOP_LATE_SECONDS:
-            logger.warning("the loop that serves channels was held up", extra={"seconds": round(late_s, 3)})
+            logger.warning("the event loop that serves channels was blocked", extra={"seconds": round(late_s, 3)})
         self._asked_s = None
 
 

@@ -109,7 +109,9 @@ class Registration:
             await asyncio.sleep(self._lease.renewal_in_nanos(self._clock.boottime_nanos()) / 1e9)
             try:
                 if self._has_hung():
-                    raise Unavailable("the loop that serves channels has stopped; others are to have them")
+                    raise Unavailable(
+                        "the event loop that serves channels has stopped; the directory may give them to other hosts"
+                    )
                 await self._renew_or_register()
                 self._note_renewed()
                 pause_s = _PAUSE_SECONDS_MIN
@@ -121,14 +123,19 @@ class Registration:
         """Said once, however often it is tried again, and taken back by `_note_renewed`."""
         if self._unrenewed_since_s is None:
             self._unrenewed_since_s = time.monotonic()
-            logger.warning("lease not renewed; trying on", extra={"host": self._identity.name, "why": str(error)})
+            logger.warning(
+                "the lease could not be renewed; trying again", extra={"host": self._identity.name, "why": str(error)}
+            )
         else:
-            logger.debug("lease still not renewed", extra={"host": self._identity.name, "why": str(error)})
+            logger.debug(
+                "the lease still cannot be renewed; trying again",
+                extra={"host": self._identity.name, "why": str(error)},
+            )
 
     def _note_renewed(self) -> None:
         if self._unrenewed_since_s is not None:
             after = f"{time.monotonic() - self._unrenewed_since_s:.1f}"
-            logger.warning("lease renewed again", extra={"host": self._identity.name, "after_s": after})
+            logger.warning("the lease is renewed again", extra={"host": self._identity.name, "after_s": after})
             self._unrenewed_since_s = None
 
     async def leave(self) -> None:
@@ -241,7 +248,7 @@ class Registration:
         if held is not self._told_held:
             self._told_held = held
             if not held:
-                text = "fenced: the lease was not renewed in time, so all calls are refused until it is"
+                text = "fenced: the lease was not renewed in time; this host refuses all calls until it is"
                 logger.warning(text, extra={"host": self._identity.name})
             self._on_lease(held)
 

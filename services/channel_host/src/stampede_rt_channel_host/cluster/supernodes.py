@@ -128,7 +128,7 @@ class Supernodes:
 
     async def bind(self, deadline_s: float) -> None:
         """Ask the front-ends, one after the other, for the supernodes. Raises Unavailable, VersionMismatch, ..."""
-        failure: StampedeError = Unavailable("no front-end was asked in time")
+        failure: StampedeError = Unavailable("no front-end answered in time")
         for position, target in enumerate(self._frontends):
             timeout_s = frontend_timeout_s(deadline_s - time.monotonic(), len(self._frontends) - position)
             try:
@@ -142,7 +142,7 @@ class Supernodes:
             return
         if not may_pass(failure):
             raise failure
-        raise Unavailable(f"cannot find the supernodes by {', '.join(self._frontends)}: {failure}")
+        raise Unavailable(f"cannot learn the supernodes from {', '.join(self._frontends)}: {failure}")
 
     async def _better(self, target: str, error: StampedeError) -> StampedeError:
         if self._explain is None or not isinstance(error, Unavailable):

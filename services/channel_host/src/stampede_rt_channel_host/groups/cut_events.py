@@ -94,8 +94,8 @@ class CutEvents:
         floor = None if kept == NOTHING_VISIBLE else kept
         if resumes and begun.after.incarnation != group.record.incarnation:
             raise IncarnationLost(
-                f"the position comes from another incarnation of group {group.record.name}, whose cut began anew since "
-                "all hosts of its members were restarted; subscribe from now on"
+                f"the position comes from another incarnation of group {group.record.name}, whose cut began anew "
+                "because all hosts of its members were restarted; subscribe from now on"
             )
         if not await group.reach(floor, SETTLE_SECONDS_MAX):
             raise Unavailable(
@@ -162,7 +162,9 @@ class CutEvents:
             boundary = request.boundary
             last = self._boundaries[-1].cut if self._boundaries else self._cut
             if boundary.incarnation != group.record.incarnation or (last is not None and boundary.cut_unix_nano < last):
-                raise InvalidArgument("boundaries grow and are of the group's incarnation; hand on what was decided")
+                raise InvalidArgument(
+                    "a boundary lies before the last one, or is of another incarnation; pass on the deciding host's"
+                )
             while len(self._boundaries) >= BOUNDARIES_MAX:
                 self._room.clear()
                 await self._room.wait()

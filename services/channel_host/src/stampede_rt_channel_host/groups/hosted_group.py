@@ -239,8 +239,8 @@ def began_anew(record: RecordedGroup) -> StampedeError:
     """What its readers hear."""
     return error_for(
         "INCARNATION_LOST",
-        f"group {record.name} began anew, since all hosts of its members were restarted: where its cut was is not "
-        "known any more; read it from now on",
+        f"group {record.name} began anew, because all hosts of its members were restarted, and its former cut is "
+        "unknown; read it from now on",
         {"group": record.name},
     )
 

@@ -148,7 +148,7 @@ class PeerHosts:
         if wanted != peer.wanted:
             if len(wanted) > INTEREST_MAX:
                 extra = {"host": peer.host_id.hex(), "channels": len(wanted), "most": INTEREST_MAX}
-                logger.warning("groups have more channels of one host than it can be asked about", extra=extra)
+                logger.warning("groups have more channels of one host than one request can name", extra=extra)
             peer.wanted = wanted
             if peer.link is not None:
                 peer.link.want(wanted)
@@ -212,7 +212,7 @@ class PeerHosts:
 
 def _check(task: asyncio.Task[None]) -> None:
     if not task.cancelled() and (failure := task.exception()) is not None:
-        logger.error("a link between hosts is not kept any more", exc_info=failure, extra={"task": task.get_name()})
+        logger.error("a link between hosts has ended with a defect", exc_info=failure, extra={"task": task.get_name()})
 
 
 async def _unwrapped(work: Any) -> None:

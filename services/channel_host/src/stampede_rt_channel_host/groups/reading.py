@@ -77,9 +77,7 @@ class GroupReads:
     ) -> GroupAnswer:
         """Answer, or wait for what releases the get."""
         if len(hosted.group_gets) >= WAITING_GETS_MAX:
-            raise Overloaded(
-                f"{WAITING_GETS_MAX} gets wait at the channel already, which is the most; subscribe, or get later"
-            )
+            raise Overloaded(f"{WAITING_GETS_MAX} gets wait at the channel already, the limit; subscribe, or get later")
         channels, view = self._groups.channels, VisibleChannel(hosted.channel)
         pending = PendingAt(view.begin(query, group.horizon(at), channels.now()), at)
         while True:  # ends with an answer

@@ -189,7 +189,7 @@ class GroupStore:
     async def _ask(self, group_id: bytes) -> None:
         known = self._table.groups.get(group_id)
         if known is None and len(self._table.groups) >= GROUPS_MAX:
-            raise Overloaded(f"host {self._identity.name} has {GROUPS_MAX} groups, which is the most; use another")
+            raise Overloaded(f"host {self._identity.name} has {GROUPS_MAX} groups, the limit; use another host")
         if known is not None:
             known.is_stale = False  # what changes from now on is asked for again
         try:

@@ -131,7 +131,7 @@ class HostedQueue:
     def attach(self, taker: TakerState, stream: TakerStream) -> None:
         """A stream begins to take; `leave` must follow. Raises Overloaded."""
         if len(self._streams) >= TAKERS_MAX:
-            raise Overloaded(f"queue {shown(self.record)} has {TAKERS_MAX} takers, which is the most")
+            raise Overloaded(f"queue {shown(self.record)} has {TAKERS_MAX} takers, the limit; close some")
         self._streams[taker] = stream
 
     def grant(self, taker: TakerState, credit: int) -> None:

@@ -64,7 +64,7 @@ def _message_id_of(message: EnqueueRun, items: int) -> str:
     if length > MESSAGE_ID_BYTES_MAX or (length and items != 1):
         raise MalformedRun(
             f"the run of {items} items has a message_id of {length} bytes; an id has {MESSAGE_ID_BYTES_MAX} bytes of "
-            "UTF-8 at most, and names one item: put each message in a run of its own"
+            "UTF-8 at most, and names one message: put each message in a run of its own"
         )
     return message.message_id
 

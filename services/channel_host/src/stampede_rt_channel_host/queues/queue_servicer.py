@@ -62,7 +62,7 @@ class QueueServicer:
         check_queue_id(request.queue_id)
         check_taker_id(request.taker_id)
         if not request.settlements:
-            raise InvalidArgument("the request settles nothing; name 1 to 1024 deliveries")
+            raise InvalidArgument("the request has no settlements; give 1 to 1024")
         settlements = settlements_of(request.settlements)
         hosted = await self._store.use(request.queue_id, request.epoch)
         results = hosted.settle(request.taker_id, settlements)

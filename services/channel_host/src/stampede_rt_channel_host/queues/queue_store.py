@@ -131,7 +131,7 @@ class QueueStore:
             try:
                 await self._ask(queue_id)
             except (QueueNotFound, StaleBinding) as error:
-                logger.info("queue is not here any more", extra={"queue": queue_id.hex(), "why": str(error)})
+                logger.info("this host no longer has the queue", extra={"queue": queue_id.hex(), "why": str(error)})
 
     def changed_in_directory(self, change: RecordedChange) -> None:
         """See `Watched`."""
@@ -208,7 +208,7 @@ class QueueStore:
                 return
             self._forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
         if len(self._queues) >= QUEUES_MAX:
-            raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, which is the most; use another")
+            raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, the limit; use another host")
         self._queues[record.queue_id] = HostedQueue(
             record, self.memory, self.now, self._on_departures, self.deadlines, self._may_serve
         )

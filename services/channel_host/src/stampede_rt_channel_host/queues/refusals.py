@@ -6,7 +6,7 @@ from stampede_rt.errors import QueueNotFound, StampedeError, error_for
 from stampede_rt_channel_host.core.records import RecordedQueue
 
 SHUTTING_DOWN = error_for(
-    "SHUTTING_DOWN", "this host is shutting down; resolve the queue again, it gets a new host, or wait for this one"
+    "SHUTTING_DOWN", "this host is shutting down; resolve the queue again for its new host, or wait for this one"
 )
 
 
@@ -19,7 +19,7 @@ def fenced(host: str) -> StampedeError:
     """The lease was not renewed in time: another host may own the queues by now."""
     return error_for(
         "NOT_HERE",
-        f"host {host} could not renew its lease at the directory in time and serves nothing until it has; resolve the "
+        f"host {host} could not renew its lease in time and serves nothing until it does; resolve the "
         "queue again, or wait",
         {"host": host},
     )
@@ -27,7 +27,7 @@ def fenced(host: str) -> StampedeError:
 
 def not_here(host: str, queue_id: bytes) -> StampedeError:
     """The queue went elsewhere, or is in doubt until somebody begins to use it."""
-    text = f"queue {queue_id.hex()} is not at host {host}; resolve it at the directory, and go to its host"
+    text = f"queue {queue_id.hex()} is not at host {host}; resolve it at the directory, and call its host"
     return error_for("NOT_HERE", text, {"queue_id": queue_id.hex(), "host": host})
 
 

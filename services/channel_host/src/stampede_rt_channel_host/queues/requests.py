@@ -31,13 +31,13 @@ PAGE_SIZE_MAX = 1000
 def check_queue_id(queue_id: bytes) -> None:
     """Raises InvalidArgument."""
     if len(queue_id) != ID_BYTES:
-        raise InvalidArgument(f"queue_id has {len(queue_id)} bytes; give the {ID_BYTES} that the directory told")
+        raise InvalidArgument(f"queue_id has {len(queue_id)} bytes; give the {ID_BYTES} bytes that the directory gave")
 
 
 def check_taker_id(taker_id: int) -> None:
     """Raises InvalidArgument."""
     if not taker_id:
-        raise InvalidArgument("taker_id is 0; draw a random number that is not, and keep it")
+        raise InvalidArgument("taker_id is 0; choose a random number above 0, and keep it")
 
 
 def taker_of(opened: pb.TakeOpen) -> TakerState:
@@ -57,7 +57,7 @@ def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]
     settlements = [_settlement_of(message) for message in messages]
     if len(settlements) > SETTLEMENTS_MAX:
         raise InvalidArgument(
-            f"the request holds {len(settlements)} settlements; {SETTLEMENTS_MAX} are the most: send several requests"
+            f"the request holds {len(settlements)} settlements; the limit is {SETTLEMENTS_MAX}: send several requests"
         )
     return settlements
 
@@ -65,7 +65,7 @@ def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]
 def page_size_of(request: pb.ListPendingRequest) -> int:
     """How many deliveries are asked for. Raises InvalidArgument."""
     if request.page_size > PAGE_SIZE_MAX:
-        raise InvalidArgument(f"page_size is {request.page_size}; {PAGE_SIZE_MAX} is the most")
+        raise InvalidArgument(f"page_size is {request.page_size}; it is at most {PAGE_SIZE_MAX}")
     return request.page_size or PAGE_SIZE_MAX
 
 
@@ -94,7 +94,7 @@ def result_message(result: SettlementResult) -> queue_pb2.SettlementResult:
 def _settlement_of(message: queue_pb2.Settlement) -> Settlement:
     verdict = message.WhichOneof("verdict")
     if not message.delivery_id or verdict is None:
-        raise InvalidArgument("a settlement lacks delivery_id or verdict; name a delivery and say what became of it")
+        raise InvalidArgument("a settlement lacks delivery_id or verdict; set both")
     if verdict == "acknowledge":
         return Settlement(message.delivery_id, Acknowledge())
     if verdict == "give_back":

@@ -64,7 +64,7 @@ class TakeStream:
         """Until the stream ends. Raises StaleBinding, QueueNotFound, InvalidArgument, Overloaded."""
         raw = await self._context.read()
         if raw is EOF:
-            raise InvalidArgument("the stream is closed before anything was taken; begin with `open`")
+            raise InvalidArgument("the stream ended without a request; begin with `open`")
         request: pb.TakeRequest = parse(pb.TakeRequest, raw, "TakeRequest")
         taker = taker_of(request.open)
         hosted = await self._store.use(request.open.queue_id, request.open.epoch)

@@ -14,7 +14,7 @@ def channel_by_id(tables: Tables, channel_id: bytes) -> ChannelRecord:
     channel = tables.channels.get(channel_id)
     if channel is None:
         shown = channel_id.hex()
-        text = f"there is no channel with the id {shown}; it may have been deleted: resolve it by name"
+        text = f"there is no channel with the id {shown}; it may have been deleted; resolve it by name"
         raise ChannelNotFound(text, metadata={"channel_id": shown})
     return channel
 
@@ -34,7 +34,7 @@ def host_by_id(tables: Tables, host_id: bytes) -> HostRecord:
     host = tables.hosts.get(host_id)
     if host is None:
         shown = host_id.hex()
-        text = f"there is no host with the id {shown}; it never registered, or it left: register it again"
+        text = f"there is no host with the id {shown}; it never registered, or it left; register it again"
         raise HostNotFound(text, metadata={"host_id": shown})
     return host
 
@@ -44,7 +44,7 @@ def host_by_name(tables: Tables, name: str) -> HostRecord:
     check_name(name, "host")
     host = tables.live_host_named(name)
     if host is None:
-        text = f"there is no live host {name}; it never registered, or its lease has ended: list the hosts for others"
+        text = f"there is no live host {name}; it never registered, or its lease has ended; list the hosts"
         raise HostNotFound(text, metadata={"host": name})
     return host
 
@@ -64,7 +64,7 @@ def check_host_agrees(kind: str, name: str, host: HostRecord, asked_host_name: s
 
 def no_such_channel(name: str) -> ChannelNotFound:
     """The error for a name that no channel has."""
-    text = f"there is no channel {name}; open it with create=True to make it, or list the channels for its right name"
+    text = f"there is no channel {name}; create it with create=True, or list the channels to find its right name"
     return ChannelNotFound(text, metadata={"channel": name})
 
 
@@ -74,7 +74,7 @@ def group_by_id(tables: Tables, group_id: bytes) -> GroupRecord:
     group = tables.groups.by_id.get(group_id)
     if group is None:
         shown = group_id.hex()
-        text = f"there is no group with the id {shown}; it may have been deleted: resolve it by name"
+        text = f"there is no group with the id {shown}; it may have been deleted; resolve it by name"
         raise StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group_id": shown})
     return group
 
@@ -90,7 +90,7 @@ def group_by_name(tables: Tables, name: str) -> GroupRecord:
 
 def no_such_group(name: str) -> StampedeError:
     """The error for a name that no group has."""
-    text = f"there is no group {name}; name its channels to make it, or list the groups to find its right name"
+    text = f"there is no group {name}; name its channels to create it, or list the groups to find its right name"
     return StampedeError(text, reason="GROUP_NOT_FOUND", metadata={"group": name})
 
 
@@ -116,7 +116,7 @@ def queue_by_name(tables: Tables, name: str) -> QueueRecord:
 
 def no_such_queue(name: str) -> StampedeError:
     """The error for a name that no queue has."""
-    text = f"there is no queue {name}; open it with create=True to make it, or list the queues for its right name"
+    text = f"there is no queue {name}; create it with create=True, or list the queues to find its right name"
     return error_for("QUEUE_NOT_FOUND", text, {"queue": name})
 
 
@@ -125,7 +125,7 @@ def mailbox_of(tables: Tables, peer_name: str) -> QueueRecord:
     check_name(peer_name, "peer")
     peer = tables.peers.live_named(peer_name)
     if peer is None or peer.mailbox_queue_id is None:
-        text = f"there is no mailbox of {peer_name}: no live peer has that name; list the peers for others"
+        text = f"there is no mailbox of {peer_name}: no live peer has that name; list the peers"
         raise error_for("QUEUE_NOT_FOUND", text, {"peer": peer_name})
     return tables.queues.by_id[peer.mailbox_queue_id]
 
@@ -136,7 +136,7 @@ def peer_by_id(tables: Tables, peer_id: bytes) -> PeerRecord:
     peer = tables.peers.by_id.get(peer_id)
     if peer is None:
         shown = peer_id.hex()
-        text = f"there is no peer with the id {shown}; it never registered, or it left: list the peers for others"
+        text = f"there is no peer with the id {shown}; it never registered, or it left; list the peers"
         raise error_for("PEER_NOT_FOUND", text, {"peer_id": shown})
     return peer
 
@@ -146,6 +146,6 @@ def peer_by_name(tables: Tables, name: str) -> PeerRecord:
     check_name(name, "peer")
     peer = tables.peers.live_named(name)
     if peer is None:
-        text = f"there is no live peer {name}; it never registered, left, or its lease has ended: list the peers"
+        text = f"there is no live peer {name}; it never registered, left, or its lease has ended; list the peers"
         raise error_for("PEER_NOT_FOUND", text, {"peer": name})
     return peer

@@ -82,6 +82,6 @@ def _unpack(token: str) -> bytes:
 
 def _bad(token: str) -> InvalidArgument:
     return InvalidArgument(
-        f"the page token {token[:64]!r} is none; pass on the next_page_token of the last page, or leave it "
+        f"the page token {token[:64]!r} cannot be read; give the next_page_token of the last page, or leave it "
         "empty to begin"
     )

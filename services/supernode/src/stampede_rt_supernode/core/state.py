@@ -71,5 +71,5 @@ class DirectoryState:
     def check_founded(self) -> None:
         """Raises Unavailable with reason NO_QUORUM before the first tenure."""
         if not self.tenure:
-            text = "the cluster is just being founded, and no leader grants leases yet; try again in a moment"
+            text = "the cluster has just been founded, and no leader grants leases yet; try again in a moment"
             raise Unavailable(text, reason="NO_QUORUM")

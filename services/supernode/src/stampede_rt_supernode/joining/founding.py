@@ -127,7 +127,7 @@ def check_restored(data_dir: Path) -> None:
     """Raises StampedeError if a restore into this folder was cut off."""
     if (data_dir / RESTORING_NAME).exists():
         raise StampedeError(
-            f"{data_dir} is of no use: `stampede supernode init --restore` failed or was cut off while it wrote there; "
+            f"{data_dir} cannot be used: `stampede supernode init --restore` failed or was interrupted there; "
             "empty the folder, and run it again"
         )
 
@@ -154,6 +154,6 @@ def check_unused(data_dir: Path) -> None:
     check_restored(data_dir)
     if (data_dir / FILE_NAME).exists() or holds_store(data_dir):
         raise StampedeError(
-            f"{data_dir} is a supernode's already; start that one with `stampede supernode --data-dir {data_dir}`, "
-            "or name another folder"
+            f"{data_dir} belongs to a supernode already; start that one with `stampede supernode --data-dir "
+            f"{data_dir}`, or name another folder"
         )

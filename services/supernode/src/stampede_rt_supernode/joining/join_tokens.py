@@ -58,7 +58,7 @@ def log_cluster_of(token: str) -> str:
         return bytes.fromhex(parts[3]).decode()
     except ValueError as error:
         raise InvalidArgument(
-            "--token is no join token, or only a part of one; `stampede supernode add` prints the whole command"
+            "--token is no complete join token; `stampede supernode add` prints the whole command"
         ) from error
 
 

@@ -39,12 +39,12 @@ def prepare(argv: Sequence[str]) -> int:
         "--restore",
         type=Path,
         metavar="PATH",
-        help="take over what a backup holds (see `stampede supernode snapshot`), or a lost member's folder",
+        help="take over the directory of a backup (see `stampede supernode snapshot`), or a lost member's folder",
     )
     init.add_argument(
         "--take-over",
         action="store_true",
-        help="with --restore: the former cluster is gone for good, and its hosts and front-ends go over to this one",
+        help="with --restore: the former cluster is lost for good; its hosts and front-ends come over to this one",
     )
     join = verbs.add_parser("join", help="join a cluster", description="Join a running cluster under a new id.")
     join.set_defaults(run=_run_join)
@@ -74,7 +74,7 @@ def _run_init(arguments: argparse.Namespace) -> int:
     cluster_id = secrets.token_hex(16)
     founding = Founding(supernode_id=name, address=address, members={name: address}, log_cluster_id=cluster_id)
     if arguments.take_over and arguments.restore is None:
-        raise ValueError("--take-over goes with --restore: there is no former cluster otherwise")
+        raise ValueError("--take-over needs --restore: without it there is no former cluster")
     if arguments.restore is not None:
         with restoring(arguments.data_dir):
             founding = _restored(arguments, founding)
@@ -115,7 +115,7 @@ def _run_join(arguments: argparse.Namespace) -> int:
         token = arguments.token or cluster.make_token(name, address, valid_nanos=VALID_NANOS_DEFAULT).token
     members = {record.supernode_id: record.endpoint.target for record in listed}
     if name in members:
-        raise StampedeError(f"{name} is a member already; a wiped supernode, too, joins under a new id")
+        raise StampedeError(f"{name} is a member already; give a new id, also to a supernode that has lost its folder")
     _check_callable(address, members)
     founding = Founding(
         supernode_id=name,
@@ -126,7 +126,7 @@ def _run_join(arguments: argparse.Namespace) -> int:
         token=token,
     )
     write_founding(arguments.data_dir, founding)
-    _say(f"Supernode {name} may enter the cluster of {', '.join(members)}. {_start(arguments)}")
+    _say(f"Supernode {name} may join the cluster of {', '.join(members)}. {_start(arguments)}")
     return 0
 
 

@@ -61,7 +61,9 @@ async def volunteer(
         except StampedeError as error:
             if told != error.message:
                 told = error.message
-                logger.info("waiting to be let in", extra={"asked": addresses[0], "cause": told})
+                logger.info(
+                    "waiting for the members to let this supernode join", extra={"asked": addresses[0], "cause": told}
+                )
             addresses = _next(addresses)
             pause_seconds = min(2 * pause_seconds, PAUSE_SECONDS_MAX)
         await sleep(pause_seconds * random.uniform(0.5, 1.0))

@@ -156,7 +156,7 @@ class PySyncObjLog:
             async with asyncio.timeout(timeout):
                 outcome = await answer
         except TimeoutError:
-            raise Ambiguous(f"the change was not done within {timeout} s; it goes on") from None
+            raise Ambiguous(f"the change was not done within {timeout} s; it is still under way") from None
         if isinstance(outcome, int):
             return outcome
         raise outcome
@@ -236,7 +236,7 @@ async def open_replicated_log(
     try:
         stores = await asyncio.to_thread(KnownStores.open, settings.data_dir, had_store=had_store)
         if stores.refused:
-            raise StoreRefused(f"{settings.data_dir} is of no use any more: {stores.refused}: {REJOIN}")
+            raise StoreRefused(f"{settings.data_dir} cannot be used any more: {stores.refused}: {REJOIN}")
     except BaseException:
         replica.close()
         raise

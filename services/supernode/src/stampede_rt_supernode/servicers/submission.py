@@ -77,7 +77,7 @@ class Submission:
         """Raises LogUnavailable with reason SHUTTING_DOWN if this supernode's state is not the leader's."""
         status = self._log.status()
         if status.diverged_at:
-            text = f"{why_diverged(status)}; it serves nobody until it has joined anew; go to another one"
+            text = f"{why_diverged(status)}; it serves no caller until it has joined again; use another one"
             raise errors.Unavailable(text, reason="SHUTTING_DOWN")
 
     async def _persist(self, attempt: Callable[[float], Awaitable[T]], seconds: float) -> T:
@@ -134,4 +134,4 @@ def _no_quorum(seconds: float) -> errors.Unavailable:
 
 
 def _shutting_down() -> errors.Unavailable:
-    return errors.Unavailable("this supernode is about to stop; go to another one", reason="SHUTTING_DOWN")
+    return errors.Unavailable("this supernode is about to stop; use another one", reason="SHUTTING_DOWN")

@@ -66,7 +66,7 @@ def test_a_creator_of_another_group_of_that_name_is_refused(log: Log, spec: dict
     group(log, "pair", left)
     refused = refusal(log, open_group("pair", (left,), **spec))
     assert refused.reason == "GROUP_EXISTS"
-    assert "another set-up" in refused.message
+    assert "other members or settings" in refused.message
 
 
 def test_a_group_is_opened_without_a_set_up_only_if_it_is_there(log: Log) -> None:
@@ -115,7 +115,7 @@ def test_the_reference_and_the_last_member_stay(log: Log) -> None:
     assert "reference" in refusal(log, update_group(made.group_id, remove=(left,))).message
     assert "0 members" in refusal(log, update_group(made.group_id, remove=(left, right))).message
     both = refusal(log, update_group(made.group_id, add=(left,), remove=(left,)))
-    assert "both to come in and to go" in both.message
+    assert "is in both lists, to add and to remove" in both.message
 
 
 def test_a_deleted_group_frees_its_name_and_leaves_its_channels(log: Log) -> None:

@@ -102,9 +102,7 @@ class Acceptance:
         limits, held = self._retention.limits, self._held
         when = "when consumers have consumed some" if limits.consumers else "when the oldest have grown too old"
         if in_vain:
-            when = (
-                "with a later time, since all that it holds is as new as this item, and the newest never grow too old"
-            )
+            when = "with a later time, because the held items are as new as this one, and the newest never grow too old"
         elif limits.consumers is None and limits.max_age_nanos is None:
             when = "later"
         return ChannelFull(

@@ -269,8 +269,8 @@ class ChannelCore:
         """Raises InvalidArgument if `consume` would for any of these, whatever happens meanwhile."""
         if self._retention.consumers is None:
             raise InvalidArgument(
-                "the channel counts no consumption: it was set up without consumers; set it up with consumers=, or "
-                "configure it so"
+                "the channel counts no consumption: it was created without consumers; create it with consumers=, or "
+                "add them with configure()"
             )
         check_consumption(consumer_id, seqs, self.next_seq, lease_nanos)
 
@@ -429,7 +429,7 @@ class ChannelCore:
 
     def _check_saved(self, saved: SavedCursor) -> None:
         if saved.cut is not None:
-            raise InvalidArgument("the cursor comes from a subscription through a group; give the group, too")
+            raise InvalidArgument("the cursor comes from a subscription through a group; name that group")
         self._reading.check_position(Position(0, None, saved.incarnation))
 
     def _resume_key(self, start: Bound | None, after: Position | None) -> ItemKey | None:

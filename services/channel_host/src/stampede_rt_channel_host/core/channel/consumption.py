@@ -327,14 +327,14 @@ def _worth(place: _Place) -> tuple[bool, int]:
 def check_consumption(consumer_id: int, seqs: Sequence[int], next_seq: int, lease: int) -> None:
     """Raises InvalidArgument for what makes no sense, whoever has a place; `next_seq`: all below it were given out."""
     if not consumer_id:
-        raise InvalidArgument("consumer_id is 0; choose a random number and keep it")
+        raise InvalidArgument("consumer_id is 0; choose a random number above 0, and keep it")
     if not 0 <= lease <= LEASE_NANOS_MAX:
         raise InvalidArgument(f"lease_nanos is {lease}; it is between 0, which gives the place up, and 1 h")
     if len(seqs) > SEQS_MAX:
-        raise InvalidArgument(f"{len(seqs)} seqs are to be consumed; {SEQS_MAX} at once are the most")
+        raise InvalidArgument(f"the request consumes {len(seqs)} seqs; the limit is {SEQS_MAX}: send several requests")
     if seqs and not (min(seqs) >= 1 and max(seqs) < next_seq):
         raise InvalidArgument(
-            f"seqs from {min(seqs)} to {max(seqs)} are to be consumed, but the channel gave out 1 to {next_seq - 1}"
+            f"seqs from {min(seqs)} to {max(seqs)} cannot be consumed: the channel has given 1 to {next_seq - 1}"
         )
 
 

@@ -57,7 +57,7 @@ class Reading:
         if position is not None and position.incarnation not in (0, self._incarnation):
             raise IncarnationLost(
                 f"the position comes from incarnation {position.incarnation:x}, the channel is {self._incarnation:x} "
-                "now: its host was lost and items with it; start again from a time or the newest item"
+                "now: its host was lost with its items; start again from a time or the newest item"
             )
 
     def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
@@ -128,7 +128,7 @@ class Reading:
         )  # fmt: skip
 
     def _no_anchor(self) -> Reason:
-        nothing = "the channel holds no item, so that there is no newest or oldest one to go by yet"
+        nothing = "the channel holds no items, so NEWEST and OLDEST have no time yet"
         if self._lost_before is not None:
             return Reason("LOST", f"{nothing}: {self._loss}")
         return Reason("NOT_YET", nothing)
@@ -188,7 +188,7 @@ class Reading:
     @property
     def _loss(self) -> str:
         before = format_instant(self._lost_before or 0)
-        return f"the channel's host was lost, and with it what the channel held before {before}"
+        return f"the channel's host was lost with the items before {before}"
 
     def _collected(self) -> Reason:
         held = self._held

@@ -221,7 +221,7 @@ def _reaches(held: Holdings, cut: int | None) -> bool:
 
 def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
     before = max((one for one in (cut, channel.oldest) if one is not None), default=0)
-    detail = "the channel's host was lost, and items with it that the group had not shown"
+    detail = "the channel's host was lost with items that the group had not shown"
     return Loss(before=before, items=0, is_exact=False, reason=Reason("LOST", detail), first_seq=1, last_seq=1)
 
 
@@ -240,7 +240,7 @@ def _collected(channel: ChannelCore, held: Holdings, items: int, first_seq: int,
         before=0 if before is None else before + 1,
         items=items,
         is_exact=is_exact,
-        reason=Reason("COLLECTED", "the channel's retention took items before the group had shown them to this reader"),
+        reason=Reason("COLLECTED", "retention collected items before the group had shown them to this reader"),
         first_seq=first_seq,
         last_seq=max(first_seq, channel.next_seq - 1),
     )

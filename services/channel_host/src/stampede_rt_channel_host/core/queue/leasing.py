@@ -232,7 +232,7 @@ class Leasing:
 
     def _stale(self, delivery_id: int) -> LeaseExpired:
         return LeaseExpired(
-            f"delivery {delivery_id} of {self._queue} is not leased to this taker (any more): its lease has ended, or "
+            f"delivery {delivery_id} of {self._queue} is not leased to this taker now: its lease has ended, or "
             "it was settled; the item may have gone to another taker: settle sooner, extend, or lease for longer"
         )
 

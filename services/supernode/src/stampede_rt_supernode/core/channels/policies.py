@@ -83,7 +83,7 @@ def check_fixed(channel: str, held: Policy, changes: Policy) -> None:
     if asked not in (None, before):
         name = FIXED.removesuffix("_nanos")
         raise _invalid(
-            channel, FIXED, f"{name} is fixed when a channel is created; delete the channel and create it anew"
+            channel, FIXED, f"{name} is fixed when a channel is created; delete the channel and create it again"
         )
 
 
@@ -124,7 +124,7 @@ def _contradiction(channel: str, field: str, before: object, in_effect: object, 
     change = "" if field == FIXED else ", or change it for everybody with configure()"
     was = f"{name} {held}" if before is not None else f"{name} left out (in effect: {held})"
     return ChannelExists(
-        f"channel {channel} was set up with {was}, and {name} {_shown(field, value)} was asked for; leave {name} out "
+        f"channel {channel} exists with {was}, and the request states {name} {_shown(field, value)}; leave {name} out "
         f"to take the channel as it is{change}",
         metadata={"channel": channel, "field": field, "held": str(in_effect), "asked": str(value)},
     )

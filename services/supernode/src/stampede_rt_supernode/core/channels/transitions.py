@@ -105,7 +105,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     check_policy(operation.name, operation.policy)
     if len(tables.channels) >= CHANNELS_MAX:
         raise Overloaded(
-            f"channel {operation.name} cannot be made: the directory holds {CHANNELS_MAX} channels, which is the most; "
+            f"channel {operation.name} cannot be created: the directory holds {CHANNELS_MAX} channels, the limit; "
             "delete some",
             metadata={"channel": operation.name},
         )
@@ -147,7 +147,7 @@ def _choose_host(tables: Tables, operation: OpenChannel, former: str | None = No
     least = successor or min(tables.live_hosts(), key=lambda host: host.channels, default=None)
     if least is None:
         raise Unavailable(
-            f"no live host is there to take channel {operation.name}; start one with `stampede host`, or wait for it",
+            f"there is no live host for channel {operation.name}; start one with `stampede host`, or wait for one",
             reason="NO_HOST",
             metadata={"channel": operation.name},
         )

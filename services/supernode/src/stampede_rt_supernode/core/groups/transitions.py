@@ -37,7 +37,7 @@ def check_open_group(operation: OpenGroup) -> None:
         check_spec(operation.name, operation.spec)
     elif operation.create:
         raise InvalidArgument(
-            f"group {operation.name} cannot be made without a set-up; state its members in spec, or open it with "
+            f"group {operation.name} cannot be created without a spec; state its members in spec, or open it with "
             "create=False to take it as it is",
             metadata={"group": operation.name, "field": "spec"},
         )
@@ -51,13 +51,13 @@ def check_update_group(operation: UpdateGroup) -> None:
         ("remove_channel_ids", operation.remove_channel_ids),
     ):
         if len(ids) > MEMBERS_MAX:
-            text = f"{field} has {len(ids)} channels; {MEMBERS_MAX} at most, which is all that a group can have"
+            text = f"{field} has {len(ids)} channels; a group has at most {MEMBERS_MAX}"
             raise InvalidArgument(text, metadata={"field": field})
         for one in ids:
             check_id(one, field)
     both = set(operation.add_channel_ids) & set(operation.remove_channel_ids)
     if both:
-        text = f"channel {min(both).hex()} is both to come in and to go; leave it out of one of the two"
+        text = f"channel {min(both).hex()} is in both lists, to add and to remove; leave it out of one"
         raise InvalidArgument(text, metadata={"channel_id": min(both).hex()})
 
 
@@ -78,8 +78,8 @@ def open_group_unchanged(tables: Tables, operation: OpenGroup) -> GroupOpened | 
         return None
     if operation.spec is not None and not same_spec(group.spec, operation.spec):
         raise GroupExists(
-            f"group {operation.name} is there with another set-up; leave the set-up out to take it as it is, add and "
-            "remove members, or choose another name",
+            f"group {operation.name} exists with other members or settings; leave them out to take it as it is, add "
+            "and remove members, or choose another name",
             metadata={"group": operation.name, "group_id": group.group_id.hex()},
         )
     return GroupOpened(group=group, created=False)
@@ -90,7 +90,9 @@ def _create(tables: Tables, operation: OpenGroup) -> GroupOpened:
     assert spec is not None  # check_open_group refuses to create without one
     _check_members(tables, operation.name, spec.channel_ids)
     if len(tables.groups) >= GROUPS_MAX:
-        text = f"group {operation.name} cannot be made: the directory holds {GROUPS_MAX} groups, which is the most"
+        text = (
+            f"group {operation.name} cannot be created: the directory holds {GROUPS_MAX} groups, the limit; delete some"
+        )
         raise Overloaded(f"{text}; delete some", metadata={"group": operation.name})
     group = GroupRecord(
         group_id=operation.new_group_id,
@@ -109,7 +111,7 @@ def _check_members(tables: Tables, name: str, channel_ids: Iterable[bytes]) -> N
         if tables.groups.count_with(channel_id) >= GROUPS_PER_CHANNEL_MAX:
             raise Overloaded(
                 f"channel {channel.name} cannot come into group {name}: it is in {GROUPS_PER_CHANNEL_MAX} groups, "
-                "which is the most; delete some",
+                "the limit; delete some",
                 metadata={"group": name, "channel": channel.name},
             )
 
@@ -120,8 +122,8 @@ def update_group(tables: Tables, operation: UpdateGroup) -> GroupUpdated:
     group = group_by_id(tables, operation.group_id)
     if operation.spec_version is not None and operation.spec_version != group.spec_version:
         raise GroupExists(
-            f"group {group.name} has version {group.spec_version} of its set-up, not {operation.spec_version}: "
-            "somebody changed it; resolve it again and decide anew",
+            f"group {group.name} has spec version {group.spec_version}, not {operation.spec_version}: "
+            "someone has changed it; resolve it again, then decide",
             metadata={"group": group.name, "spec_version": str(group.spec_version)},
         )
     coming = [one for one in dict.fromkeys(operation.add_channel_ids) if one not in group.spec.channel_ids]

@@ -36,7 +36,7 @@ def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
     _check_name_is_free(tables, operation)
     before = tables.hosts.get(operation.host_id)
     if before is None and len(tables.hosts) >= HOSTS_MAX:
-        text = f"host {operation.name} cannot register: the directory holds {HOSTS_MAX} hosts, which is the most"
+        text = f"host {operation.name} cannot register: the directory holds {HOSTS_MAX} hosts, the limit"
         raise Overloaded(text, metadata={"host": operation.name})
     epoch = next_epoch(operation, [before])
     tables.put_host(
@@ -77,8 +77,8 @@ def _check_name_is_free(tables: Tables, operation: RegisterHost) -> None:
     holder = tables.live_host_named(operation.name)
     if holder is not None and holder.host_id != operation.host_id:
         raise HostExists(
-            f"another live host has the name {operation.name}; choose another name, or wait until that host has left "
-            "or its lease has ended",
+            f"another live host has the name {operation.name}; take another name, or wait until that host leaves or "
+            "its lease ends",
             metadata={"host": operation.name, "host_id": holder.host_id.hex()},
         )
 

@@ -78,7 +78,7 @@ def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> No
     if len(attributes) > ATTRIBUTES_MAX or used > ATTRIBUTES_BYTES_MAX:
         raise InvalidArgument(
             f"peer {shown} states {len(attributes)} attributes with {used} bytes; {ATTRIBUTES_MAX} entries with "
-            f"{ATTRIBUTES_BYTES_MAX} bytes are the most",
+            f"{ATTRIBUTES_BYTES_MAX} bytes are the limit",
             metadata={"peer": shown, "field": "attributes"},
         )
     if any(not key for key, _ in attributes):
@@ -102,7 +102,7 @@ def _peer_exists(before: PeerRecord) -> StampedeError:
     shown = before.name or before.peer_id.hex()
     return error_for(
         "PEER_EXISTS",
-        f"another live peer is {shown}, and its proof was not brought; choose another name, bring the proof that it "
-        "registered with, or wait until it has left or its lease has ended",
+        f"another live peer has the name {shown}, and the request lacks its proof; take another name, give the proof "
+        "with which that peer registered, or wait until it leaves or its lease ends",
         {"peer": shown, "peer_id": before.peer_id.hex()},
     )

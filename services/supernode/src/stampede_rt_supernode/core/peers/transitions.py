@@ -40,7 +40,7 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
         host_by_id(tables, operation.host_id)
     if not replaced and tables.peers.live_count >= PEERS_MAX:
         shown = operation.name or operation.peer_id.hex()
-        text = f"peer {shown} cannot register: {PEERS_MAX} peers are in, which is the most"
+        text = f"peer {shown} cannot register: {PEERS_MAX} peers are registered, the limit; wait until one leaves"
         raise Overloaded(text, metadata={"peer": operation.name})
     former = _mailbox_of(tables, holder) if holder is not None else None
     mailbox = _planned_mailbox(tables, operation, former) if operation.name else None

@@ -23,7 +23,7 @@ def choose_host(tables: Tables, queue: str, host_name: str, former: str | None =
     least = successor or _least_loaded(tables)
     if least is None:
         raise Unavailable(
-            f"no live host is there to take {queue}; start one with `stampede host`, or wait for it",
+            f"there is no live host for {queue}; start one with `stampede host`, or wait for one",
             reason="NO_HOST",
             metadata={"queue": queue},
         )

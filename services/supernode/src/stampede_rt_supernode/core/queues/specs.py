@@ -94,7 +94,7 @@ def _contradiction(queue: str, field: str, before: object, in_effect: object, va
     was = f"{name} {held}" if before is not None else f"{name} left out (in effect: {held})"
     return error_for(
         "QUEUE_EXISTS",
-        f"queue {queue} was set up with {was}, and {name} {_shown(field, value)} was asked for; leave {name} out to "
+        f"queue {queue} exists with {was}, and the request states {name} {_shown(field, value)}; leave {name} out to "
         "take the queue as it is, or change it for everybody with UpdateQueue",
         {"queue": queue, "field": field, "held": held, "asked": _shown(field, value)},
     )

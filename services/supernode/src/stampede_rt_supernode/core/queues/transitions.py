@@ -107,7 +107,7 @@ def _create(tables: Tables, operation: OpenQueue) -> QueueOpened:
 def check_room(tables: Tables, queue: str) -> None:
     """Raises Overloaded if no further queue or mailbox can be made."""
     if len(tables.queues) >= QUEUES_MAX:
-        text = f"{queue} cannot be made: the directory holds {QUEUES_MAX} queues, which is the most; delete some"
+        text = f"{queue} cannot be created: the directory holds {QUEUES_MAX} queues, the limit; delete some"
         raise Overloaded(text, metadata={"queue": queue})
 
 
@@ -121,12 +121,12 @@ def check_dead_letter(tables: Tables, queue_id: bytes, shown: str, spec: QueueSp
         if following is None:
             return
         if following == queue_id:
-            raise _bad_dead_letter(shown, "leads back to the queue itself, so that no item would ever leave")
+            raise _bad_dead_letter(shown, "leads back to the queue itself, so no dead letter would ever leave")
         dead_letter = queue_by_id(tables, following)
         if dead_letter.mailbox_peer_id is not None:
-            raise _bad_dead_letter(shown, "is a mailbox, which goes with its peer")
+            raise _bad_dead_letter(shown, "is a mailbox, which ends with its peer")
         following = dead_letter.spec.dead_letter_queue_id
-    raise _bad_dead_letter(shown, f"begins a row of more than {DEAD_LETTER_STEPS_MAX} dead-letter queues")
+    raise _bad_dead_letter(shown, f"begins a chain of more than {DEAD_LETTER_STEPS_MAX} dead-letter queues")
 
 
 def _bad_dead_letter(queue: str, what: str) -> InvalidArgument:
@@ -149,7 +149,7 @@ def _check_epoch(queue: QueueRecord, epoch: int) -> None:
     if epoch != queue.epoch:
         shown = queue.name or queue.queue_id.hex()
         raise StaleBinding(
-            f"queue {shown} is at epoch {queue.epoch}, not {epoch}: it was placed anew; resolve it again",
+            f"queue {shown} is at epoch {queue.epoch}, not {epoch}: it has another host now; resolve it again",
             reason="WRONG_EPOCH",
             metadata={"queue": shown, "epoch": str(queue.epoch)},
         )
@@ -160,12 +160,14 @@ def delete_queue(tables: Tables, operation: DeleteQueue) -> QueueDeleted:
     queue = queue_by_id(tables, operation.queue_id)
     shown = queue.name or queue.queue_id.hex()
     if queue.mailbox_peer_id is not None:
-        text = f"queue {shown} is the mailbox of peer {queue.mailbox_peer_id.hex()} and goes when that leaves"
+        text = (
+            f"queue {shown} is the mailbox of peer {queue.mailbox_peer_id.hex()} and is deleted when that peer leaves"
+        )
         raise InvalidArgument(text, metadata={"queue": shown})
     feeding = tables.queues.feeding(queue.queue_id)
     if feeding:
         other = feeding[0].name or feeding[0].queue_id.hex()
-        text = f"queue {shown} is the dead-letter queue of {other}; name it another one with UpdateQueue, or delete it"
+        text = f"queue {shown} is the dead-letter queue of {other}; give that queue another one, or delete it first"
         raise InvalidArgument(text, metadata={"queue": shown, "dead_letter_of": other})
     tables.remove_queue(queue)
     return QueueDeleted(queue=queue)

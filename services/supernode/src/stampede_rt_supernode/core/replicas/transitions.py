@@ -54,7 +54,7 @@ def check_epoch(channel: ChannelRecord, epoch: int) -> None:
     """Raises StaleBinding with reason WRONG_EPOCH."""
     if epoch != channel.epoch:
         raise StaleBinding(
-            f"channel {channel.name} is at epoch {channel.epoch}, not {epoch}: it moved or was placed anew; "
+            f"channel {channel.name} is at epoch {channel.epoch}, not {epoch}: it has another host now; "
             "resolve it again",
             reason="WRONG_EPOCH",
             metadata={"channel": channel.name, "epoch": str(channel.epoch)},
@@ -72,7 +72,7 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
     if there is not None or host.host_id == channel.host_id:
         return ReplicaAdded(replica=_same_kind(channel, host, there, operation.kind), host=host)
     if len(held) >= REPLICAS_MAX:
-        text = f"channel {channel.name} has {REPLICAS_MAX} copies, which is the most; remove one first"
+        text = f"channel {channel.name} has {REPLICAS_MAX} copies, the limit; remove one first"
         raise InvalidArgument(text, metadata={"channel": channel.name})
     replica = ReplicaRecord(
         channel_id=channel.channel_id,

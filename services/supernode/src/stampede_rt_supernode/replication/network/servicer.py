@@ -99,7 +99,7 @@ class RaftServicer:
         if self._reports.is_due((member_id, "expelled"), time.monotonic()):
             logger.error(
                 "%s: no member that keeps to the rules does so, and it is not heard for %.0f s; if that goes on, stop "
-                "it, let it go (stampede supernode remove %s), and find out what runs there",
+                "it, remove it (stampede supernode remove %s), and find out what runs there",
                 *(why, EXPELLED_SECONDS, member_id),
             )
         if (reader := self._readers.get(member_id)) is not None:
@@ -179,7 +179,7 @@ class RaftServicer:
         if is_heard:
             advice = f"{hello.member_id} itself is heard, so somebody has started a copy of its folder: stop that one"
         else:
-            advice = "let it go (stampede supernode remove), and join under a new id"
+            advice = "remove it (stampede supernode remove), and join under a new id"
         logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice)
 
     def _tell_of_another_cluster(self, hello: pb.RaftHello) -> None:
@@ -199,7 +199,7 @@ class RaftServicer:
             # Who was refused under this id was a copy: this one goes on.
             self._refused.pop(member_id, None)
             if member_id not in self._replica.roster.peers:
-                raise MalformedMessage(f"{member_id!r} is no member any more")
+                raise MalformedMessage(f"{member_id!r} is no longer a member")
             if request.HasField("hello") or len(request.messages) > REQUEST_MESSAGES_MAX:
                 raise MalformedMessage("a second hello, or too many messages at once")
             for message in request.messages:

@@ -125,12 +125,14 @@ class MemberChanges:
         elif self._joins(change):
             return
         elif self._committing is not None or not self._node.may_change_members():
-            self._finish([change], ChangeUnderWay("another member is just coming or going, or the leader is new"))
+            self._finish(
+                [change], ChangeUnderWay("another change of the members is under way, or the leader is new; try again")
+            )
         elif change.is_removal:
             self._remove(change)
         elif self._addition is not None and not self._gives_way(self._addition):
             name = self._addition.member.member_id
-            self._finish([change], ChangeUnderWay(f"{name} is just coming, and others wait until it is in"))
+            self._finish([change], ChangeUnderWay(f"{name} is joining, and others wait until it has joined"))
         else:
             if self._addition is not None:
                 self._give_up(self._addition)
@@ -148,7 +150,7 @@ class MemberChanges:
     def advance(self) -> None:
         """Take the next step of whatever is under way."""
         if not self._leads_on():
-            self._end(NotLeading("this replica does not lead any more"))
+            self._end(NotLeading("this replica no longer leads"))
             return
         if self._addition is not None:
             self._catch_up(self._addition)
@@ -307,7 +309,7 @@ class MemberChanges:
         applied = self._node.last_applied >= committing.log_index
         if applied and self._node.term_at(committing.log_index) == committing.term:
             return committing.log_index
-        return Ambiguous("the leader changed while the change was on its way; ask who the members are")
+        return Ambiguous("the leader changed during the change; list the members (stampede supernode status)")
 
     def _finish(self, callers: list[MemberChange], outcome: ChangeOutcome) -> None:
         for caller in callers:
@@ -320,7 +322,7 @@ class MemberChanges:
 
 def _refusal(configuration: Configuration, member: Member, ticket: str) -> ChangeRefused | None:
     if ticket and configuration.spender_of(ticket) is not None:
-        return TicketSpent(f"the token has let {configuration.spender_of(ticket)} in already; make another one")
+        return TicketSpent(f"the token has let {configuration.spender_of(ticket)} join already; make another one")
     if member.member_id in configuration.retired:
         return ChangeRefused(f"{member.member_id} was a member before; an id never comes back: join under a new one")
     known = configuration.find(member.member_id)
@@ -329,7 +331,7 @@ def _refusal(configuration: Configuration, member: Member, ticket: str) -> Chang
     if any(each.address == member.address for each in configuration.members):
         return ChangeRefused(f"{member.address} is the address of another member; remove that one first")
     if len(configuration.members) >= MEMBERS_MAX:
-        return ChangeRefused(f"there are {MEMBERS_MAX} members, the most there can be; remove one first")
+        return ChangeRefused(f"the cluster has {MEMBERS_MAX} members, the limit; remove one first")
     return None
 
 

@@ -71,7 +71,7 @@ class Proposals:
             return
         if proposal.handed_over:
             self._handed -= 1
-            self._finish(proposal, Ambiguous("the log did not say in time what became of the command"))
+            self._finish(proposal, Ambiguous("the log did not answer in time; the command may still be applied"))
         else:
             self._finish(proposal, LogUnavailable("no leader was found in time; the command was not taken"))
 
@@ -94,7 +94,7 @@ class Proposals:
             proposal.handed_over = False
             self._waiting.append(proposal)
         elif answer is Fate.UNKNOWN:
-            self._finish(proposal, Ambiguous("the leader changed while the command was on its way"))
+            self._finish(proposal, Ambiguous("the leader changed during the command, which may still be applied"))
         else:
             self._finish(proposal, answer)
 
