@@ -76,10 +76,12 @@ class Cluster:
         request = access_pb.CreateClientTokenRequest(
             request_id=secrets.token_bytes(16), name=name, roles=roles, valid_nanos=valid_nanos
         )
-        made: access_pb.CreateClientTokenResponse = self._first(
-            lambda endpoint: endpoint.call(_access(endpoint).CreateClientToken, request, CALL_SECONDS)
-        )
+        made: access_pb.CreateClientTokenResponse = self.ask_access("CreateClientToken", request)
         return made
+
+    def ask_access(self, rpc: str, request: Any) -> Any:
+        """What the first supernode that answers says to a call of AccessService. Raises what it refuses it with."""
+        return self._first(lambda endpoint: endpoint.call(getattr(_access(endpoint), rpc), request, CALL_SECONDS))
 
     def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
         """Remove a member by whoever leads. Raises what the leader refuses it with, or Unavailable if none does."""

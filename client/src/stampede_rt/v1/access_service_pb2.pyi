@@ -46,3 +46,91 @@ class GetAccessStateResponse(_message.Message):
     rules: _containers.RepeatedCompositeFieldContainer[_access_pb2.AccessRule]
     token_keys: _containers.RepeatedScalarFieldContainer[bytes]
     def __init__(self, version: _Optional[int] = ..., cluster_id: _Optional[str] = ..., rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., token_keys: _Optional[_Iterable[bytes]] = ...) -> None: ...
+
+class AddAccessRuleRequest(_message.Message):
+    __slots__ = ("request_id", "rule", "dry_run")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    RULE_FIELD_NUMBER: _ClassVar[int]
+    DRY_RUN_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    rule: _access_pb2.AccessRule
+    dry_run: bool
+    def __init__(self, request_id: _Optional[bytes] = ..., rule: _Optional[_Union[_access_pb2.AccessRule, _Mapping]] = ..., dry_run: bool = ...) -> None: ...
+
+class AddAccessRuleResponse(_message.Message):
+    __slots__ = ("added", "rules", "effects")
+    ADDED_FIELD_NUMBER: _ClassVar[int]
+    RULES_FIELD_NUMBER: _ClassVar[int]
+    EFFECTS_FIELD_NUMBER: _ClassVar[int]
+    added: bool
+    rules: int
+    effects: _containers.RepeatedCompositeFieldContainer[AccessEffect]
+    def __init__(self, added: bool = ..., rules: _Optional[int] = ..., effects: _Optional[_Iterable[_Union[AccessEffect, _Mapping]]] = ...) -> None: ...
+
+class RemoveAccessRuleRequest(_message.Message):
+    __slots__ = ("request_id", "rule", "dry_run")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    RULE_FIELD_NUMBER: _ClassVar[int]
+    DRY_RUN_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    rule: _access_pb2.AccessRule
+    dry_run: bool
+    def __init__(self, request_id: _Optional[bytes] = ..., rule: _Optional[_Union[_access_pb2.AccessRule, _Mapping]] = ..., dry_run: bool = ...) -> None: ...
+
+class RemoveAccessRuleResponse(_message.Message):
+    __slots__ = ("removed", "rules", "effects")
+    REMOVED_FIELD_NUMBER: _ClassVar[int]
+    RULES_FIELD_NUMBER: _ClassVar[int]
+    EFFECTS_FIELD_NUMBER: _ClassVar[int]
+    removed: bool
+    rules: int
+    effects: _containers.RepeatedCompositeFieldContainer[AccessEffect]
+    def __init__(self, removed: bool = ..., rules: _Optional[int] = ..., effects: _Optional[_Iterable[_Union[AccessEffect, _Mapping]]] = ...) -> None: ...
+
+class AccessEffect(_message.Message):
+    __slots__ = ("verb", "kind", "name", "allowed")
+    VERB_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    ALLOWED_FIELD_NUMBER: _ClassVar[int]
+    verb: _access_pb2.AccessVerb
+    kind: _access_pb2.AccessKind
+    name: str
+    allowed: bool
+    def __init__(self, verb: _Optional[_Union[_access_pb2.AccessVerb, str]] = ..., kind: _Optional[_Union[_access_pb2.AccessKind, str]] = ..., name: _Optional[str] = ..., allowed: bool = ...) -> None: ...
+
+class ListAccessRulesRequest(_message.Message):
+    __slots__ = ("stale_ok",)
+    STALE_OK_FIELD_NUMBER: _ClassVar[int]
+    stale_ok: bool
+    def __init__(self, stale_ok: bool = ...) -> None: ...
+
+class ListAccessRulesResponse(_message.Message):
+    __slots__ = ("rules", "version")
+    RULES_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    rules: _containers.RepeatedCompositeFieldContainer[_access_pb2.AccessRule]
+    version: int
+    def __init__(self, rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., version: _Optional[int] = ...) -> None: ...
+
+class CheckAccessRequest(_message.Message):
+    __slots__ = ("who", "verb", "kind", "name")
+    WHO_FIELD_NUMBER: _ClassVar[int]
+    VERB_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    who: str
+    verb: _access_pb2.AccessVerb
+    kind: _access_pb2.AccessKind
+    name: str
+    def __init__(self, who: _Optional[str] = ..., verb: _Optional[_Union[_access_pb2.AccessVerb, str]] = ..., kind: _Optional[_Union[_access_pb2.AccessKind, str]] = ..., name: _Optional[str] = ...) -> None: ...
+
+class CheckAccessResponse(_message.Message):
+    __slots__ = ("allowed", "rule", "rules")
+    ALLOWED_FIELD_NUMBER: _ClassVar[int]
+    RULE_FIELD_NUMBER: _ClassVar[int]
+    RULES_FIELD_NUMBER: _ClassVar[int]
+    allowed: bool
+    rule: _access_pb2.AccessRule
+    rules: int
+    def __init__(self, allowed: bool = ..., rule: _Optional[_Union[_access_pb2.AccessRule, _Mapping]] = ..., rules: _Optional[int] = ...) -> None: ...

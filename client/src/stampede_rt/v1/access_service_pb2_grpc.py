@@ -42,6 +42,26 @@ class AccessServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.CreateClientTokenRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.CreateClientTokenResponse.FromString,
                 _registered_method=True)
+        self.AddAccessRule = channel.unary_unary(
+                '/stampede_rt.v1.AccessService/AddAccessRule',
+                request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.AddAccessRuleRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.AddAccessRuleResponse.FromString,
+                _registered_method=True)
+        self.RemoveAccessRule = channel.unary_unary(
+                '/stampede_rt.v1.AccessService/RemoveAccessRule',
+                request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.RemoveAccessRuleRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.RemoveAccessRuleResponse.FromString,
+                _registered_method=True)
+        self.ListAccessRules = channel.unary_unary(
+                '/stampede_rt.v1.AccessService/ListAccessRules',
+                request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.ListAccessRulesRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.ListAccessRulesResponse.FromString,
+                _registered_method=True)
+        self.CheckAccess = channel.unary_unary(
+                '/stampede_rt.v1.AccessService/CheckAccess',
+                request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessResponse.FromString,
+                _registered_method=True)
         self.GetAccessState = channel.unary_unary(
                 '/stampede_rt.v1.AccessService/GetAccessState',
                 request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.GetAccessStateRequest.SerializeToString,
@@ -63,6 +83,35 @@ class AccessServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def AddAccessRule(self, request, context):
+        """Add a rule. One that is there is no error. For operators, as all that follow. With the first rule, all that no rule
+        allows is denied. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM, VERSION_MISMATCH.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def RemoveAccessRule(self, request, context):
+        """Remove a rule. One that is not there is no error. Errors: as AddAccessRule.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListAccessRules(self, request, context):
+        """All rules.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def CheckAccess(self, request, context):
+        """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def GetAccessState(self, request, context):
         """What a port must know to judge its callers. For hosts and other members, which hear of changes by
         DirectoryService.Watch with include_access.
@@ -78,6 +127,26 @@ def add_AccessServiceServicer_to_server(servicer, server):
                     servicer.CreateClientToken,
                     request_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.CreateClientTokenRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_access__service__pb2.CreateClientTokenResponse.SerializeToString,
+            ),
+            'AddAccessRule': grpc.unary_unary_rpc_method_handler(
+                    servicer.AddAccessRule,
+                    request_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.AddAccessRuleRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_access__service__pb2.AddAccessRuleResponse.SerializeToString,
+            ),
+            'RemoveAccessRule': grpc.unary_unary_rpc_method_handler(
+                    servicer.RemoveAccessRule,
+                    request_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.RemoveAccessRuleRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_access__service__pb2.RemoveAccessRuleResponse.SerializeToString,
+            ),
+            'ListAccessRules': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListAccessRules,
+                    request_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.ListAccessRulesRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_access__service__pb2.ListAccessRulesResponse.SerializeToString,
+            ),
+            'CheckAccess': grpc.unary_unary_rpc_method_handler(
+                    servicer.CheckAccess,
+                    request_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessResponse.SerializeToString,
             ),
             'GetAccessState': grpc.unary_unary_rpc_method_handler(
                     servicer.GetAccessState,
@@ -115,6 +184,114 @@ class AccessService(object):
             '/stampede_rt.v1.AccessService/CreateClientToken',
             stampede__rt_dot_v1_dot_access__service__pb2.CreateClientTokenRequest.SerializeToString,
             stampede__rt_dot_v1_dot_access__service__pb2.CreateClientTokenResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def AddAccessRule(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.AccessService/AddAccessRule',
+            stampede__rt_dot_v1_dot_access__service__pb2.AddAccessRuleRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_access__service__pb2.AddAccessRuleResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def RemoveAccessRule(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.AccessService/RemoveAccessRule',
+            stampede__rt_dot_v1_dot_access__service__pb2.RemoveAccessRuleRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_access__service__pb2.RemoveAccessRuleResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListAccessRules(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.AccessService/ListAccessRules',
+            stampede__rt_dot_v1_dot_access__service__pb2.ListAccessRulesRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_access__service__pb2.ListAccessRulesResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def CheckAccess(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.AccessService/CheckAccess',
+            stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessResponse.FromString,
             options,
             channel_credentials,
             insecure,

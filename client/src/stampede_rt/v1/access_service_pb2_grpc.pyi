@@ -40,6 +40,16 @@ class AccessServiceStub:
     """Make a token that proves a name and roles for a while. For operators. Errors: INVALID_ARGUMENT, NO_QUORUM,
     VERSION_MISMATCH.
     """
+    AddAccessRule: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.AddAccessRuleRequest, _access_service_pb2.AddAccessRuleResponse]
+    """Add a rule. One that is there is no error. For operators, as all that follow. With the first rule, all that no rule
+    allows is denied. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM, VERSION_MISMATCH.
+    """
+    RemoveAccessRule: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.RemoveAccessRuleRequest, _access_service_pb2.RemoveAccessRuleResponse]
+    """Remove a rule. One that is not there is no error. Errors: as AddAccessRule."""
+    ListAccessRules: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.ListAccessRulesRequest, _access_service_pb2.ListAccessRulesResponse]
+    """All rules."""
+    CheckAccess: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]
+    """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
     GetAccessState: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]
     """What a port must know to judge its callers. For hosts and other members, which hear of changes by
     DirectoryService.Watch with include_access.
@@ -57,6 +67,16 @@ class AccessServiceAsyncStub(AccessServiceStub):
     """Make a token that proves a name and roles for a while. For operators. Errors: INVALID_ARGUMENT, NO_QUORUM,
     VERSION_MISMATCH.
     """
+    AddAccessRule: _aio.UnaryUnaryMultiCallable[_access_service_pb2.AddAccessRuleRequest, _access_service_pb2.AddAccessRuleResponse]  # type: ignore[assignment]
+    """Add a rule. One that is there is no error. For operators, as all that follow. With the first rule, all that no rule
+    allows is denied. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM, VERSION_MISMATCH.
+    """
+    RemoveAccessRule: _aio.UnaryUnaryMultiCallable[_access_service_pb2.RemoveAccessRuleRequest, _access_service_pb2.RemoveAccessRuleResponse]  # type: ignore[assignment]
+    """Remove a rule. One that is not there is no error. Errors: as AddAccessRule."""
+    ListAccessRules: _aio.UnaryUnaryMultiCallable[_access_service_pb2.ListAccessRulesRequest, _access_service_pb2.ListAccessRulesResponse]  # type: ignore[assignment]
+    """All rules."""
+    CheckAccess: _aio.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]  # type: ignore[assignment]
+    """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
     GetAccessState: _aio.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]  # type: ignore[assignment]
     """What a port must know to judge its callers. For hosts and other members, which hear of changes by
     DirectoryService.Watch with include_access.
@@ -77,6 +97,40 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         """Make a token that proves a name and roles for a while. For operators. Errors: INVALID_ARGUMENT, NO_QUORUM,
         VERSION_MISMATCH.
         """
+
+    @_abc_1.abstractmethod
+    def AddAccessRule(
+        self,
+        request: _access_service_pb2.AddAccessRuleRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_access_service_pb2.AddAccessRuleResponse, _abc.Awaitable[_access_service_pb2.AddAccessRuleResponse]]:
+        """Add a rule. One that is there is no error. For operators, as all that follow. With the first rule, all that no rule
+        allows is denied. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM, VERSION_MISMATCH.
+        """
+
+    @_abc_1.abstractmethod
+    def RemoveAccessRule(
+        self,
+        request: _access_service_pb2.RemoveAccessRuleRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_access_service_pb2.RemoveAccessRuleResponse, _abc.Awaitable[_access_service_pb2.RemoveAccessRuleResponse]]:
+        """Remove a rule. One that is not there is no error. Errors: as AddAccessRule."""
+
+    @_abc_1.abstractmethod
+    def ListAccessRules(
+        self,
+        request: _access_service_pb2.ListAccessRulesRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_access_service_pb2.ListAccessRulesResponse, _abc.Awaitable[_access_service_pb2.ListAccessRulesResponse]]:
+        """All rules."""
+
+    @_abc_1.abstractmethod
+    def CheckAccess(
+        self,
+        request: _access_service_pb2.CheckAccessRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_access_service_pb2.CheckAccessResponse, _abc.Awaitable[_access_service_pb2.CheckAccessResponse]]:
+        """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
 
     @_abc_1.abstractmethod
     def GetAccessState(

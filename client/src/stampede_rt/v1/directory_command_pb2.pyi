@@ -299,7 +299,7 @@ class DeleteQueueCommand(_message.Message):
     def __init__(self, queue_id: _Optional[bytes] = ...) -> None: ...
 
 class RegisterPeerCommand(_message.Message):
-    __slots__ = ("peer_id", "name", "boot_incarnation", "proof_sha256", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "new_mailbox_id", "new_incarnation", "registration_epoch")
+    __slots__ = ("peer_id", "name", "boot_incarnation", "proof_sha256", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "new_mailbox_id", "new_incarnation", "registration_epoch", "owner")
     class AttributesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -320,6 +320,7 @@ class RegisterPeerCommand(_message.Message):
     NEW_MAILBOX_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FIELD_NUMBER: _ClassVar[int]
     peer_id: bytes
     name: str
     boot_incarnation: int
@@ -333,7 +334,8 @@ class RegisterPeerCommand(_message.Message):
     new_mailbox_id: bytes
     new_incarnation: int
     registration_epoch: int
-    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof_sha256: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., new_mailbox_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
+    owner: str
+    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof_sha256: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., new_mailbox_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., owner: _Optional[str] = ...) -> None: ...
 
 class DeregisterPeerCommand(_message.Message):
     __slots__ = ("peer_id", "boot_incarnation")

@@ -25,7 +25,7 @@ _sym_db = _symbol_database.Default()
 from stampede_rt.v1 import directory_pb2 as stampede__rt_dot_v1_dot_directory__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x19stampede_rt/v1/peer.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\"\xb1\x03\n\nPeerRecord\x12\x0f\n\x07peer_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\x12\r\n\x05\x61live\x18\x04 \x01(\x08\x12\x1d\n\x10mailbox_queue_id\x18\x05 \x01(\x0cH\x00\x88\x01\x01\x12\x14\n\x07host_id\x18\x06 \x01(\x0cH\x01\x88\x01\x01\x12\x0c\n\x04zone\x18\x07 \x01(\t\x12\x0f\n\x07version\x18\x08 \x01(\t\x12>\n\nattributes\x18\t \x03(\x0b\x32*.stampede_rt.v1.PeerRecord.AttributesEntry\x12\x1c\n\x14registered_unix_nano\x18\n \x01(\x10\x12/\n\x05\x63lock\x18\x0b \x01(\x0b\x32\x1b.stampede_rt.v1.ClockOffsetH\x02\x88\x01\x01\x12\x1a\n\x12registration_epoch\x18\x0c \x01(\x04\x1a\x31\n\x0f\x41ttributesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\x42\x13\n\x11_mailbox_queue_idB\n\n\x08_host_idB\x08\n\x06_clock\"T\n\x0b\x43lockOffset\x12\x14\n\x0coffset_nanos\x18\x01 \x01(\x12\x12\x19\n\x11uncertainty_nanos\x18\x02 \x01(\x03\x12\x14\n\x0csupernode_id\x18\x03 \x01(\t\"o\n\nPeerChange\x12\r\n\x05index\x18\x01 \x01(\x04\x12(\n\x04kind\x18\x02 \x01(\x0e\x32\x1a.stampede_rt.v1.ChangeKind\x12(\n\x04peer\x18\x03 \x01(\x0b\x32\x1a.stampede_rt.v1.PeerRecordb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x19stampede_rt/v1/peer.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\"\xcf\x03\n\nPeerRecord\x12\x0f\n\x07peer_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\x12\r\n\x05\x61live\x18\x04 \x01(\x08\x12\x1d\n\x10mailbox_queue_id\x18\x05 \x01(\x0cH\x00\x88\x01\x01\x12\x14\n\x07host_id\x18\x06 \x01(\x0cH\x01\x88\x01\x01\x12\x0c\n\x04zone\x18\x07 \x01(\t\x12\x0f\n\x07version\x18\x08 \x01(\t\x12>\n\nattributes\x18\t \x03(\x0b\x32*.stampede_rt.v1.PeerRecord.AttributesEntry\x12\x1c\n\x14registered_unix_nano\x18\n \x01(\x10\x12/\n\x05\x63lock\x18\x0b \x01(\x0b\x32\x1b.stampede_rt.v1.ClockOffsetH\x02\x88\x01\x01\x12\x1a\n\x12registration_epoch\x18\x0c \x01(\x04\x12\x12\n\x05owner\x18\r \x01(\tH\x03\x88\x01\x01\x1a\x31\n\x0f\x41ttributesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\x42\x13\n\x11_mailbox_queue_idB\n\n\x08_host_idB\x08\n\x06_clockB\x08\n\x06_owner\"T\n\x0b\x43lockOffset\x12\x14\n\x0coffset_nanos\x18\x01 \x01(\x12\x12\x19\n\x11uncertainty_nanos\x18\x02 \x01(\x03\x12\x14\n\x0csupernode_id\x18\x03 \x01(\t\"o\n\nPeerChange\x12\r\n\x05index\x18\x01 \x01(\x04\x12(\n\x04kind\x18\x02 \x01(\x0e\x32\x1a.stampede_rt.v1.ChangeKind\x12(\n\x04peer\x18\x03 \x01(\x0b\x32\x1a.stampede_rt.v1.PeerRecordb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -35,11 +35,11 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_PEERRECORD_ATTRIBUTESENTRY']._loaded_options = None
   _globals['_PEERRECORD_ATTRIBUTESENTRY']._serialized_options = b'8\001'
   _globals['_PEERRECORD']._serialized_start=78
-  _globals['_PEERRECORD']._serialized_end=511
-  _globals['_PEERRECORD_ATTRIBUTESENTRY']._serialized_start=419
-  _globals['_PEERRECORD_ATTRIBUTESENTRY']._serialized_end=468
-  _globals['_CLOCKOFFSET']._serialized_start=513
-  _globals['_CLOCKOFFSET']._serialized_end=597
-  _globals['_PEERCHANGE']._serialized_start=599
-  _globals['_PEERCHANGE']._serialized_end=710
+  _globals['_PEERRECORD']._serialized_end=541
+  _globals['_PEERRECORD_ATTRIBUTESENTRY']._serialized_start=439
+  _globals['_PEERRECORD_ATTRIBUTESENTRY']._serialized_end=488
+  _globals['_CLOCKOFFSET']._serialized_start=543
+  _globals['_CLOCKOFFSET']._serialized_end=627
+  _globals['_PEERCHANGE']._serialized_start=629
+  _globals['_PEERCHANGE']._serialized_end=740
 # @@protoc_insertion_point(module_scope)

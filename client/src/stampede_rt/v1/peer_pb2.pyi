@@ -8,7 +8,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class PeerRecord(_message.Message):
-    __slots__ = ("peer_id", "name", "boot_incarnation", "alive", "mailbox_queue_id", "host_id", "zone", "version", "attributes", "registered_unix_nano", "clock", "registration_epoch")
+    __slots__ = ("peer_id", "name", "boot_incarnation", "alive", "mailbox_queue_id", "host_id", "zone", "version", "attributes", "registered_unix_nano", "clock", "registration_epoch", "owner")
     class AttributesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -28,6 +28,7 @@ class PeerRecord(_message.Message):
     REGISTERED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     CLOCK_FIELD_NUMBER: _ClassVar[int]
     REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    OWNER_FIELD_NUMBER: _ClassVar[int]
     peer_id: bytes
     name: str
     boot_incarnation: int
@@ -40,7 +41,8 @@ class PeerRecord(_message.Message):
     registered_unix_nano: int
     clock: ClockOffset
     registration_epoch: int
-    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., mailbox_queue_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., registered_unix_nano: _Optional[int] = ..., clock: _Optional[_Union[ClockOffset, _Mapping]] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
+    owner: str
+    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., mailbox_queue_id: _Optional[bytes] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., registered_unix_nano: _Optional[int] = ..., clock: _Optional[_Union[ClockOffset, _Mapping]] = ..., registration_epoch: _Optional[int] = ..., owner: _Optional[str] = ...) -> None: ...
 
 class ClockOffset(_message.Message):
     __slots__ = ("offset_nanos", "uncertainty_nanos", "supernode_id")

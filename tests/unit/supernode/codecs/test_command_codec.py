@@ -137,6 +137,8 @@ OPERATIONS: list[Operation] = [
     register_peer(1, "planner", boot=2**64 - 1, proof=7, **EVERYTHING_OF_PEERS),
     register_peer(1, "planner", mailbox=QueueSpec()),
     register_peer(1),
+    replace(register_peer(1), owner=""),
+    replace(register_peer(1), owner="cam"),
     deregister_peer(1, boot=2),
     expire_peers((1, 2), (3, 2**64 - 1), boot=9, tenure=8),
     expire_peers(),
@@ -191,6 +193,7 @@ QUEUE = QueueRecord(
     spec_version=2,
 )
 MAILBOX = replace(QUEUE, queue_id=id_of(6), name="", spec=QueueSpec(), mailbox_peer_id=id_of(7))
+OWNED_MAILBOX = replace(MAILBOX, mailbox_peer_name="planner", mailbox_owner="cam")
 PEER = PeerRecord(
     peer_id=id_of(7),
     name="planner",
@@ -206,6 +209,7 @@ PEER = PeerRecord(
     ended_index=10,
 )
 BARE_PEER = PeerRecord(peer_id=id_of(8), name="", boot_incarnation=8, registered_unix_nano=1, registered_index=9)
+OWNED_PEER = replace(BARE_PEER, owner="")
 RESULTS: list[Result] = [
     Refused(reason="NO_HOST", message="none", metadata={"channel": "cam"}),
     ChannelOpened(channel=CHANNEL, host=HOST, created=True),
@@ -226,7 +230,9 @@ RESULTS: list[Result] = [
     QueueOpened(queue=QUEUE, host=HOST, created=True),
     QueueUpdated(queue=MAILBOX),
     QueueDeleted(queue=QUEUE),
+    QueueDeleted(queue=OWNED_MAILBOX),
     PeerRegistered(peer=PEER, mailbox=MAILBOX, mailbox_host=HOST, mailbox_kept=True, cluster_id="c"),
+    PeerRegistered(peer=OWNED_PEER, mailbox=None, mailbox_host=None, mailbox_kept=False, cluster_id=""),
     PeerRegistered(peer=BARE_PEER, mailbox=None, mailbox_host=None, mailbox_kept=False, cluster_id="c"),
     PeerDeregistered(),
     PeersExpired(expired=3),

@@ -17,6 +17,8 @@ from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.channels.subscription import Subscription
+from stampede_rt_runtime.access.control import check_access, check_known
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.ChannelService"
@@ -58,17 +60,21 @@ class ChannelServicer:
         async with self._streams.serve(context) as stream:
             request: pb.SubscribeRequest = opening_of(await context.read(), pb.SubscribeRequest, "SubscribeRequest")
             hosted = self._store.find(request.open.channel_id, request.open.epoch)
+            check_access(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
             await Subscription(hosted, self._store, self._groups, context, stream).run(request)
 
     @errors_as_status
     async def advance(self, request: pb.AdvanceRequest, context: Context) -> pb.AdvanceResponse:
         """ChannelService.Advance."""
         hosted = self._store.find(request.channel_id, request.epoch)
+        check_access(AccessVerb.ADVANCE, AccessKind.CHANNEL, hosted.record.name)
         return pb.AdvanceResponse(advance_unix_nano=hosted.advance(request.time_unix_nano))
 
     @errors_as_status
     async def consume(self, request: pb.ConsumeRequest, context: Context) -> pb.ConsumeResponse:
         """ChannelService.Consume."""
+        hosted = self._store.find(request.channel_id, request.epoch)
+        check_access(AccessVerb.CONSUME, AccessKind.CHANNEL, hosted.record.name)
         return await self._store.scheduler.do(consuming(self._store, request))
 
     @errors_as_status
@@ -80,5 +86,6 @@ class ChannelServicer:
             hosted = self._store.find(request.channel_id, request.epoch)
         else:
             hosted = self._store.find_any_epoch(request.channel_id)
+        check_known(AccessKind.CHANNEL, hosted.record.name)
         status = await self._store.scheduler.do(channel_status(hosted, self._store.now))
         return pb.GetChannelStatusResponse(status=status)

@@ -12,6 +12,8 @@ from stampede_rt_channel_host.channels.listing import page_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.records import channel_message, policy_change
+from stampede_rt_runtime.access.control import allowed_to, check_known
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.globs import matcher
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import software_version
@@ -52,6 +54,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         """Where the channel's data travels. Asks the directory about what is new here."""
         _check_id(request.channel_id)
         hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
+        check_known(AccessKind.CHANNEL, hosted.record.name)
         endpoint = pb.DataEndpoint(transport=pb.TRANSPORT_GRPC, target=self.target)
         return pb.BindChannelResponse(endpoints=[endpoint], channel=channel_message(hosted.record))
 
@@ -83,7 +86,8 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         """A page of the channels that were bound here, in the order of names; a page token is the last page's end."""
         matches = _glob(request.name_glob)
         size = min(request.page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
-        listing = page_of(self._store, matches, request.page_token, size)
+        is_shown = allowed_to(AccessVerb.LIST, AccessKind.CHANNEL)
+        listing = page_of(self._store, lambda name: matches(name) and is_shown(name), request.page_token, size)
         page = await self._store.scheduler.do(listing)
         return pb.ListHostedChannelsResponse(
             channels=page.channels, next_page_token=page.channels[-1].record.name if page.has_more else ""

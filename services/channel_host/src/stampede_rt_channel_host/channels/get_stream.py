@@ -30,6 +30,8 @@ from stampede_rt_channel_host.core.channel import (
     emptying,
     first_of,
 )
+from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
 CALLS_MAX = 1024
@@ -100,6 +102,7 @@ class GetStream:
         if len(self._calls) >= CALLS_MAX:
             raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, the limit; open another stream")
         hosted, now = self._store.find(plan.channel_id, plan.epoch), self._store.now()
+        check_access(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
         if plan.group is not None:
             self._begin_in_group(call_id, plan, plan.group, hosted, now)
             return

@@ -17,6 +17,8 @@ from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
 ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
@@ -108,6 +110,7 @@ class PutStream:
                     "the put names no channel; set channel_id and epoch in the stream's first request"
                 )
             hosted = self._store.find(self._channel_id, self._epoch)
+            check_access(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
             try:
                 run = self._read(put, came_s)
             except StampedeError as error:

@@ -25,6 +25,8 @@ from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched
 from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
+from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.overload import RefusedCalls
 
@@ -110,6 +112,7 @@ class ChannelStore:
         if request_id in self._drops:
             return
         hosted = await self.bind(channel_id, epoch)
+        check_access(AccessVerb.DELETE, AccessKind.CHANNEL, hosted.record.name)
         try:
             await self._directory.delete(channel_id, request_id=request_id, since_s=since_s)
         except ChannelNotFound:
@@ -124,6 +127,7 @@ class ChannelStore:
     ) -> HostedChannel:
         """Change the set-up in the directory, then here. Raises what the directory refuses. Repeat it as `drop`."""
         hosted = await self.bind(channel_id, epoch)
+        check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, hosted.record.name)
         _check_policy(hosted.record.policy, change.stated)  # before the directory takes what this host could not hold
         registrations = self._registrations
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)

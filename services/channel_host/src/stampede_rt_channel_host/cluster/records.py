@@ -64,6 +64,9 @@ def recorded_queue(message: queue_pb2.QueueRecord) -> RecordedQueue:
         spec_version=message.spec_version,
         policy=queue_policy_from_spec(message.spec),
         message=message.SerializeToString(),
+        is_mailbox=message.HasField("mailbox_peer_id"),
+        mailbox_peer_name=message.mailbox_peer_name,
+        mailbox_owner=message.mailbox_owner,
     )
 
 

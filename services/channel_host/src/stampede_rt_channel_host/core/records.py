@@ -41,7 +41,8 @@ class PolicyChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedQueue:
-    """One queue, with its owner and set-up. A mailbox has no name."""
+    """One queue, with its host and set-up. A mailbox has no name; its owner is the caller that registered its peer, by
+    the name that rules of access know it by."""
 
     queue_id: bytes
     name: str
@@ -51,6 +52,9 @@ class RecordedQueue:
     spec_version: int
     policy: QueuePolicy
     message: bytes = field(repr=False)
+    is_mailbox: bool = False
+    mailbox_peer_name: str = ""
+    mailbox_owner: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -24,6 +24,8 @@ from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.groups.writing import EventWriter
+from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
 BOUNDARIES_MAX = 256
@@ -74,6 +76,7 @@ class CutEvents:
         self._credit.grant(request.credit)
         self._groups.check_serving()
         group = await self._groups.find(begun.group_id, begun.spec_version)
+        check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         await self._begin(group, begun)
         hearing = group.watchers if begun.decides else group.listeners
         hearing.add(self._waiter)

@@ -15,6 +15,8 @@ from stampede_rt_channel_host.groups.match_stream import MatchStream
 from stampede_rt_channel_host.groups.messages import floor_to_message
 from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.store import GroupStore
+from stampede_rt_runtime.access.control import check_access, check_known
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.GroupService"
@@ -69,6 +71,7 @@ class GroupServicer:
         """GroupService.GetCut: the cut once it is as far as the caller has seen it, or that it is stalled."""
         self._groups.check_serving()
         group = await self._groups.find(request.group_id)
+        check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         floor = request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None
         reached = await group.reach(floor, max(0, request.wait_nanos) / 1e9)
         waiting_on = group.waiting_on()
@@ -80,5 +83,6 @@ class GroupServicer:
     async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Context) -> pb.GetGroupStatusResponse:
         """GroupService.GetGroupStatus: the cut, what holds it back, and the times of each member."""
         group = await self._groups.find(request.group_id)
+        check_known(AccessKind.GROUP, group.record.name)
         await group.reach(None, SETTLE_SECONDS)
         return pb.GetGroupStatusResponse(status=group_status(group, self._groups))

@@ -21,6 +21,8 @@ from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX, member_o
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
 from stampede_rt_channel_host.groups.writing import EventWriter
+from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
 MATCHES_PER_MESSAGE_MAX = 64
@@ -57,7 +59,9 @@ class MatchStream:
         if request.lateness_nanos < 0:
             raise InvalidArgument(f"lateness_nanos is {request.lateness_nanos}; it is a time to wait: give 0 or more")
         group = await self._groups.find(request.group_id)
-        self._groups.channels.find(request.per_channel_id, request.epoch)  # before it is waited for
+        check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
+        matched = self._groups.channels.find(request.per_channel_id, request.epoch)  # before it is waited for
+        check_access(AccessVerb.READ, AccessKind.CHANNEL, matched.record.name)
         if not await group.reach(None, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
         _check_life(group, request.after.group_incarnation)

@@ -32,6 +32,8 @@ from stampede_rt_channel_host.core.group import VisibleAll, VisibleChannel, Visi
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
+from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 
 STALL_SECONDS_MAX = 1.0
 SETTLE_SECONDS_MAX = 5.0
@@ -48,6 +50,8 @@ class GroupReads:
     ) -> GroupAnswer | None:
         """See `GroupAccess`."""
         group = self._groups.known(ask.group_id)
+        if group is not None:
+            check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         if group is None or not group.has_reached(_wanted(ask)):
             return None
         view, horizon = VisibleChannel(member_of(group, hosted).channel), group.horizon(ask.at)
@@ -63,6 +67,7 @@ class GroupReads:
         wait_s = None if wait_nanos < 0 else wait_nanos / 1e9
         deadline_s = None if wait_s is None else _now_s() + wait_s
         group = await self._groups.find(ask.group_id)
+        check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         view = VisibleChannel(member_of(group, hosted).channel)
         wanted = _wanted(ask)
         if not await group.reach(wanted, None if wait_s is None else max(STALL_SECONDS_MAX, wait_s)):
@@ -106,6 +111,7 @@ class GroupReads:
     ) -> AsyncIterator[Cursor]:
         """See `GroupAccess`. Raises Unavailable if other hosts do not tell how far the group was."""
         group = await self._groups.find(begun.group_id)
+        check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         member_of(group, hosted)
         saved = begun.cursor  # one of another incarnation waits for nothing: it is refused
         seen = saved.cut_unix_nano if saved.incarnation == hosted.channel.incarnation else None

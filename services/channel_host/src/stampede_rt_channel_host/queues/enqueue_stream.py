@@ -15,10 +15,12 @@ from stampede_rt_channel_host.channels.acks import refused
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.queues.access import check_queue_access
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.incoming import EnqueueRun, answer, check_forwards, check_number, enqueue_of
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
+from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 
@@ -109,6 +111,7 @@ class EnqueueStream:
             if failure is not None:
                 raise failure
             hosted = self._store.find(self._queue_id, self._epoch)
+            check_queue_access(AccessVerb.SEND, hosted.record)
             if message.origin:
                 check_forwards(caller_identity(self._context))
             run = enqueue_of(message, self._producer_id, came_s)

@@ -10,6 +10,7 @@ import grpc
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.channels.streams import OpenStreams
+from stampede_rt_channel_host.queues.access import check_queue_access, check_queue_known
 from stampede_rt_channel_host.queues.enqueue_stream import EnqueueStream
 from stampede_rt_channel_host.queues.queue_status import queue_status
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -22,6 +23,7 @@ from stampede_rt_channel_host.queues.requests import (
     settlements_of,
 )
 from stampede_rt_channel_host.queues.take_stream import TakeStream
+from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.QueueService"
@@ -65,6 +67,7 @@ class QueueServicer:
             raise InvalidArgument("the request has no settlements; give 1 to 1024")
         settlements = settlements_of(request.settlements)
         hosted = await self._store.use(request.queue_id, request.epoch)
+        check_queue_access(AccessVerb.TAKE, hosted.record)
         results = hosted.settle(request.taker_id, settlements)
         return pb.SettleResponse(results=map(result_message, results))
 
@@ -74,6 +77,7 @@ class QueueServicer:
         check_queue_id(request.queue_id)
         page_size = page_size_of(request)
         hosted = await self._store.use(request.queue_id, request.epoch or None)
+        check_queue_known(hosted.record)
         found = hosted.pending(request.after_delivery_id, page_size)
         return pb.ListPendingResponse(deliveries=map(pending_message, found), more=len(found) == page_size)
 
@@ -82,4 +86,5 @@ class QueueServicer:
         """QueueService.GetQueueStatus."""
         check_queue_id(request.queue_id)
         hosted = await self._store.use(request.queue_id, request.epoch or None)
+        check_queue_known(hosted.record)
         return pb.GetQueueStatusResponse(status=queue_status(hosted, self._store.now()))

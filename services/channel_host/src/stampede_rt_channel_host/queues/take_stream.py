@@ -12,6 +12,7 @@ from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.queue import Batch, TakerState
+from stampede_rt_channel_host.queues.access import check_queue_access
 from stampede_rt_channel_host.queues.frames import take_response
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_store import QueueStore
@@ -23,6 +24,7 @@ from stampede_rt_channel_host.queues.requests import (
     settlements_of,
     taker_of,
 )
+from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.rpc import Context
 
 SIGN_OF_LIFE_SECONDS = 4.0  # the contract says after 5 s
@@ -68,6 +70,7 @@ class TakeStream:
         request: pb.TakeRequest = parse(pb.TakeRequest, raw, "TakeRequest")
         taker = taker_of(request.open)
         hosted = await self._store.use(request.open.queue_id, request.open.epoch)
+        check_queue_access(AccessVerb.TAKE, hosted.record)
         hosted.attach(taker, self)
         try:
             await self._serve(hosted, taker, request)

@@ -190,10 +190,19 @@ def check_known(kind: AccessKind, name: str) -> None:
         )
 
 
-def may(verb: AccessVerb, kind: AccessKind, name: str) -> bool:
-    """Whether the caller of the call that is being served may do that. Raises Unavailable."""
+def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:
+    """Whether the caller of the call that is being served may do that with the thing of a name, by the rules as they
+    are at each question. Raises Unavailable."""
     call = _CURRENT.get()
-    return call is None or call.rules().judge(call.caller, verb, kind, name).allowed
+    if call is None or not call.caller.is_judged:
+        return lambda name: True
+    return lambda name: call.rules().judge(call.caller, verb, kind, name).allowed
+
+
+def owner_name() -> str:
+    """The name under which the current caller owns things; empty for one whom rules do not judge."""
+    caller = current_caller()
+    return caller.name if caller is not None and caller.is_judged else ""
 
 
 def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> PermissionDenied:

@@ -29,7 +29,7 @@ def rule_from(message: pb.AccessRule) -> AccessRule:
     """Raises InvalidArgument for a verb or kind that is not known."""
     return AccessRule(
         message.who,
-        tuple(map(verb_from, message.verbs)),
+        tuple(sorted(set(map(verb_from, message.verbs)))),
         kind_from(message.kind) if message.kind else None,
         message.names,
         message.deny,

@@ -30,6 +30,7 @@ def peer_record(peer: PeerRecord, clock: ClockOffset | None = None) -> peer_pb2.
         attributes=dict(peer.attributes),
         registered_unix_nano=peer.registered_unix_nano,
         clock=clock_message(clock),
+        owner=peer.owner,
         registration_epoch=peer.registration_epoch,
     )
 
@@ -61,4 +62,5 @@ def peer_from(entry: pb.PeerEntry) -> PeerRecord:
         registered_index=entry.registered_index,
         ended_index=entry.ended_index,
         registration_epoch=record.registration_epoch,
+        owner=record.owner if record.HasField("owner") else None,
     )

@@ -35,6 +35,7 @@ def _register_message(operation: RegisterPeer) -> pb.RegisterPeerCommand:
         new_mailbox_id=operation.new_mailbox_id,
         new_incarnation=operation.new_incarnation,
         registration_epoch=operation.registration_epoch,
+        owner=operation.owner,
     )
 
 
@@ -53,6 +54,7 @@ def _read_register(message: pb.RegisterPeerCommand) -> RegisterPeer:
         new_mailbox_id=message.new_mailbox_id,
         new_incarnation=message.new_incarnation,
         registration_epoch=message.registration_epoch,
+        owner=message.owner if message.HasField("owner") else None,
     )
 
 

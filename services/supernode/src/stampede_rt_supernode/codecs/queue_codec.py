@@ -54,6 +54,8 @@ def queue_record(queue: QueueRecord) -> queue_pb2.QueueRecord:
         spec=queue_spec_message(queue.spec),
         spec_version=queue.spec_version,
         mailbox_peer_id=queue.mailbox_peer_id,
+        mailbox_peer_name=queue.mailbox_peer_name,
+        mailbox_owner=queue.mailbox_owner,
     )
 
 
@@ -68,4 +70,6 @@ def queue_from(record: queue_pb2.QueueRecord) -> QueueRecord:
         spec=queue_spec_from(record.spec),
         spec_version=record.spec_version,
         mailbox_peer_id=record.mailbox_peer_id if record.HasField("mailbox_peer_id") else None,
+        mailbox_peer_name=record.mailbox_peer_name,
+        mailbox_owner=record.mailbox_owner if record.HasField("mailbox_owner") else None,
     )

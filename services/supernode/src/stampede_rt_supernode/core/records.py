@@ -149,7 +149,9 @@ class QueueSpec:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueRecord:
-    """A queue and its owner, or the mailbox of the peer `mailbox_peer_id`, which has no name of its own.
+    """A queue and its host, or the mailbox of the peer `mailbox_peer_id`, which has no name of its own.
+
+    That peer's name and owner are known if it was registered at feature level 2 or above.
 
     `epoch` never falls; `incarnation` changes only when items may have been lost.
     """
@@ -162,6 +164,8 @@ class QueueRecord:
     spec: QueueSpec
     spec_version: int
     mailbox_peer_id: bytes | None = None
+    mailbox_peer_name: str = ""
+    mailbox_owner: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -169,6 +173,7 @@ class PeerRecord:
     """A participant (paper, sections 3.5 and 4.2). With a name, which is unique among the live ones, it has a mailbox
     for as long as it lives.
 
+    `owner`: what rules know the caller by that registered it; empty: one whom they do not judge; None: not known.
     `proof_sha256` is empty if it gave no proof. `registered_index`, `registration_epoch`: as for hosts. `ended_index`:
     the log position at which its lease ended; 0 while it lives.
     """
@@ -185,6 +190,7 @@ class PeerRecord:
     proof_sha256: bytes = b""
     registered_index: int
     ended_index: int = 0
+    owner: str | None = None
     registration_epoch: int = 0
 
     @property

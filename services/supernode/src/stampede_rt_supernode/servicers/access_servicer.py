@@ -5,18 +5,37 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable
+from typing import NamedTuple
 
 from stampede_rt.v1 import access_service_pb2 as pb
 from stampede_rt.v1 import access_service_pb2_grpc
-from stampede_rt_runtime.access.messages import rule_message
+from stampede_rt_runtime.access.messages import KINDS, VERBS, kind_from, rule_from, rule_message, verb_from
+from stampede_rt_runtime.access.rules import AccessRule, AccessRules, check_rule
 from stampede_rt_runtime.access.tokens import KEY_BYTES, VALID_NANOS_DEFAULT, TokenClaims, check_claims, make_token
 from stampede_rt_runtime.rpc import Context, errors_as_status
-from stampede_rt_supernode.core.access.commands import CreateTokenKey, TokenKeyCreated
+from stampede_rt_supernode.core.access import commands
+from stampede_rt_supernode.core.access.effects import (
+    AccessEffect,
+    client_named,
+    effects_on,
+    with_rule,
+    without_rule,
+)
 from stampede_rt_supernode.core.access.queries import access_state
+from stampede_rt_supernode.core.command_table import check_operation
+from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
 SERIAL_BYTES = 8
+
+
+class _Change(NamedTuple):
+    """The rules before and after, and what that does."""
+
+    before: AccessRules
+    after: AccessRules
+    effects: list[pb.AccessEffect]
 
 
 class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
@@ -36,8 +55,8 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         roles = check_claims(request.name, request.roles, valid_nanos)
         token_key = await self._calls.read(context, lambda directory: directory.access.token_key)
         if not token_key:
-            operation = CreateTokenKey(new_token_key=secrets.token_bytes(KEY_BYTES))
-            await self._calls.submit(context, operation, TokenKeyCreated, request.request_id)
+            operation = commands.CreateTokenKey(new_token_key=secrets.token_bytes(KEY_BYTES))
+            await self._calls.submit(context, operation, commands.TokenKeyCreated, request.request_id)
             token_key = await self._calls.read(context, lambda directory: directory.access.token_key)
         claims = TokenClaims(
             cluster_id=await self._calls.read(context, lambda directory: directory.cluster_id, stale_ok=True),
@@ -51,6 +70,64 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         )
 
     @errors_as_status
+    async def AddAccessRule(self, request: pb.AddAccessRuleRequest, context: Context) -> pb.AddAccessRuleResponse:
+        """With dry_run a question, which needs no entry in the log."""
+        operation = commands.AddAccessRule(rule=rule_from(request.rule))
+        change = await self._change(context, operation, lambda rules: with_rule(rules, operation.rule))
+        added = change.after is not change.before
+        if not request.dry_run:
+            added = (await self._calls.submit(context, operation, commands.AccessRuleAdded, request.request_id)).added
+        return pb.AddAccessRuleResponse(added=added, rules=len(change.after.rules), effects=change.effects)
+
+    @errors_as_status
+    async def RemoveAccessRule(
+        self, request: pb.RemoveAccessRuleRequest, context: Context
+    ) -> pb.RemoveAccessRuleResponse:
+        """With dry_run a question, which needs no entry in the log."""
+        operation = commands.RemoveAccessRule(rule=rule_from(request.rule))
+        change = await self._change(context, operation, lambda rules: without_rule(rules, operation.rule))
+        removed = len(change.after.rules) < len(change.before.rules)
+        if not request.dry_run:
+            done = await self._calls.submit(context, operation, commands.AccessRuleRemoved, request.request_id)
+            removed = done.removed
+        return pb.RemoveAccessRuleResponse(removed=removed, rules=len(change.after.rules), effects=change.effects)
+
+    async def _change(
+        self,
+        context: Context,
+        operation: commands.AddAccessRule | commands.RemoveAccessRule,
+        change: Callable[[AccessRules], AccessRules],
+    ) -> _Change:
+        """What it would do now. Raises InvalidArgument for a rule that can match nothing."""
+        check_operation(operation)
+
+        def judge(directory: Directory) -> _Change:
+            before = directory.access.rules
+            after = change(before)
+            effects = effects_on(directory.tables, before, after, operation.rule)
+            return _Change(before, after, [_effect_message(effect) for effect in effects])
+
+        return await self._calls.read(context, judge)
+
+    @errors_as_status
+    async def ListAccessRules(self, request: pb.ListAccessRulesRequest, context: Context) -> pb.ListAccessRulesResponse:
+        access = await self._calls.read(context, lambda directory: directory.access, stale_ok=request.stale_ok)
+        return pb.ListAccessRulesResponse(rules=map(rule_message, access.rules.rules), version=access.version)
+
+    @errors_as_status
+    async def CheckAccess(self, request: pb.CheckAccessRequest, context: Context) -> pb.CheckAccessResponse:
+        """Judged as a client of that name would be."""
+        verb, kind = verb_from(request.verb), kind_from(request.kind)
+        check_rule(AccessRule(request.who, (verb,), kind, request.name))
+        rules = await self._calls.read(context, lambda directory: directory.access.rules)
+        ruling = rules.judge(client_named(request.who), verb, kind, request.name)
+        return pb.CheckAccessResponse(
+            allowed=ruling.allowed,
+            rule=None if ruling.rule is None else rule_message(ruling.rule),
+            rules=len(rules.rules),
+        )
+
+    @errors_as_status
     async def GetAccessState(self, request: pb.GetAccessStateRequest, context: Context) -> pb.GetAccessStateResponse:
         state = await self._calls.read(context, access_state, stale_ok=request.stale_ok)
         return pb.GetAccessStateResponse(
@@ -59,3 +136,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
             rules=map(rule_message, state.rules.rules),
             token_keys=state.token_keys,
         )
+
+
+def _effect_message(effect: AccessEffect) -> pb.AccessEffect:
+    return pb.AccessEffect(verb=VERBS[effect.verb], kind=KINDS[effect.kind], name=effect.name, allowed=effect.allowed)

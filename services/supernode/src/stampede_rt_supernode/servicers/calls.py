@@ -7,13 +7,20 @@ from typing import TypeVar
 
 from stampede_rt.cluster.request_age import request_age_nanos
 from stampede_rt.errors import InvalidArgument
+from stampede_rt_runtime.access.control import check_access, owner_name
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 from stampede_rt_supernode.core import commands
+from stampede_rt_supernode.core.access.queries import name_of, right_to_open
 from stampede_rt_supernode.core.answered import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.callers import check_host_caller
+from stampede_rt_supernode.core.channels.commands import OpenChannel
 from stampede_rt_supernode.core.command_table import check_operation
 from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.groups.commands import OpenGroup
+from stampede_rt_supernode.core.peers.checks import check_owner
+from stampede_rt_supernode.core.queues.commands import OpenQueue
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.submission import Submission
@@ -85,6 +92,24 @@ class DirectoryCalls:
     def reached(self) -> int:
         """How far this replica's state reaches, at least 1: taken when a request comes in, see `core.answered`."""
         return max(1, self._replica.read(lambda directory: directory.applied_index))
+
+    def check_opening(self, kind: AccessKind, operation: OpenChannel | OpenQueue | OpenGroup) -> None:
+        """Whether the caller may make the thing, or state more of it, if that is what opening it does."""
+        verb = self._replica.read(lambda directory: right_to_open(directory.tables, operation))
+        if verb is not None:
+            check_access(verb, kind, operation.name)
+
+    def check_thing(self, verb: AccessVerb, kind: AccessKind, thing_id: bytes) -> None:
+        """As `check_access`, for what has that id. What is not there is left to whoever looks for it."""
+        name = self._replica.read(lambda directory: name_of(directory.tables, kind, thing_id))
+        if name is not None:
+            check_access(verb, kind, name)
+
+    def check_peer(self, peer_id: bytes) -> None:
+        """Raises PermissionDenied if another caller registered that peer."""
+        peer = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer_id))
+        if peer is not None:
+            check_owner(peer, owner_name())
 
     def check_host(self, context: Context, host_id: bytes, name: str | None = None) -> None:
         """Raises PermissionDenied if the caller's certificate is that of another host. `name`: the one it wants."""

@@ -8,6 +8,8 @@ from collections.abc import AsyncIterator
 
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt_runtime.access.control import allowed_to, check_known
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
@@ -43,6 +45,7 @@ from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.own_cluster import OwnCluster
+from stampede_rt_supernode.servicers.shown import shown_to_caller
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
 
@@ -90,6 +93,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Context) -> pb.OpenChannelResponse:
         """What changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
+        check_known(AccessKind.CHANNEL, request.name)
         operation = OpenChannel(
             name=request.name,
             policy=policy_from(request.spec),
@@ -103,6 +107,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             context, lambda directory: _open_again(directory, request.request_id, operation)
         )
         if opened is None:
+            self._calls.check_opening(AccessKind.CHANNEL, operation)
             opened = await self._calls.submit(context, operation, ChannelOpened, request.request_id, as_of)
         return pb.OpenChannelResponse(
             channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
@@ -117,7 +122,10 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             channel = channel_by_id(tables, request.channel_id) if by_id else channel_by_name(tables, request.name)
             return channel, tables.hosts[channel.host_id], directory.applied_index
 
+        if request.WhichOneof("key") == "name":
+            check_known(AccessKind.CHANNEL, request.name)
         channel, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        check_known(AccessKind.CHANNEL, channel.name)
         return pb.ResolveChannelResponse(channel=channel_record(channel), host=host_record(host), applied_index=index)
 
     @errors_as_status
@@ -129,21 +137,26 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             return page, directory.applied_index
 
         page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        is_shown = allowed_to(AccessVerb.LIST, AccessKind.CHANNEL)
+        shown = [channel for channel in page.channels if is_shown(channel.name)]
+        owners = {channel.host_id for channel in shown}
         return pb.ListChannelsResponse(
-            channels=[channel_record(channel) for channel in page.channels],
-            hosts=[host_record(host) for host in page.hosts],
+            channels=[channel_record(channel) for channel in shown],
+            hosts=[host_record(host) for host in page.hosts if host.host_id in owners],
             next_page_token=page_tokens.write_name(page.last_name),
             applied_index=index,
         )
 
     @errors_as_status
     async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Context) -> pb.UpdateChannelResponse:
+        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.CHANNEL, request.channel_id)
         operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec))
         updated = await self._calls.submit(context, operation, ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))
 
     @errors_as_status
     async def DeleteChannel(self, request: pb.DeleteChannelRequest, context: Context) -> pb.DeleteChannelResponse:
+        self._calls.check_thing(AccessVerb.DELETE, AccessKind.CHANNEL, request.channel_id)
         operation = DeleteChannel(channel_id=request.channel_id)
         await self._calls.submit(context, operation, ChannelDeleted, request.request_id)
         return pb.DeleteChannelResponse()
@@ -237,9 +250,11 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             include_queues=request.include_queues,
             include_access=request.include_access,
         )
+        shown = shown_to_caller()
         async for batch in batches:
             yield pb.WatchResponse(
-                changes=[change_message(change) for change in batch.changes], applied_index=batch.applied_index
+                changes=[change_message(change) for change in batch.changes if shown(change)],
+                applied_index=batch.applied_index,
             )
 
 

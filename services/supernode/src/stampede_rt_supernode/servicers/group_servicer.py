@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Iterable
 
 from stampede_rt.v1 import group_directory_service_pb2 as pb
 from stampede_rt.v1 import group_directory_service_pb2_grpc
+from stampede_rt_runtime.access.control import allowed_to, check_known
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.group_codec import group_record, group_spec_from
 from stampede_rt_supernode.codecs.host_codec import host_record
@@ -40,6 +43,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
     async def OpenGroup(self, request: pb.OpenGroupRequest, context: Context) -> pb.OpenGroupResponse:
         """A group that is there is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
+        check_known(AccessKind.GROUP, request.name)
         operation = OpenGroup(
             name=request.name,
             spec=group_spec_from(request.spec) if request.HasField("spec") else None,
@@ -53,6 +57,8 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             context, lambda directory: _open_again(directory, request.request_id, operation)
         )
         if opened is None:
+            self._calls.check_opening(AccessKind.GROUP, operation)
+            self._check_members(request.spec.channel_ids)
             opened = await self._calls.submit(context, operation, GroupOpened, request.request_id, as_of)
         group = opened.group
         view = await self._calls.read(context, lambda directory: group_view(directory.tables, group), stale_ok=True)
@@ -72,7 +78,10 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             group = group_by_id(tables, request.group_id) if by_id else group_by_name(tables, request.name)
             return group_view(tables, group), directory.applied_index
 
+        if request.WhichOneof("key") == "name":
+            check_known(AccessKind.GROUP, request.name)
         view, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        check_known(AccessKind.GROUP, view.group.name)
         return pb.ResolveGroupResponse(
             group=group_record(view.group),
             channels=[channel_record(channel) for channel in view.channels],
@@ -82,6 +91,8 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
 
     @errors_as_status
     async def UpdateGroup(self, request: pb.UpdateGroupRequest, context: Context) -> pb.UpdateGroupResponse:
+        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.GROUP, request.group_id)
+        self._check_members(request.add_channel_ids)
         operation = UpdateGroup(
             group_id=request.group_id,
             add_channel_ids=tuple(request.add_channel_ids),
@@ -93,6 +104,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
 
     @errors_as_status
     async def DeleteGroup(self, request: pb.DeleteGroupRequest, context: Context) -> pb.DeleteGroupResponse:
+        self._calls.check_thing(AccessVerb.DELETE, AccessKind.GROUP, request.group_id)
         await self._calls.submit(context, DeleteGroup(group_id=request.group_id), GroupDeleted, request.request_id)
         return pb.DeleteGroupResponse()
 
@@ -106,11 +118,17 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             return page, directory.applied_index
 
         page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        is_shown = allowed_to(AccessVerb.LIST, AccessKind.GROUP)
         return pb.ListGroupsResponse(
-            groups=[group_record(group) for group in page.groups],
+            groups=[group_record(group) for group in page.groups if is_shown(group.name)],
             next_page_token=page_tokens.write_listing(listing, page.last_name),
             applied_index=index,
         )
+
+    def _check_members(self, channel_ids: Iterable[bytes]) -> None:
+        """A group tells the times of its channels."""
+        for channel_id in channel_ids:
+            self._calls.check_thing(AccessVerb.READ, AccessKind.CHANNEL, channel_id)
 
 
 def _open_again(directory: Directory, op_id: bytes, operation: OpenGroup) -> GroupOpened | None:

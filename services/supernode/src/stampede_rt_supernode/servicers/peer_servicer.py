@@ -11,6 +11,8 @@ from stampede_rt.v1 import peer_pb2, peer_service_pb2_grpc
 from stampede_rt.v1 import peer_service_pb2 as pb
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt.wire.peers import clock_offset
+from stampede_rt_runtime.access.control import allowed_to, check_access, check_known, owner_name
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import attributes_from, peer_record
@@ -25,6 +27,7 @@ from stampede_rt_supernode.core.peers.queries import PeerPage, peer_page
 from stampede_rt_supernode.core.records import ID_BYTES, PeerRecord
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.shown import shown_to_caller
 from stampede_rt_supernode.servicers.watch import Watches
 
 
@@ -44,6 +47,10 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         """
         if request.HasField("host_id"):
             self._calls.check_host(context, request.host_id)
+        if request.name:
+            check_access(AccessVerb.REGISTER, AccessKind.PEER, request.name)
+        if request.mailbox.HasField("dead_letter_queue_id"):
+            self._calls.check_thing(AccessVerb.SEND, AccessKind.QUEUE, request.mailbox.dead_letter_queue_id)
         clock = _clock_told(request)
         entered = await self._calls.submit(context, _entering(request), PeerRegistered, request.request_id)
         self._leases.note_clock(entered.peer, clock)
@@ -60,6 +67,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
     @errors_as_status
     async def RenewPeerLease(self, request: pb.RenewPeerLeaseRequest, context: Context) -> pb.RenewPeerLeaseResponse:
         """Leaves no entry in the log."""
+        self._calls.check_peer(request.peer_id)
         renewed = await self._leases.renew_peer(
             request.peer_id, request.boot_incarnation, _clock_told(request), seconds=seconds_left(context)
         )
@@ -73,6 +81,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
 
     @errors_as_status
     async def DeregisterPeer(self, request: pb.DeregisterPeerRequest, context: Context) -> pb.DeregisterPeerResponse:
+        self._calls.check_peer(request.peer_id)
         operation = DeregisterPeer(peer_id=request.peer_id, boot_incarnation=request.boot_incarnation)
         await self._calls.submit(context, operation, PeerDeregistered, request.request_id)
         return pb.DeregisterPeerResponse()
@@ -88,7 +97,11 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
 
         if request.with_clocks:
             self._leases.check_leads()
+        if request.WhichOneof("key") == "name":
+            check_known(AccessKind.PEER, request.name)
         peer, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        if peer.owner is None or peer.owner != owner_name():
+            check_known(AccessKind.PEER, peer.name)
         return pb.ResolvePeerResponse(peer=self._record(peer, request.with_clocks), applied_index=index)
 
     def _record(self, peer: PeerRecord, with_clock: bool) -> peer_pb2.PeerRecord:
@@ -108,8 +121,9 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         if request.with_clocks:
             self._leases.check_leads()
         page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        is_shown = allowed_to(AccessVerb.LIST, AccessKind.PEER)
         return pb.ListPeersResponse(
-            peers=[self._record(peer, request.with_clocks) for peer in page.peers],
+            peers=[self._record(peer, request.with_clocks) for peer in page.peers if is_shown(peer.name)],
             next_page_token=page_tokens.write_peer(listing, page.last),
             applied_index=index,
         )
@@ -117,9 +131,10 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
     @errors_as_status
     async def WatchPeers(self, request: pb.WatchPeersRequest, context: Context) -> AsyncIterator[pb.WatchPeersResponse]:
         await self._calls.confirm(context)
+        shown = shown_to_caller()
         async for batch in self._watches.follow_peers(request.name_glob, request.after_index):
             yield pb.WatchPeersResponse(
-                changes=[peer_change_message(change) for change in batch.changes],
+                changes=[peer_change_message(change) for change in batch.changes if shown(change)],
                 applied_index=batch.applied_index,
             )
 
@@ -146,5 +161,6 @@ def _entering(request: pb.RegisterPeerRequest) -> RegisterPeer:
         attributes=attributes_from(request.attributes),
         new_mailbox_id=secrets.token_bytes(ID_BYTES),
         new_incarnation=secrets.randbits(64) or 1,
+        owner=owner_name(),
         registration_epoch=request.registration_epoch,
     )

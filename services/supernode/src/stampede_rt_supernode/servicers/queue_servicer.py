@@ -7,6 +7,9 @@ import secrets
 
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
 from stampede_rt.v1 import queue_directory_service_pb2_grpc
+from stampede_rt.v1.queue_pb2 import QueueSpec
+from stampede_rt_runtime.access.control import allowed_to, check_known, owner_name
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
@@ -40,6 +43,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     async def OpenQueue(self, request: pb.OpenQueueRequest, context: Context) -> pb.OpenQueueResponse:
         """What changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
+        check_known(AccessKind.QUEUE, request.name)
         operation = OpenQueue(
             name=request.name,
             spec=queue_spec_from(request.spec),
@@ -53,6 +57,8 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             context, lambda directory: _open_again(directory, request.request_id, operation)
         )
         if opened is None:
+            self._calls.check_opening(AccessKind.QUEUE, operation)
+            self._check_dead_letter(request.spec)
             opened = await self._calls.submit(context, operation, QueueOpened, request.request_id, as_of)
         return pb.OpenQueueResponse(
             queue=queue_record(opened.queue), host=host_record(opened.host), created=opened.created
@@ -65,17 +71,26 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             queue = _resolved(directory.tables, request)
             return queue, directory.tables.hosts[queue.host_id], directory.applied_index
 
+        match request.WhichOneof("key"):
+            case "name":
+                check_known(AccessKind.QUEUE, request.name)
+            case "peer_name":
+                check_known(AccessKind.PEER, request.peer_name)
         queue, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        _check_known(queue)
         return pb.ResolveQueueResponse(queue=queue_record(queue), host=host_record(host), applied_index=index)
 
     @errors_as_status
     async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Context) -> pb.UpdateQueueResponse:
+        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.QUEUE, request.queue_id)
+        self._check_dead_letter(request.spec)
         operation = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=queue_spec_from(request.spec))
         updated = await self._calls.submit(context, operation, QueueUpdated, request.request_id)
         return pb.UpdateQueueResponse(queue=queue_record(updated.queue))
 
     @errors_as_status
     async def DeleteQueue(self, request: pb.DeleteQueueRequest, context: Context) -> pb.DeleteQueueResponse:
+        self._calls.check_thing(AccessVerb.DELETE, AccessKind.QUEUE, request.queue_id)
         await self._calls.submit(context, DeleteQueue(queue_id=request.queue_id), QueueDeleted, request.request_id)
         return pb.DeleteQueueResponse()
 
@@ -91,12 +106,31 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             return page, directory.applied_index
 
         page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
+        of_queues, of_peers = (allowed_to(AccessVerb.LIST, kind) for kind in (AccessKind.QUEUE, AccessKind.PEER))
+        shown = [
+            queue
+            for queue in page.queues
+            if (of_queues(queue.name) if queue.mailbox_peer_id is None else of_peers(queue.mailbox_peer_name))
+        ]
+        owners = {queue.host_id for queue in shown}
         return pb.ListQueuesResponse(
-            queues=[queue_record(queue) for queue in page.queues],
-            hosts=[host_record(host) for host in page.hosts],
+            queues=[queue_record(queue) for queue in shown],
+            hosts=[host_record(host) for host in page.hosts if host.host_id in owners],
             next_page_token=page_tokens.write_position(listing, page.last),
             applied_index=index,
         )
+
+    def _check_dead_letter(self, spec: QueueSpec) -> None:
+        """What leaves the queue is sent there by its host, which rules do not judge."""
+        if spec.HasField("dead_letter_queue_id"):
+            self._calls.check_thing(AccessVerb.SEND, AccessKind.QUEUE, spec.dead_letter_queue_id)
+
+
+def _check_known(queue: QueueRecord) -> None:
+    if queue.mailbox_peer_id is None:
+        check_known(AccessKind.QUEUE, queue.name)
+    elif queue.mailbox_owner is None or queue.mailbox_owner != owner_name():
+        check_known(AccessKind.PEER, queue.mailbox_peer_name)
 
 
 def _open_again(directory: Directory, op_id: bytes, operation: OpenQueue) -> QueueOpened | None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from stampede_rt.v1 import replica_directory_service_pb2 as pb
 from stampede_rt.v1 import replica_directory_service_pb2_grpc
+from stampede_rt_runtime.access.control import check_known
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.replica_codec import (
@@ -40,8 +42,10 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
     @errors_as_status
     async def AddReplica(self, request: pb.AddReplicaRequest, context: Context) -> pb.AddReplicaResponse:
+        channel_id = channel_id_of(request.subject)
+        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel_id)
         operation = AddReplica(
-            channel_id=channel_id_of(request.subject),
+            channel_id=channel_id,
             epoch=request.epoch,
             host_id=request.host_id,
             kind=kind_from(request.kind),
@@ -53,7 +57,9 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 
     @errors_as_status
     async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Context) -> pb.RemoveReplicaResponse:
-        operation = RemoveReplica(channel_id=channel_id_of(request.subject), host_id=request.host_id)
+        channel_id = channel_id_of(request.subject)
+        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel_id)
+        operation = RemoveReplica(channel_id=channel_id, host_id=request.host_id)
         await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
         return pb.RemoveReplicaResponse()
 
@@ -88,6 +94,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     async def ListReplicas(self, request: pb.ListReplicasRequest, context: Context) -> pb.ListReplicasResponse:
         channel_id = channel_id_of(request.subject)
         found = await self._calls.read(context, lambda one: _find(one, channel_id), stale_ok=request.stale_ok)
+        check_known(AccessKind.CHANNEL, found.channel.name)
         loads = self._loads.of(channel_id, [host.host_id for host in found.hosts])
         return pb.ListReplicasResponse(
             replicas=[replica_record(replica) for replica in found.replicas],

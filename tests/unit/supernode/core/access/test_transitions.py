@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_runtime.access.rules import RULES_MAX, AccessKind, AccessRule, AccessVerb
+from stampede_rt_runtime.access.rules import RULES_MAX, AccessKind, AccessRule, AccessRules, AccessVerb
 from stampede_rt_runtime.access.tokens import public_key
+from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
 from stampede_rt_supernode.core.access.commands import (
     AccessRuleAdded,
@@ -16,11 +17,14 @@ from stampede_rt_supernode.core.access.commands import (
     RemoveAccessRule,
     TokenKeyCreated,
 )
+from stampede_rt_supernode.core.access.effects import AccessEffect, effects_on, with_rule, without_rule
 from stampede_rt_supernode.core.access.queries import access_state
-from stampede_rt_supernode.core.cluster.commands import BeginTenure
-from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.cluster.commands import BeginTenure, RaiseFeatureLevel
+from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
+from stampede_rt_supernode.core.peers.commands import PeerRegistered, RegisterPeer
 from stampede_rt_supernode.core.records import AccessChange
-from tests.support.supernode.operations import Log, begin_tenure
+from stampede_rt_supernode.replica import DirectoryReplica
+from tests.support.supernode.operations import Log, begin_tenure, id_of, open_channel, register, register_peer
 
 PUT = AccessRule("cam-*", (AccessVerb.PUT,), AccessKind.CHANNEL, "video/*")
 DENY = AccessRule("*", (), None, "secret/*", deny=True)
@@ -95,3 +99,55 @@ def test_a_restored_cluster_keeps_its_rules_and_signs_with_a_key_of_its_own() ->
     log.apply(replace(again, founded_anew=True, new_cluster_id="other"))
     assert log.directory.access.token_key == b""
     assert log.directory.access.rules.rules == (PUT,)
+
+
+def test_while_a_member_of_an_earlier_release_is_left_no_replica_makes_rules_or_keeps_owners() -> None:
+    replica = DirectoryReplica()
+    commands: list[Operation] = [begin_tenure(1), register(1), AddAccessRule(rule=PUT), owned_peer("robot")]
+    results = [applied(replica, index, one) for index, one in enumerate(commands, start=1)]
+    assert isinstance(results[2], Refused)
+    assert results[2].reason == "VERSION_MISMATCH"
+    assert isinstance(results[3], PeerRegistered)
+    assert results[3].peer.owner is None
+    applied(replica, 5, RaiseFeatureLevel(feature_level=2))
+    assert isinstance(applied(replica, 6, AddAccessRule(rule=PUT)), AccessRuleAdded)
+    again = applied(replica, 7, replace(owned_peer("other"), peer_id=id_of(8), new_mailbox_id=id_of(9)))
+    assert isinstance(again, PeerRegistered)
+    assert again.peer.owner == "cam"
+    assert again.mailbox is not None
+    assert (again.mailbox.mailbox_owner, again.mailbox.mailbox_peer_name) == ("cam", "other")
+
+
+def applied(replica: DirectoryReplica, index: int, operation: Operation) -> Result:
+    command = Command(op_id=id_of(1000 + index), time_unix_nano=0, operation=operation)
+    return decode_result(replica.apply(index, encode_command(command)))
+
+
+def owned_peer(name: str) -> RegisterPeer:
+    return replace(register_peer(7, name), owner="cam")
+
+
+def test_nobody_else_who_is_judged_takes_the_place_of_a_peer_whatever_its_proof() -> None:
+    log = Log()
+    log.apply(RaiseFeatureLevel(feature_level=2))
+    log.apply(register(1))
+    log.apply(replace(register_peer(7, "robot", proof=5), owner="cam"))
+    thief = log.apply(replace(register_peer(7, "robot", proof=5, boot=9), owner="thief"))
+    assert isinstance(thief, Refused)
+    assert thief.reason == "PERMISSION_DENIED"
+    for owner in ("cam", ""):
+        assert isinstance(log.apply(replace(register_peer(7, "robot", proof=5, boot=9), owner=owner)), PeerRegistered)
+
+
+def test_what_a_rule_would_do_is_told_for_the_things_there_are() -> None:
+    log = Log()
+    log.apply(register(1))
+    for name in ("video/1", "video/2", "audio"):
+        log.apply(open_channel(name))
+    other = AccessRule("*", (AccessVerb.LIST,), None, "*")
+    before = AccessRules([other])
+    effects = effects_on(log.directory.tables, before, with_rule(before, PUT), PUT)
+    assert effects == [
+        AccessEffect(AccessVerb.PUT, AccessKind.CHANNEL, name, allowed=True) for name in ("video/1", "video/2")
+    ]
+    assert effects_on(log.directory.tables, before, without_rule(before, PUT), PUT) == []

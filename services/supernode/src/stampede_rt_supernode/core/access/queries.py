@@ -5,8 +5,15 @@ from __future__ import annotations
 from functools import lru_cache
 
 from stampede_rt_runtime.access import tokens
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
+from stampede_rt_supernode.core.channels.commands import OpenChannel
+from stampede_rt_supernode.core.channels.policies import agree as agree_on_policy
+from stampede_rt_supernode.core.groups.commands import OpenGroup
+from stampede_rt_supernode.core.queues.commands import OpenQueue
+from stampede_rt_supernode.core.queues.specs import agree as agree_on_spec
 from stampede_rt_supernode.core.state import DirectoryState
+from stampede_rt_supernode.core.tables import Tables
 
 
 def access_state(directory: DirectoryState) -> AccessState:
@@ -18,6 +25,41 @@ def access_state(directory: DirectoryState) -> AccessState:
         rules=access.rules,
         token_keys=(_public_key(access.token_key),) if access.token_key else (),
     )
+
+
+def name_of(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | None:
+    """The name of what has that id, as rules know it; None: nothing has it."""
+    match kind:
+        case AccessKind.CHANNEL:
+            channel = tables.channels.get(thing_id)
+            return None if channel is None else channel.name
+        case AccessKind.GROUP:
+            group = tables.groups.by_id.get(thing_id)
+            return None if group is None else group.name
+        case AccessKind.QUEUE:
+            queue = tables.queues.by_id.get(thing_id)
+            return None if queue is None else queue.name
+        case AccessKind.PEER:
+            peer = tables.peers.by_id.get(thing_id)
+            return None if peer is None else peer.name
+
+
+def right_to_open(tables: Tables, operation: OpenChannel | OpenQueue | OpenGroup) -> AccessVerb | None:
+    """What opening would do, in the words of rules: make a thing, or state more of one. None: neither."""
+    match operation:
+        case OpenChannel():
+            channel = tables.channel_named(operation.name)
+            if channel is None:
+                return AccessVerb.CREATE
+            changes = agree_on_policy(channel.name, channel.policy, operation.policy) != channel.policy
+        case OpenQueue():
+            queue = tables.queues.named(operation.name)
+            if queue is None:
+                return AccessVerb.CREATE
+            changes = agree_on_spec(queue.name, queue.spec, operation.spec) != queue.spec
+        case OpenGroup():
+            return AccessVerb.CREATE if tables.groups.named(operation.name) is None else None
+    return AccessVerb.CONFIGURE if changes else None
 
 
 @lru_cache(4)

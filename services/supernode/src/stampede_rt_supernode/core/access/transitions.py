@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_runtime.access.rules import RULES_MAX, AccessRules
+from stampede_rt_runtime.access.rules import RULES_MAX
 from stampede_rt_supernode.core.access.commands import (
     AccessRuleAdded,
     AccessRuleRemoved,
@@ -14,6 +14,7 @@ from stampede_rt_supernode.core.access.commands import (
     RemoveAccessRule,
     TokenKeyCreated,
 )
+from stampede_rt_supernode.core.access.effects import with_rule, without_rule
 from stampede_rt_supernode.core.access.table import AccessTable
 from stampede_rt_supernode.core.records import AccessChange, ChangeKind
 from stampede_rt_supernode.core.state import DirectoryState
@@ -35,7 +36,7 @@ def add_access_rule(state: DirectoryState, operation: AddAccessRule, time_unix_n
         raise InvalidArgument(
             f"there are {RULES_MAX} rules of access, the most; use patterns, or remove some (stampede acl rm)"
         )
-    change_access(state, replace(state.access, rules=AccessRules((*rules, operation.rule))))
+    change_access(state, replace(state.access, rules=with_rule(state.access.rules, operation.rule)))
     return AccessRuleAdded(added=True, version=state.access.version)
 
 
@@ -44,8 +45,7 @@ def remove_access_rule(state: DirectoryState, operation: RemoveAccessRule, time_
     rules = state.access.rules.rules
     if operation.rule not in rules:
         return AccessRuleRemoved(removed=False, version=state.access.version)
-    left = AccessRules(rule for rule in rules if rule != operation.rule)
-    change_access(state, replace(state.access, rules=left))
+    change_access(state, replace(state.access, rules=without_rule(state.access.rules, operation.rule)))
     return AccessRuleRemoved(removed=True, version=state.access.version)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.errors import InvalidArgument, StampedeError, error_for
+from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError, error_for
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt_supernode.core.peers.commands import RegisterPeer
 from stampede_rt_supernode.core.queues.specs import check_queue_spec
@@ -89,13 +89,28 @@ def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> No
 def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
     """Whether `operation` may take the place of a live peer: the same process may, and a caller with its proof.
 
-    A peer without name and proof has nothing to lose, so its id is enough. Raises PEER_EXISTS.
+    A peer without name and proof has nothing to lose, so its id is enough. Raises PEER_EXISTS, PermissionDenied.
     """
+    check_owner(before, operation.owner)
     same_proof = before.proof_sha256 == operation.proof_sha256
     same_process = (before.peer_id, before.boot_incarnation) == (operation.peer_id, operation.boot_incarnation)
     if same_proof and (before.proof_sha256 or same_process or not before.name):
         return
     raise _peer_exists(before)
+
+
+def check_owner(peer: PeerRecord, owner: str | None) -> None:
+    """Whether a caller may act as that peer. `owner`: its name in rules; empty: rules do not judge it; None: not known.
+
+    Raises PermissionDenied.
+    """
+    if owner and peer.owner is not None and peer.owner != owner:
+        shown = peer.name or peer.peer_id.hex()
+        raise PermissionDenied(
+            f"peer {shown} is one of {peer.owner or 'a member or an operator'}, and {owner} may not act for it; choose "
+            "another name, or use the credential of its owner",
+            metadata={"peer": shown},
+        )
 
 
 def _peer_exists(before: PeerRecord) -> StampedeError:

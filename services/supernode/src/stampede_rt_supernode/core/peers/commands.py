@@ -12,7 +12,8 @@ from stampede_rt_supernode.core.records import HostRecord, PeerRecord, QueueReco
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RegisterPeer(Operation):
     """A peer enters. `proof_sha256` empty: it gave no proof; `mailbox` None: it states nothing of it. The new ones are
-    used if a mailbox is made or placed anew. `registration_epoch`: see `registration_epochs`."""
+    used if a mailbox is made or placed anew. `registration_epoch`: see `registration_epochs`. `owner`: see PeerRecord.
+    """
 
     peer_id: bytes
     name: str = ""
@@ -27,6 +28,7 @@ class RegisterPeer(Operation):
     new_mailbox_id: bytes
     new_incarnation: int
     registration_epoch: int = 0
+    owner: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

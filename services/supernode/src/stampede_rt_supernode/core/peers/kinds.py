@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from stampede_rt_supernode.core.command_kinds import CommandKind
@@ -18,9 +19,13 @@ from stampede_rt_supernode.core.peers.transitions import deregister_peer, expire
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
 
+OWNERS_LEVEL = 2  # below it no replica keeps an owner
+
 
 def _register(state: DirectoryState, operation: RegisterPeer, time_unix_nano: int) -> PeerRegistered:
     state.check_founded()
+    if state.feature_level < OWNERS_LEVEL:
+        operation = replace(operation, owner=None)
     return register_peer(state.tables, operation, time_unix_nano, state.cluster_id)
 
 

@@ -85,6 +85,8 @@ def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: QueueRecor
         check_dead_letter(tables, former.queue_id, f"of peer {operation.name}", spec)
     version = former.spec_version + (spec != former.spec)
     mailbox = replace(former, spec=spec, spec_version=version, mailbox_peer_id=operation.peer_id)
+    if operation.owner is not None:
+        mailbox = replace(mailbox, mailbox_peer_name=operation.name, mailbox_owner=operation.owner)
     if tables.hosts[former.host_id].alive:
         return mailbox
     host = choose_host(tables, shown, operation.mailbox_host_name, tables.hosts[former.host_id].name)
@@ -101,6 +103,8 @@ def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Qu
         spec=spec,
         spec_version=1,
         mailbox_peer_id=operation.peer_id,
+        mailbox_peer_name="" if operation.owner is None else operation.name,
+        mailbox_owner=operation.owner,
     )
 
 
@@ -126,6 +130,7 @@ def _peer(tables: Tables, operation: RegisterPeer, mailbox: QueueRecord | None, 
         registered_unix_nano=now_unix_nano,
         proof_sha256=operation.proof_sha256,
         registered_index=tables.index,
+        owner=operation.owner,
     )
 
 

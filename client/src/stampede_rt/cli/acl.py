@@ -1,0 +1,201 @@
+"""`stampede acl add|rm|ls|check`: who may do what."""
+
+from __future__ import annotations
+
+import argparse
+import secrets
+from collections.abc import Sequence
+from typing import Any
+
+from stampede_rt.cli.arguments import VerbParser, add_verb
+from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.errors import InvalidArgument
+
+VERBS = (
+    "read", "put", "consume", "advance", "create", "configure", "delete", "take", "send", "register", "list",
+)  # fmt: skip
+KINDS = ("channel", "group", "queue", "peer")
+NOT_ALLOWED = 3
+EFFECTS_SHOWN = 20
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the noun of this module and its verbs."""
+    text = "rules of access: who may do what; for operators and holders of the cluster's secret"
+    noun = subparsers.add_parser("acl", help=text, description=text)
+    verbs = noun.add_subparsers(dest="acl_verb", metavar="VERB", required=True, parser_class=VerbParser)
+    _add_change(add_verb(verbs, "add", "add a rule; with the first one, what no rule allows is denied", run_add))
+    _add_change(add_verb(verbs, "rm", "remove a rule, written as for add", run_rm))
+    add_verb(verbs, "ls", "list all rules", run_ls)
+    check = add_verb(verbs, "check", "tell whether a client may do something, and why; status 3: it may not", run_check)
+    check.add_argument("who", metavar="WHO", help="the name of a client")
+    check.add_argument("action", metavar="VERB", choices=VERBS, help=", ".join(VERBS))
+    check.add_argument("name", metavar="NAME", help="the name of a thing")
+    check.add_argument("--kind", choices=KINDS, help="what it is; left out: the first kind that has the verb")
+
+
+def _add_change(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("who", metavar="WHO", help='names of clients, such as "cam-*"; @clients: their shared secret')
+    parser.add_argument("actions", metavar="VERB,...", type=_verbs, help=f"{', '.join(VERBS)}; * for all")
+    parser.add_argument("names", metavar="NAME", help='names of things, such as "video/*"')
+    parser.add_argument("--kind", choices=KINDS, help="of this kind alone; left out: of every kind")
+    parser.add_argument("--deny", action="store_true", help="forbid it, whatever other rules allow")
+    parser.add_argument("--dry-run", action="store_true", help="change nothing, and tell what would come of it")
+
+
+def _verbs(text: str) -> tuple[str, ...]:
+    words = () if text == "*" else tuple(sorted(set(text.split(","))))
+    if wrong := [word for word in words if word not in VERBS]:
+        raise argparse.ArgumentTypeError(f"{', '.join(wrong)!r}; allowed: {', '.join(VERBS)}, or * for all")
+    return words
+
+
+def run_add(arguments: argparse.Namespace) -> int:
+    """Add a rule."""
+    return _change(arguments, "AddAccessRule", ("added", "was there already"))
+
+
+def run_rm(arguments: argparse.Namespace) -> int:
+    """Remove a rule."""
+    return _change(arguments, "RemoveAccessRule", ("removed", "was not there"))
+
+
+def _change(arguments: argparse.Namespace, rpc: str, outcomes: tuple[str, str]) -> int:
+    from stampede_rt.v1 import access_service_pb2 as pb  # here and below: gRPC takes 0.1 s to load
+
+    request = getattr(pb, f"{rpc}Request")(
+        request_id=secrets.token_bytes(16), rule=_rule(arguments), dry_run=arguments.dry_run
+    )
+    answer = _asked(arguments, rpc, request)
+    did, did_not = outcomes
+    changed = getattr(answer, did)
+    effects = [_effect_row(effect) for effect in answer.effects]
+    if arguments.output != "table":
+        print_facts(
+            {did: changed, "dry_run": arguments.dry_run, "rules": answer.rules, "effects": effects}, arguments.output
+        )
+        return 0
+    would = "would be " if arguments.dry_run else ""
+    print(f"The rule {would if changed else ''}{did if changed else did_not}: {_text(request.rule)}.")
+    for line in _warnings(rpc, changed=changed, rules=answer.rules):
+        print(line)
+    _print_effects(arguments.who, effects)
+    return 0
+
+
+def _warnings(rpc: str, *, changed: bool, rules: int) -> list[str]:
+    if not changed:
+        return []
+    if rpc == "AddAccessRule" and rules == 1:
+        return [
+            "It is the first rule: from now on clients may do only what a rule allows. Members, operators and holders",
+            "of the cluster's secret may do everything as before.",
+        ]
+    if rpc == "RemoveAccessRule" and rules == 0:
+        return ["It was the last rule: clients may do everything again."]
+    return []
+
+
+def _print_effects(who: str, effects: Sequence[dict[str, Any]]) -> None:
+    if not effects:
+        return
+    print(f"\nWith what there is now, this changes for {who}:\n")
+    print_rows(effects[:EFFECTS_SHOWN], "table", none="")
+    if len(effects) > EFFECTS_SHOWN:
+        print(f"and {len(effects) - EFFECTS_SHOWN} more at least (-o json)")
+
+
+def run_ls(arguments: argparse.Namespace) -> int:
+    """List all rules."""
+    from stampede_rt.v1 import access_service_pb2 as pb
+
+    listed = _asked(arguments, "ListAccessRules", pb.ListAccessRulesRequest())
+    rows = sorted((_rule_row(rule) for rule in listed.rules), key=lambda row: (row["who"], row["names"], row["effect"]))
+    print_rows(rows, arguments.output, none="no rules: clients may do everything")
+    return 0
+
+
+def run_check(arguments: argparse.Namespace) -> int:
+    """Tell whether a client may do something."""
+    from stampede_rt.v1 import access_pb2
+    from stampede_rt.v1 import access_service_pb2 as pb
+
+    kind = arguments.kind or _kind_with(arguments.action)
+    request = pb.CheckAccessRequest(
+        who=arguments.who,
+        verb=getattr(access_pb2, f"ACCESS_VERB_{arguments.action.upper()}"),
+        kind=getattr(access_pb2, f"ACCESS_KIND_{kind.upper()}"),
+        name=arguments.name,
+    )
+    answer = _asked(arguments, "CheckAccess", request)
+    if answer.HasField("rule"):
+        why = f"the rule: {_text(answer.rule)}"
+    else:
+        why = "no rule allows it" if answer.rules else "there are no rules"
+    if arguments.output == "table":
+        may = "may" if answer.allowed else "may not"
+        print(f"{arguments.who} {may} {arguments.action} {kind} {arguments.name}: {why}.")
+    else:
+        rule = _rule_row(answer.rule) if answer.HasField("rule") else None
+        print_facts({"allowed": answer.allowed, "rule": rule, "why": why}, arguments.output)
+    return 0 if answer.allowed else NOT_ALLOWED
+
+
+def _kind_with(verb: str) -> str:
+    return {"take": "queue", "send": "queue", "register": "peer"}.get(verb, "channel")
+
+
+def _rule(arguments: argparse.Namespace) -> Any:
+    from stampede_rt.v1 import access_pb2
+
+    if not arguments.who or not arguments.names:
+        raise InvalidArgument("WHO and NAME must not be empty; write * for all")
+    return access_pb2.AccessRule(
+        who=arguments.who,
+        verbs=[getattr(access_pb2, f"ACCESS_VERB_{verb.upper()}") for verb in arguments.actions],
+        kind=getattr(access_pb2, f"ACCESS_KIND_{(arguments.kind or 'unspecified').upper()}"),
+        names=arguments.names,
+        deny=arguments.deny,
+    )
+
+
+def _asked(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
+    from stampede_rt.administration.running_cluster import reached
+
+    with reached(arguments.url, None) as cluster:
+        return cluster.ask_access(rpc, request)
+
+
+def _rule_row(rule: Any) -> dict[str, Any]:
+    return {
+        "effect": "deny" if rule.deny else "allow",
+        "who": rule.who,
+        "verbs": ",".join(_verb_name(verb) for verb in rule.verbs) or "*",
+        "kind": _kind_name(rule.kind) if rule.kind else "*",
+        "names": rule.names,
+    }
+
+
+def _effect_row(effect: Any) -> dict[str, Any]:
+    change = "allowed" if effect.allowed else "denied"
+    return {
+        "verb": _verb_name(effect.verb), "kind": _kind_name(effect.kind), "name": effect.name, "becomes": change
+    }  # fmt: skip
+
+
+def _text(rule: Any) -> str:
+    row = _rule_row(rule)
+    kind = "" if row["kind"] == "*" else f" (kind {row['kind']})"
+    return f"{row['effect']} {row['who']} {row['verbs']} {row['names']}{kind}"
+
+
+def _verb_name(verb: int) -> str:
+    from stampede_rt.v1 import access_pb2
+
+    return access_pb2.AccessVerb.Name(verb).removeprefix("ACCESS_VERB_").lower()
+
+
+def _kind_name(kind: int) -> str:
+    from stampede_rt.v1 import access_pb2
+
+    return access_pb2.AccessKind.Name(kind).removeprefix("ACCESS_KIND_").lower()

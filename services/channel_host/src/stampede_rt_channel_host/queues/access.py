@@ -1,0 +1,28 @@
+"""Who may do what with a queue, or with a mailbox, which goes by its peer's name and is its owner's."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.core.records import RecordedQueue
+from stampede_rt_runtime.access.control import check_access, check_known, owner_name
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+
+
+def check_queue_access(verb: AccessVerb, queue: RecordedQueue) -> None:
+    """Whether the caller may do that. Raises PermissionDenied, Unavailable."""
+    if not queue.is_mailbox:
+        check_access(verb, AccessKind.QUEUE, queue.name)
+    elif not _is_owned(queue) or verb is not AccessVerb.TAKE:
+        check_access(verb, AccessKind.PEER, queue.mailbox_peer_name)
+
+
+def check_queue_known(queue: RecordedQueue) -> None:
+    """Whether the caller may see how the queue does. Raises PermissionDenied, Unavailable."""
+    if not queue.is_mailbox:
+        check_known(AccessKind.QUEUE, queue.name)
+    elif not _is_owned(queue):
+        check_known(AccessKind.PEER, queue.mailbox_peer_name)
+
+
+def _is_owned(queue: RecordedQueue) -> bool:
+    """Whether the caller registered the mailbox's peer. Those whom rules do not judge need not ask."""
+    return bool(queue.mailbox_owner) and queue.mailbox_owner == owner_name()

@@ -1,0 +1,29 @@
+"""Which changes of the directory a caller is told: those of what it may list."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt_runtime.access.control import allowed_to
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_supernode.core.records import ChannelRecord, DirectoryChange, GroupRecord, PeerRecord, QueueRecord
+
+
+def shown_to_caller() -> Callable[[DirectoryChange], bool]:
+    """By the rules as they are at each change. Hosts are shown to all, and so is that the rules have changed."""
+    may_list = {kind: allowed_to(AccessVerb.LIST, kind) for kind in AccessKind}
+
+    def is_shown(change: DirectoryChange) -> bool:
+        match change.subject:
+            case ChannelRecord(name=name):
+                return may_list[AccessKind.CHANNEL](name)
+            case GroupRecord(name=name):
+                return may_list[AccessKind.GROUP](name)
+            case QueueRecord(mailbox_peer_id=None, name=name):
+                return may_list[AccessKind.QUEUE](name)
+            case QueueRecord(mailbox_peer_name=name) | PeerRecord(name=name):
+                return may_list[AccessKind.PEER](name)
+            case _:
+                return True
+
+    return is_shown

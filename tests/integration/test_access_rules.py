@@ -1,0 +1,242 @@
+"""Rules of access in a running cluster, by each verb, from programs with and without asyncio."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.cli.commands import run
+from stampede_rt.errors import PermissionDenied
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=2)
+T = TypeVar("T")
+
+
+class Operator:
+    """Makes rules and tokens as an operator does, and takes its rules back."""
+
+    def __init__(self, cluster: LocalCluster, folder: Path) -> None:
+        self.cluster, self._folder = cluster, folder
+        self.tokens: dict[str, str] = {}
+        self._rules: list[tuple[str, ...]] = []
+
+    def run(self, *words: str) -> int:
+        return run([*words, "--url", self.cluster.address])
+
+    def token(self, name: str) -> str:
+        if name not in self.tokens:
+            file = self._folder / f"{name}.token"
+            assert self.run("token", "issue", name, "--out", str(file)) == 0
+            self.tokens[name] = file.read_text().strip()
+        return self.tokens[name]
+
+    def add(self, *rule: str) -> None:
+        assert self.run("acl", "add", *rule) == 0
+        self._rules.append(rule)
+
+    def rm(self, *rule: str) -> None:
+        assert self.run("acl", "rm", *rule) == 0
+        self._rules.remove(rule)
+
+    def take_back(self) -> None:
+        for rule in tuple(self._rules):
+            self.rm(*rule)
+
+
+def granted(ask: Callable[[], T]) -> T:
+    """What `ask` gives, once the rules that allow it have come to whoever judges it."""
+    for _ in attempts():
+        try:
+            return ask()
+        except PermissionDenied as error:
+            failure = error
+    raise failure
+
+
+def refused(ask: Callable[[], Any]) -> str:
+    """What `ask` is told, once the rules that deny it have come to whoever judges it."""
+    for _ in attempts():
+        try:
+            ask()
+        except PermissionDenied as error:
+            return error.message
+    raise AssertionError("it is not refused")
+
+
+def attempts() -> Iterator[None]:
+    """One every now and then, for 10 s."""
+    for _ in range(200):
+        yield
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def operator(cluster: LocalCluster, tmp_path: Path) -> Iterator[Operator]:
+    made = Operator(cluster, tmp_path)
+    yield made
+    made.take_back()
+
+
+def things(cluster: LocalCluster) -> None:
+    """What the tests ask for, made by somebody whom no rules judge."""
+    with st.connect(cluster.address) as rt:
+        rt.channel("video/1", consumers=1).put(b"frame")
+        rt.channel("video/2")
+        rt.group("pair", [rt.channel("video/1"), rt.channel("video/2")])
+        rt.queue("jobs").put(b"job")
+
+
+VERBS: dict[str, tuple[str, Callable[[Any], Any]]] = {
+    "read": ("video/1", lambda rt: rt.channel("video/1").newest()),
+    "put": ("video/1", lambda rt: rt.channel("video/1").put(b"x")),
+    "advance": ("video/2", lambda rt: rt.channel("video/2").advance(1)),
+    "configure": ("video/2", lambda rt: rt.channel("video/2").configure(max_items=100)),
+    "create": ("made", lambda rt: rt.channel("made")),
+    "delete": ("made", lambda rt: rt.channel("made").delete()),
+    "send": ("jobs", lambda rt: rt.queue("jobs").put(b"job")),
+    "take": ("jobs", lambda rt: rt.queue("jobs").get(timeout=5)),
+}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_each_verb_is_denied_without_a_rule_and_done_with_it(
+    verb: str, cluster: LocalCluster, operator: Operator
+) -> None:
+    things(cluster)
+    name, do = VERBS[verb]
+    operator.add("alice", "list", "*")
+    with st.connect(cluster.address, secret=operator.token("alice")) as rt:
+        assert f"client alice may not {verb}" in refused(lambda: do(rt))
+        operator.add("alice", verb, name)
+        granted(lambda: do(rt))
+
+
+async def test_programs_with_asyncio_are_told_the_same(cluster: LocalCluster, operator: Operator) -> None:
+    things(cluster)
+    operator.add("bob", "read,send", "*")
+    operator.add("bob", "put", "video/1")
+    async with await aio.connect(cluster.address, secret=operator.token("bob")) as rt:
+        channel = await rt.channel("video/1")
+        await channel.put(b"x")
+        assert await channel.newest()
+        await (await rt.queue("jobs")).put(b"job")
+        with pytest.raises(PermissionDenied, match="bob may not advance channel video/1"):
+            await channel.advance(1)
+        with pytest.raises(PermissionDenied, match="bob may not take queue jobs"):
+            await (await rt.queue("jobs")).get(timeout=5)
+
+
+def test_who_may_only_put_may_open_put_and_nothing_else(cluster: LocalCluster, operator: Operator) -> None:
+    things(cluster)
+    operator.add("cam", "put", "video/*", "--kind", "channel")
+    with st.connect(cluster.address, secret=operator.token("cam")) as rt:
+        channel = granted(lambda: rt.channel("video/1"))
+        channel.put(b"x")
+        assert "client cam may not read channel video/1" in refused(channel.newest)
+        assert "may not create channel video/9" in refused(lambda: rt.channel("video/9"))
+        assert "may not configure channel video/1" in refused(lambda: rt.channel("video/1", content_type="image/jpeg"))
+        assert list(rt.channels()) == []
+
+
+def test_listings_show_only_what_one_may_list(cluster: LocalCluster, operator: Operator) -> None:
+    things(cluster)
+    operator.add("dash", "list", "video/2")
+    with st.connect(cluster.address, secret=operator.token("dash")) as rt:
+        assert [one.name for one in rt.channels()] == ["video/2"]
+        assert list(rt.queues()) == []
+        assert list(rt.groups()) == []
+
+
+def test_a_group_is_read_by_who_may_read_it_and_made_by_who_may_read_its_channels(
+    cluster: LocalCluster, operator: Operator
+) -> None:
+    things(cluster)
+    operator.add("dash", "read", "video/1")
+    with st.connect(cluster.address, secret=operator.token("dash")) as rt:
+        assert "dash may do nothing with group pair" in refused(lambda: rt.group("pair"))
+        operator.add("dash", "create", "mine", "--kind", "group")
+        operator.add("dash", "list", "video/2")
+        mine = ("mine", [granted(lambda: rt.channel("video/1")), granted(lambda: rt.channel("video/2"))])
+        assert "dash may not read channel video/2" in refused(lambda: rt.group(*mine))
+        operator.add("dash", "read", "video/2")
+        assert granted(lambda: rt.group(*mine)).name == "mine"
+        operator.add("dash", "read", "pair", "--kind", "group")
+        assert granted(lambda: rt.group("pair")).name == "pair"
+
+
+def test_peers_own_their_mailboxes_and_nobody_else_does(cluster: LocalCluster, operator: Operator) -> None:
+    operator.add("*", "register,send", "robot-*", "--kind", "peer")
+    tokens = [operator.token(name) for name in ("robot-1", "thief")]
+    with (
+        st.connect(cluster.address, secret=tokens[0], name="robot-1") as robot,
+        st.connect(cluster.address, secret=tokens[1], name="robot-2") as thief,
+    ):
+        thief.send("robot-1", b"hello")
+        message = robot.mailbox.get(timeout=10)
+        assert message is not None
+        assert message.payload == b"hello"
+
+
+def test_a_name_that_no_rule_gives_cannot_be_registered(cluster: LocalCluster, operator: Operator) -> None:
+    operator.add("*", "register,send", "robot-*", "--kind", "peer")
+
+    def register() -> None:
+        with st.connect(cluster.address, secret=operator.token("thief"), name="boss") as rt:
+            rt.mailbox.get(timeout=0)
+
+    assert "client thief may not register peer boss" in refused(register)
+
+
+def test_an_open_stream_ends_when_its_right_is_taken_away(cluster: LocalCluster, operator: Operator) -> None:
+    things(cluster)
+    operator.add("dash", "read", "video/*")
+    with (
+        st.connect(cluster.address, secret=operator.token("dash")) as rt,
+        st.connect(cluster.address) as own,
+        granted(lambda: rt.channel("video/2").subscribe()) as items,
+    ):
+        own.channel("video/2").put(b"seen")
+        assert next(items).payload == b"seen"
+        operator.add("dash", "read", "video/2", "--deny")
+        with pytest.raises(PermissionDenied, match="client dash may not read channel video/2"):
+            next(items)
+
+
+def test_who_holds_the_clusters_secret_may_do_everything_whatever_the_rules(
+    cluster: LocalCluster, operator: Operator
+) -> None:
+    operator.add("*", "*", "*", "--deny")
+    with st.connect(cluster.address) as rt:
+        rt.channel("free").put(b"x")
+        assert [one.name for one in rt.channels("free")] == ["free"]
+
+
+def test_an_operator_is_told_what_a_rule_would_do_and_why_something_is_denied(
+    cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    things(cluster)
+    assert operator.run("acl", "check", "cam", "put", "video/1") == 0
+    assert "there are no rules" in capsys.readouterr().out
+    assert operator.run("acl", "add", "cam", "put", "video/*", "--kind", "channel", "--dry-run") == 0
+    told = capsys.readouterr().out
+    assert "would be added: allow cam put video/* (kind channel)" in told
+    assert "It is the first rule" in told
+    assert operator.run("acl", "ls") == 0
+    assert "no rules" in capsys.readouterr().out
+    operator.add("cam", "put", "video/*")
+    operator.add("cam", "put", "video/1", "--deny")
+    capsys.readouterr()
+    assert operator.run("acl", "check", "cam", "put", "video/1") == 3
+    assert "may not put channel video/1: the rule: deny cam put video/1" in capsys.readouterr().out
+    assert operator.run("acl", "rm", "cam", "put", "video/1", "--deny", "--dry-run") == 0
+    assert "put" in capsys.readouterr().out.split("this changes for cam")[1]
+    assert operator.run("acl", "add", "cam", "put", "jobs", "--kind", "queue") == 2
+    assert "nobody can put a queue" in capsys.readouterr().err

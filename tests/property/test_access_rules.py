@@ -1,0 +1,68 @@
+"""The judge of access beside a simple one that looks at every rule, and compares names character by character."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stampede_rt_runtime.access.caller import Caller, CallerKind
+from stampede_rt_runtime.access.rules import VERBS_OF, AccessKind, AccessRule, AccessRules, AccessVerb
+from stampede_rt_runtime.identity import Role
+
+NAMES = st.text("ab/", min_size=1, max_size=5)
+GLOBS = st.text("ab/*?", min_size=1, max_size=6)
+VERBS = st.lists(st.sampled_from(AccessVerb), unique=True, max_size=4).map(lambda verbs: tuple(sorted(verbs)))
+RULES = st.lists(
+    st.builds(AccessRule, GLOBS, VERBS, st.none() | st.sampled_from(AccessKind), GLOBS, st.booleans()), max_size=8
+)
+
+
+def matches(glob: str, name: str) -> bool:
+    if not glob:
+        return not name
+    if glob[0] == "*":
+        return matches(glob[1:], name) or (bool(name) and matches(glob, name[1:]))
+    return bool(name) and glob[0] in ("?", name[0]) and matches(glob[1:], name[1:])
+
+
+def oracle(rules: list[AccessRule], who: str, verb: AccessVerb, kind: AccessKind, name: str) -> bool:
+    about = [
+        rule
+        for rule in rules
+        if matches(rule.who, who)
+        and (not rule.verbs or verb in rule.verbs)
+        and rule.kind in (None, kind)
+        and matches(rule.names, name)
+    ]
+    return not rules or (any(not rule.deny for rule in about) and not any(rule.deny for rule in about))
+
+
+def client(name: str) -> Caller:
+    return Caller(kind=CallerKind.CERTIFICATE, roles=frozenset({Role.CLIENT}), name=name)
+
+
+@given(RULES, st.lists(st.tuples(NAMES, st.sampled_from(AccessVerb), st.sampled_from(AccessKind), NAMES), max_size=6))
+def test_the_judge_says_what_the_simple_one_says(
+    rules: list[AccessRule], asked: list[tuple[str, AccessVerb, AccessKind, str]]
+) -> None:
+    judge = AccessRules(rules)
+    for who, verb, kind, name in asked * 2:  # the second time from memory
+        assert judge.judge(client(who), verb, kind, name).allowed == oracle(rules, who, verb, kind, name)
+
+
+@given(RULES, NAMES, st.sampled_from(AccessKind), NAMES)
+def test_one_may_know_of_what_one_may_do_anything_with(
+    rules: list[AccessRule], who: str, kind: AccessKind, name: str
+) -> None:
+    knows = any(oracle(rules, who, verb, kind, name) for verb in VERBS_OF[kind])
+    assert AccessRules(rules).knows_of(client(who), kind, name) == knows
+
+
+@given(RULES, RULES, NAMES, st.sampled_from(AccessVerb), st.sampled_from(AccessKind), NAMES)
+def test_the_order_of_rules_means_nothing_and_a_denial_is_never_undone_by_more_rules(
+    rules: list[AccessRule], more: list[AccessRule], who: str, verb: AccessVerb, kind: AccessKind, name: str
+) -> None:
+    ruling = AccessRules(rules).judge(client(who), verb, kind, name)
+    assert AccessRules(rules[::-1]).judge(client(who), verb, kind, name).allowed == ruling.allowed
+    if ruling.rule is not None and ruling.rule.deny:
+        assert not AccessRules([*rules, *more]).judge(client(who), verb, kind, name).allowed

@@ -1,0 +1,107 @@
+"""The calls under way at one port, and what they rest on."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import grpc
+
+from stampede_rt.errors import PermissionDenied, Unavailable
+from stampede_rt.status import from_rpc_error
+from stampede_rt_runtime.access.control import allowed_to, check_access, check_known
+from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessRules, AccessVerb
+from stampede_rt_runtime.access.state import AccessState
+from stampede_rt_runtime.auth import Secret
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.server import ServiceServer, serving
+
+CLUSTER, CLIENTS = Secret(text="cluster", path=Path("a")), Secret(text="clients", path=Path("b"))
+READ = "/stampede_rt.v1.ChannelService/Subscribe"
+ALLOW = AccessRule("@clients", (AccessVerb.READ,), None, "open")
+
+
+class Streams(grpc.GenericRpcHandler):
+    """One stream for each caller: each request names a channel to read, each answer says whether it may be listed."""
+
+    def service(self, details: grpc.HandlerCallDetails) -> Any:
+        return grpc.stream_stream_rpc_method_handler(self.read) if details.method == READ else None
+
+    async def read(self, _requests: Any, context: Any) -> None:
+        async with asyncio.TaskGroup() as tasks:  # as the host's streams do
+            await tasks.create_task(self._read(context))
+
+    async def _read(self, context: Any) -> None:
+        while (name := await context.read()) is not grpc.aio.EOF:
+            check_known(AccessKind.CHANNEL, name.decode())
+            check_access(AccessVerb.READ, AccessKind.CHANNEL, name.decode())
+            await context.write(b"%d" % allowed_to(AccessVerb.LIST, AccessKind.CHANNEL)(name.decode()))
+
+
+@asynccontextmanager
+async def port() -> AsyncIterator[tuple[ServiceServer, Callable[[Secret], Any]]]:
+    async with (
+        serving(
+            lambda server: server.add_generic_rpc_handlers((Streams(),)), secret=CLUSTER, client_secret=CLIENTS
+        ) as server,
+        dial(server.address, secret=CLUSTER) as members,
+        dial(server.address, secret=CLIENTS) as clients,
+    ):
+        yield server, lambda secret: (members if secret is CLUSTER else clients).stream_stream(READ)(timeout=20)
+
+
+async def said(call: Any, name: str) -> bytes:
+    await call.write(name.encode())
+    answer = await call.read()
+    assert isinstance(answer, bytes)
+    return answer
+
+
+def state(version: int, *rules: AccessRule) -> AccessState:
+    return AccessState(version=version, cluster_id="c", rules=AccessRules(rules))
+
+
+async def ended(call: Any) -> Exception:
+    try:
+        await call.read()
+    except grpc.aio.AioRpcError as error:
+        return from_rpc_error(error, "it")
+    raise AssertionError(f"it did not end with an error: {await call.code()}")
+
+
+async def test_until_a_port_has_heard_of_the_rules_it_serves_nobody_whom_they_judge() -> None:
+    async with port() as (server, begin):
+        assert await said(begin(CLUSTER), "x") == b"1"
+        early = begin(CLIENTS)
+        await early.write(b"open")
+        assert isinstance(await ended(early), Unavailable)
+        server.access.tell(state(0))
+        assert await said(begin(CLIENTS), "x") == b"1"
+
+
+async def test_a_stream_ends_when_what_it_was_granted_is_taken_away_and_others_go_on() -> None:
+    async with port() as (server, begin):
+        server.access.tell(state(1, ALLOW))
+        client, other, member = begin(CLIENTS), begin(CLIENTS), begin(CLUSTER)
+        assert await said(client, "open") == b"0"
+        assert await said(member, "open") == b"1"
+        server.access.tell(state(2, ALLOW, AccessRule("nobody", (), None, "*")))
+        assert await said(client, "open") == b"0"
+        server.access.tell(state(3, AccessRule("nobody", (), None, "*")))
+        lost = await ended(client)
+        assert isinstance(lost, PermissionDenied)
+        assert "may not read channel open; an operator can allow it (stampede acl add @clients read open)" in str(lost)
+        assert await said(member, "closed") == b"1"
+        server.access.tell(state(4, ALLOW))
+        assert await said(other, "open") == b"0"
+
+
+async def test_who_may_do_nothing_with_a_thing_is_told_so() -> None:
+    async with port() as (server, begin):
+        server.access.tell(state(1, ALLOW))
+        call = begin(CLIENTS)
+        await call.write(b"closed")
+        assert "may do nothing with channel closed" in str(await ended(call))
