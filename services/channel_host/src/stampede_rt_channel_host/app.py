@@ -98,7 +98,7 @@ class _Service:
         )
 
     def _name(self) -> str:
-        """What it is told to be called; with certificates that is what they say."""
+        """The address at which others reach the host. With certificates, the certificates name it."""
         tls, told = self._credentials.tls, self._settings.name
         if tls is None:
             return told or default_name()

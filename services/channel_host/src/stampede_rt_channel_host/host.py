@@ -100,7 +100,7 @@ class ChannelHost:
         self._entering: asyncio.Future[None] | None = None
 
     def _make_registration(self, supernodes: Supernodes, clock: HostClock, serving: ServingLoop) -> Registration:
-        """What concerns channels is done on the loop that serves them, in the order in which the lease changed."""
+        """Work on channels is done on the loop that serves them, in the order in which the lease changed."""
 
         async def registered(response: directory_service_pb2.RegisterHostResponse) -> None:
             await serving.run(lambda: self._registered(response))

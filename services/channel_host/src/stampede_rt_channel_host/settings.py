@@ -1,4 +1,4 @@
-"""What `stampede host` can be told."""
+"""The settings of `stampede host`."""
 
 from __future__ import annotations
 

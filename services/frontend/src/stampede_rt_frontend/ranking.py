@@ -10,7 +10,7 @@ _SMOOTHING = 8  # a new measurement counts for one eighth, as in TCP's round-tri
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Supernode:
-    """What is known of one supernode. `answered`: its last probe came back; `healthy`: and it said that it can serve.
+    """The known facts of one supernode. `answered`: its last probe came back; `healthy`: it said that it can serve.
 
     `round_trip_nanos` is smoothed; None: never measured.
     """

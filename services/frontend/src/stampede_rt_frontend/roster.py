@@ -16,7 +16,7 @@ SUPERNODES_MAX = 64  # probed at once; a consensus group has 3 to 7 members
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeAnswer:
-    """What one supernode said to a probe. `round_trip_nanos` is None if the connection was only being made."""
+    """The answer of one supernode to a probe. `round_trip_nanos` is None if the connection was only being made."""
 
     supernode_id: str
     cluster_id: str
@@ -56,7 +56,7 @@ class SupernodeRoster:
         self._nodes = {seed: Supernode(supernode_id="", target=seed) for seed in self.seeds}
 
     def targets(self) -> tuple[str, ...]:
-        """Whom to probe."""
+        """The supernodes to probe."""
         return tuple(self._nodes)
 
     def answered(self, target: str, answer: ProbeAnswer) -> bool:
@@ -156,7 +156,7 @@ class SupernodeRoster:
         self._nodes[node.target] = replace(node, answered=False, healthy=False, is_leader=False)
 
     def _merged(self, target: str, told: Supernode | None) -> Supernode:
-        """What probes said of `target` stays, and its zone if the list has none; the rest comes from the list."""
+        """The results of probes of `target` stay, and its zone if the list has none; the rest comes from the list."""
         node = self._nodes.get(target) or Supernode(supernode_id="", target=target)
         if told is None:
             return replace(node, is_leader=False)

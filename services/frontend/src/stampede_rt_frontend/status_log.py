@@ -1,4 +1,4 @@
-"""What a front-end writes into its log about the supernodes: each change once, not each probe. Pure."""
+"""The log lines of a front-end about supernodes: one for each change, not one for each probe. Pure."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class StatusLog:
         self._any_served: bool | None = None
 
     def changes(self, roster: SupernodeRoster, now_s: float) -> Iterator[Note]:
-        """What has changed since the last call; `now_s` on a clock that never goes back."""
+        """The changes since the last call; `now_s` on a clock that never goes back."""
         if self._starts_until_s is None:
             self._starts_until_s = now_s + START_SECONDS
         is_starting = now_s < self._starts_until_s

@@ -22,7 +22,7 @@ _WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers 
 
 
 def caller_identity(context: Context) -> Identity | None:
-    """Who the call's certificate says the caller is; None without certificates, or if it names nobody."""
+    """The caller that the call's certificate names; None without certificates, or if it names nobody."""
     found = context.auth_context().get("peer_uri", ())
     return identity_among(uri.decode(errors="replace") for uri in found)
 

@@ -55,7 +55,7 @@ def _trim_now_and_then(library: ctypes.CDLL) -> None:
 
 
 def _unused_bytes(library: ctypes.CDLL) -> int:
-    """What is resident and not in use by malloc: free blocks, beside code and other mappings (proc_pid_statm(5))."""
+    """The resident memory that malloc does not use: free blocks, beside code and other mappings (proc_pid_statm(5))."""
     resident_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     told = library.mallinfo2()
     return int(resident_bytes - told.uordblks - told.hblkhd)

@@ -25,7 +25,7 @@ class Secret:
 
     @property
     def accepted(self) -> tuple[str, ...]:
-        """What callers may bring."""
+        """The secrets that callers may bring."""
         return (self.text, self.other) if self.other else (self.text,)
 
 

@@ -51,7 +51,7 @@ class Issued:
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """What a certificate says. `identity` is None for an authority and for a certificate that is not ours."""
+    """The contents of a certificate. `identity` is None for an authority and for a certificate that is not ours."""
 
     subject: str
     issuer: str
@@ -109,7 +109,7 @@ def issue(
 
 
 def describe(pem: bytes) -> list[Described]:
-    """What the certificates in `pem` say, in their order. Raises CertificateError."""
+    """The contents of the certificates in `pem`, in their order. Raises CertificateError."""
     try:
         return [_described(one) for one in x509.load_pem_x509_certificates(pem)]
     except _UNREADABLE as error:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class HostClock(Protocol):
-    """What a service reads the time from."""
+    """The clocks from which a service reads the time."""
 
     def time_unix_nano(self) -> int:
         """Wall-clock time, nanoseconds since the Unix epoch; it can jump when the machine's clock is set."""

@@ -42,7 +42,7 @@ def with_behavior(handler: Any, behavior: Callable[..., Any]) -> Any:
 
 
 def behavior_of(handler: Any) -> Callable[..., Any]:
-    """What a handler runs for each call."""
+    """The function that a handler runs for each call."""
     behavior: Callable[..., Any] = _kind(handler)[1]
     return behavior
 
@@ -67,7 +67,7 @@ def _around_iterator(behavior: Callable[..., AsyncIterator[Any]], guard: Guard) 
 
 
 def _kind(handler: Any) -> tuple[Callable[..., Any], Any]:
-    """What makes a handler of this one's kind, and what it runs."""
+    """The constructor of handlers of this kind, and the function that this one runs."""
     if handler.request_streaming:
         if handler.response_streaming:
             return grpc.stream_stream_rpc_method_handler, handler.stream_stream

@@ -14,7 +14,8 @@ STATUS = health_pb2.HealthCheckResponse
 
 
 class Health:
-    """What load balancers ask. `Check` is open to everybody, so it reads no request: nobody can make it wait or buffer.
+    """The health service for load balancers. `Check` is open to everybody, so it reads no request: nobody can make it
+    wait or buffer.
 
     It therefore tells the state of the whole server, whichever service its caller names.
     """
@@ -38,7 +39,7 @@ class Health:
         server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
 
     async def set_serving(self, serving: bool) -> None:
-        """What is answered from now on. After `end` nothing changes any more."""
+        """The answer from now on. After `end` nothing changes any more."""
         if not self._is_ending:
             self._status = STATUS.SERVING if serving else STATUS.NOT_SERVING
             await self._known.set(health.OVERALL_HEALTH, self._status)

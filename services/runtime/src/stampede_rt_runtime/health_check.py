@@ -59,7 +59,7 @@ def open_channel(target: str, files: TlsFiles | None) -> grpc.Channel:
 
 
 def status_of(target: str, timeout_seconds: float = TIMEOUT_SECONDS, files: TlsFiles | None = None) -> str:
-    """What the service at `target` says of itself: `SERVING`, `NOT_SERVING`, or why it could not be asked.
+    """The answer of the service at `target`: `SERVING`, `NOT_SERVING`, or why it could not be asked.
 
     Blocks for `timeout_seconds` at most. A service that cannot be asked is not healthy, and nothing is raised; see
     `open_channel` for what `files` may raise.

@@ -1,4 +1,4 @@
-"""Who a certificate says that its bearer is: a URI `stampede://CLUSTER/ROLE/NAME` among its names. Pure."""
+"""The identity in a certificate: a URI `stampede://CLUSTER/ROLE/NAME` among its names. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FILE_NAME = re.compile(r"[a-z0-9][a-z0-9._-]*")
 
 
 class Role(StrEnum):
-    """What the bearer of a certificate is for."""
+    """The purpose of a certificate's bearer."""
 
     SUPERNODE = "supernode"
     FRONTEND = "frontend"
@@ -53,7 +53,7 @@ class Identity:
 
     @property
     def file_stem(self) -> str:
-        """What its files are called, without their endings: no two names share one, also where case does not count.
+        """The name of its files, without their endings: no two names share one, also where case does not count.
 
         A name with upper-case letters or "/" is no file name: it is spelled otherwise, with a digest of it behind.
         """

@@ -42,7 +42,7 @@ class Limits:
     reconnect_millis_max: int = 1_000
 
     def rpcs_max(self) -> int:
-        """What gRPC is told: those that are served, and those that are just being refused."""
+        """The limits that gRPC gets: for the calls that are served, and for those that are just being refused."""
         return self.concurrent_rpcs_max + self.reserved_rpcs_max + self.refusals_max
 
     def server_options(self) -> list[Option]:

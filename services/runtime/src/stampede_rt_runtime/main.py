@@ -29,7 +29,7 @@ EXIT_FAILED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class ServiceSettings:
-    """What every service can be told; each has its own `listen` beside it."""
+    """The settings that all services share; each has its own `listen` beside them."""
 
     secret_file: Path | None = field(
         default=None,

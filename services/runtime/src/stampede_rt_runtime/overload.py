@@ -1,4 +1,4 @@
-"""What a service refuses because a bound of its own is reached: counted, and told in the log now and then."""
+"""Refusals because of a service's own bounds: counted, and logged now and then."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ _FOREIGN: Mapping[str, frozenset[Role]] = {
 
 
 def roles_for(method: str) -> frozenset[Role]:
-    """Who may call `/package.Service/Method`; nobody if it has no row."""
+    """The roles that may call `/package.Service/Method`; none if it has no row."""
     service, _, name = method.removeprefix(f"/{PACKAGE}.").partition("/")
     if not method.startswith(f"/{PACKAGE}."):
         return next((roles for prefix, roles in _FOREIGN.items() if method.startswith(prefix)), frozenset())

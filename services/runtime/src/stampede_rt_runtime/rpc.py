@@ -1,4 +1,5 @@
-"""What the servicers of all services share: the type of contexts, errors as statuses, and handlers of single calls."""
+"""The parts that the servicers of all services share: the type of contexts, errors as statuses, and handlers of single
+calls."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ class ServiceServer:
         return self.grpc.add_secure_port(address, self._tls.server_credentials())
 
     async def set_serving(self, serving: bool) -> None:
-        """What the standard health service says from now on."""
+        """The answer of the standard health service from now on."""
         await self._health.set_serving(serving)
 
     async def run(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:

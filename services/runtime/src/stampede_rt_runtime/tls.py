@@ -21,7 +21,7 @@ _ANYWHERE = ("0.0.0.0", "::")  # where it listens is then not where it is called
 
 @dataclass(frozen=True, slots=True)
 class ServiceTls:
-    """What a service listens and calls with, and who it is by its certificate."""
+    """The certificates with which a service listens and calls, and the identity in its own."""
 
     reader: TlsReader
     identity: Identity

@@ -1,4 +1,4 @@
-"""What can be written in a flag, an environment variable or a settings file, and what it means. Pure.
+"""Values in flags, environment variables and settings files: how they are written, and what they mean. Pure.
 
 Every parser takes the text and gives the value, or raises ValueError with what is allowed (never with the text itself:
 the caller names the setting and its value).

@@ -119,7 +119,7 @@ def tune_garbage_collection() -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Parts:
-    """What stands between the log and its callers."""
+    """The parts between the log and its callers."""
 
     log: ReplicatedLog
     replica: DirectoryReplica

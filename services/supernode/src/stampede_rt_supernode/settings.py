@@ -1,4 +1,4 @@
-"""What a supernode can be told."""
+"""The settings of a supernode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a producer is told of its runs, by channels and queues alike."""
+"""The acks that tell a producer what became of its runs. Channels and queues use the same ones."""
 
 from __future__ import annotations
 

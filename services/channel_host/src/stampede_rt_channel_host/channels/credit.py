@@ -1,4 +1,5 @@
-"""What a reader lets the host send (decision 0064): granted as it takes what came, spent as the host sends."""
+"""The credit of a reader (decision 0064): the reader grants it as it takes items, and the host spends it as it
+sends."""
 
 from __future__ import annotations
 
@@ -43,6 +44,6 @@ class Credit:
 
 
 async def requests_of(read: Callable[[], Awaitable[Any]]) -> AsyncIterator[Any]:
-    """What comes on a stream, until the caller closes its side."""
+    """The requests on a stream, until the caller closes its side."""
     while (request := await read()) is not EOF:
         yield request

@@ -1,4 +1,4 @@
-"""What the gets of one stream ask for, taken apart once.
+"""The requests of one stream of gets, each decoded once.
 
 Readers ask the same again and again, such as for the newest item of one channel: only the call id differs.
 """

@@ -235,7 +235,7 @@ class GetStream:
 
 
 def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
-    """What the reader is to know beside the items. `cut`: the group's that was used, if it read through one."""
+    """The facts that an answer tells beside its items. `cut`: the cut of the group, if the reader read through one."""
     return pb.GetSummary(
         interval=resolved_to_message(answer.interval) if answer.interval else None,
         complete=answer.complete,
@@ -250,7 +250,7 @@ def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
 
 
 def _kept_bytes(answer: ReadAnswer) -> int:
-    """What the stored runs that an answer refers to keep of the host's memory, as far as the bound on it goes."""
+    """The memory that the stored runs behind an answer keep, as far as its bound goes."""
     kept_bytes = 0
     for part in answer.slices:
         kept_bytes += len(part.run.body) + ITEM_OVERHEAD_BYTES

@@ -92,7 +92,7 @@ class HostedChannel:
         self.puts.changed(now)
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """Whoever waits for the channel or listens to it hears `error`, in pieces."""
+        """End the waits of the channel's callers and the streams of its readers with `error`, in pieces."""
         for follower in [*self.followers]:  # which only take note
             follower.end(error)
         listeners, matches = self.listeners.ending(error), self.matches.ending(error)
@@ -128,7 +128,7 @@ class HostedChannel:
         self.delivered_bytes += payload_bytes
 
     def footprint_bytes(self) -> int:
-        """What is kept for the channel: items as they are stored, puts that wait, and what is known of producers."""
+        """The memory kept for the channel: items as they are stored, puts that wait, and the facts about producers."""
         return self.channel.footprint_bytes + self.puts.footprint_bytes
 
     def _touched(self) -> None:

@@ -13,8 +13,9 @@ logger = logging.getLogger(__name__)
 
 
 class MemoryBudget:
-    """What is kept is told by each channel and queue as it changes, and added up: asking costs the same however many
-    they are. `reclaim` is called before a claim is refused; it frees what time has outdated, a bounded part."""
+    """Each channel and queue reports its memory as it changes, and the budget adds it up. The cost of a question does
+    not grow with their number. The budget calls `reclaim` before it refuses a claim; `reclaim` frees a bounded part of
+    the outdated items."""
 
     def __init__(
         self,
@@ -52,7 +53,7 @@ class MemoryBudget:
 
 
 class Charge:
-    """What one channel or queue is charged."""
+    """The memory that one channel or queue is charged."""
 
     __slots__ = ("_budget", "_bytes")
 

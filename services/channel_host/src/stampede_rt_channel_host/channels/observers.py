@@ -1,4 +1,4 @@
-"""Whoever is told of a change: woken or ended a few at a time, however many there are."""
+"""The observers of a change. They are woken or ended a few at a time, however many there are."""
 
 from __future__ import annotations
 

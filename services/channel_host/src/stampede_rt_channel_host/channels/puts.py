@@ -45,7 +45,7 @@ class IncomingRun:
 
     @property
     def charged_bytes(self) -> int:
-        """What the host's memory is charged for the run."""
+        """The bytes that the host's memory is charged for the run."""
         return len(self._encoded) + self.items * ITEM_OVERHEAD_BYTES
 
     def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
@@ -144,7 +144,7 @@ class ChannelPuts:
 
     @property
     def footprint_bytes(self) -> int:
-        """What is kept of runs that wait, and of producers' last runs."""
+        """The bytes kept of runs that wait, and of the producers' last runs."""
         return self._waiting_bytes + self._retries.footprint_bytes
 
     def expire(self, now: int) -> None:

@@ -89,5 +89,5 @@ class ReadAhead:
 
 
 def left_nanos(wait_nanos: int, came_s: float) -> int:
-    """What is left of the time that a put may wait, if it has waited on its stream since it came."""
+    """The rest of the time that a put may wait, less its wait on its stream so far."""
     return max(0, wait_nanos - round((time.monotonic() - came_s) * 1e9))

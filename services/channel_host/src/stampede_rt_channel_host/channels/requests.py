@@ -1,4 +1,4 @@
-"""What arrives at ChannelService, checked and turned into the core's values."""
+"""The requests of ChannelService, checked and turned into the core's values."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def opening_of(raw: Any, kind: _Message[M], name: str) -> M:
 
 
 def query_of(request: pb.GetRequest) -> Query:
-    """What a get asks for. Raises InvalidArgument, InvalidInterval."""
+    """The query of a get. Raises InvalidArgument, InvalidInterval."""
     if not request.HasField("interval"):
         raise InvalidArgument("the get has no interval; set its start and end")
     return Query(

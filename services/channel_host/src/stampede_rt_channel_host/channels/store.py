@@ -173,7 +173,8 @@ class ChannelStore:
         self._closing = refusals.SHUTTING_DOWN
 
     def end_all(self, error: StampedeError) -> None:
-        """Whoever waits for a channel or listens to it hears `error`; of many, the last ones a moment later."""
+        """End the waits of all callers and the streams of all readers with `error`. With many of them, the last end a
+        moment later."""
         self.scheduler.begin(self._ending(self.all(), error))
 
     def _ending(self, channels: Iterable[HostedChannel], error: StampedeError) -> Pieces[None]:

@@ -180,7 +180,7 @@ class Subscription:
             await self._write(progress.SerializeToString() + self._standing(cursor))
 
     def _about(self, part: SubscriptionBatch, cursor: Cursor, now: int) -> bytes:
-        """What goes before the runs: counters that have changed, and where to go on."""
+        """The part of a message before its runs: counters that have changed, and the cursor."""
         about = pb.SubscribeResponse()
         if part.gap is not None:
             about.gap.CopyFrom(_gap(part.gap))
@@ -206,7 +206,7 @@ class Subscription:
         return progress
 
     def _advance_is_news(self) -> bool:
-        """Whoever waits for what cannot come any more, such as a match, is to know it at once."""
+        """Whether readers must hear of an advance: an item that they wait for cannot come any more."""
         return self._hosted.channel.advanced_to != self._told_advance
 
     async def _wait_for_news(self, until_s: float | None) -> bool:

@@ -97,7 +97,7 @@ class PolledThen(Polled, Protocol):
 
 
 class Source(Polled, Protocol):
-    """What gets wait for: a channel, or what a group shows of it."""
+    """The source that gets wait for: a channel, or the visible part of one in a group."""
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """As `ChannelCore.giving_up`."""

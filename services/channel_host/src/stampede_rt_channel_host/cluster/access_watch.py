@@ -24,7 +24,7 @@ PAUSE_SECONDS = 0.5
 
 
 class AccessWatch:
-    """What the directory watch tells of changes, and the task that then asks for the state. See `Watched`."""
+    """The changes that the directory watch reports, and the task that then asks for the state. See `Watched`."""
 
     def __init__(self, supernodes: Supernodes, control: AccessControl) -> None:
         self._supernodes = supernodes

@@ -1,4 +1,4 @@
-"""What a host asks the directory about its channels (paper, section 4.3)."""
+"""The questions of a host to the directory about its channels (paper, section 4.3)."""
 
 from __future__ import annotations
 

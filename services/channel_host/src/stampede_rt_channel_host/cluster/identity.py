@@ -1,4 +1,4 @@
-"""Who this host is: an id that lasts as long as its data folder, a name, and a number for this start of the process."""
+"""The identity of this host: an id as old as its data folder, a name, and a number for this start of the process."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ _CLUSTER_FILE = "cluster-id"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostIdentity:
-    """What the directory is told. `boot_incarnation` is new at each start: what was held before is lost."""
+    """The identity as the directory gets it. `boot_incarnation` is new at each start: the host has lost its earlier
+    items."""
 
     host_id: bytes
     name: str

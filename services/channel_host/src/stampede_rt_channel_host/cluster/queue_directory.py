@@ -1,4 +1,4 @@
-"""What a host asks the directory about queues (paper, sections 3.5 and 4.3)."""
+"""The questions of a host to the directory about queues (paper, sections 3.5 and 4.3)."""
 
 from __future__ import annotations
 

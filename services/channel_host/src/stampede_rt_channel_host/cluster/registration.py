@@ -222,7 +222,7 @@ class Registration:
         self._note_registered(len(response.channels))
 
     def _note_registered(self, channels: int) -> None:
-        """What takes the warning of an ended lease back is as loud as that."""
+        """Log the registration: as a warning if the end of a lease was one before."""
         level, text = (logging.WARNING, "registered again") if self._has_ended else (logging.INFO, "registered")
         logger.log(level, text, extra={"host": self._identity.name, "channels": channels})
         self._has_ended = False

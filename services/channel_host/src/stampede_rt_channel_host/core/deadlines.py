@@ -1,4 +1,4 @@
-"""What is due when: a heap in which things that are not due any more are passed over. Pure."""
+"""Things with deadlines: a heap that passes over things whose deadline has changed. Pure."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Deadlines(Generic[T]):
         thing.due = None
 
     def pop(self, now: int) -> T | None:
-        """What is due longest, by now; it is disarmed. None: nothing is."""
+        """The thing with the earliest deadline up to now; it is disarmed. None: nothing is due."""
         due = self.next()
         if due is None or due > now:
             return None

@@ -122,7 +122,7 @@ class _Producer:
 
 
 class RetryWindow:
-    """What became of each producer's latest runs, so that a retried run is answered as before and not doubled, and one
+    """The answers to each producer's latest runs. A retried run gets the answer of before and is not doubled. A run
     that was judged in part goes on where it was.
 
     The time model asks for the last 1024 numbers of each producer for 10 minutes; kept are its last 1024 runs, which
@@ -151,7 +151,7 @@ class RetryWindow:
                     yield KeptRun(producer_id, first_number, outcome)
 
     def find(self, producer_id: int, first_number: int, items: int, now: int) -> Judged | None:
-        """What became of this run when it came before; None if it is new, or older than what is kept.
+        """The answer to this run when it came before; None if it is new, or older than the kept answers.
 
         Raises InvalidArgument if only some of its numbers, or more than these, were put before as one run.
         """

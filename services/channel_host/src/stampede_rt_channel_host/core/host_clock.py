@@ -43,7 +43,8 @@ class HostTime:
         return self._offset
 
     def _correction(self, offset: int, elapsed: int) -> int:
-        """What of an offset is made up for in `elapsed`: its share of the time to catch up, as the slew allows."""
+        """The part of an offset that is made up for in `elapsed`: its share of the time to catch up, as the slew
+        allows."""
         share = self._carry + offset * min(elapsed, CATCH_UP_NANOS)
         made_up = abs(share) // CATCH_UP_NANOS
         self._carry = (abs(share) % CATCH_UP_NANOS) * (1 if share > 0 else -1)

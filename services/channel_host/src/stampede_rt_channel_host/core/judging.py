@@ -1,4 +1,4 @@
-"""What has become of a run on its way into a channel or queue, item by item from its front. Pure.
+"""The outcome of a run on its way into a channel or queue, item by item from its front. Pure.
 
 A run whose last items wait for room is judged in part; when it comes again, it goes on where it was.
 """
@@ -31,7 +31,7 @@ class ItemRefusal(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What is known of a run of `items`: those before `judged_items` were accepted or refused, by `time`.
+    """The outcome of a run of `items` so far: those before `judged_items` were accepted or refused, by `time`.
 
     `parts` and `refusals` ascend. Nearly every run has one part and no refusals.
     """

@@ -1,4 +1,4 @@
-"""What a host asks the directory beside what gave cause to it: about each thing once at a time, and not too often."""
+"""Questions of a host to the directory in the background: one at a time about each thing, and not too often."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ PAUSE_SECONDS = 0.2
 
 
 class BackgroundLookups:
-    """Whoever asks keeps what it asks for until it is answered, and asks again: a question that fails is only logged,
-    and one too many is left out."""
+    """The caller remembers its question until it is answered, and asks again. A question that fails is only logged, and
+    a question too many is left out."""
 
     def __init__(self) -> None:
         self._asked: dict[bytes | None, asyncio.Task[None]] = {}

@@ -1,4 +1,5 @@
-"""What this host and the others tell each other of groups (paper, section 4.1): times, cuts, and who wants to hear."""
+"""The messages between hosts about groups (paper, section 4.1): times, cuts, and which channels a host wants to hear
+of."""
 
 from __future__ import annotations
 
@@ -78,7 +79,7 @@ class Exchange:
         group.changed()
 
     def take_floors(self, group_id: bytes) -> dict[bytes, CutFloor]:
-        """What each host has told of a group before it was known here; it is not kept any longer."""
+        """The floors that hosts told of a group before it was known here; they are not kept any longer."""
         floors = self._floors.pop(group_id, {})
         self._waiting_floors -= Counter(floors.keys())
         return floors

@@ -101,7 +101,7 @@ class HostedGroup:
         return Horizon(self.cut.cut if cut is None else cut, self.held_by)
 
     def held_by(self) -> str:
-        """Who holds the cut back, in a few words."""
+        """The members or hosts that hold the cut back, in a few words."""
         if not self.cut.is_confirmed:
             hosts = ", ".join(sorted(self.host_names.get(one, one.hex()) for one in self.unheard)) or "the directory"
             return f"until {hosts} has told how far it was"
@@ -140,7 +140,8 @@ class HostedGroup:
         self._arm()
 
     def end(self, error: StampedeError) -> None:
-        """Whoever waits for the group or listens to it hears `error`; of many, the last ones a moment later."""
+        """End the waits of the group's callers and the streams of its readers with `error`. With many, the last end a
+        moment later."""
         self._begin(self.ending(error))
 
     def ending(self, error: StampedeError) -> Pieces[None]:
@@ -206,7 +207,7 @@ class HostedGroup:
         return self.cut.is_confirmed and (floor in (None, NOTHING_VISIBLE) or (cut is not None and cut >= floor))
 
     def floor(self) -> CutFloor | None:
-        """What this host stands by, as it tells others."""
+        """The floor of this host, as it tells others."""
         cut = self.cut.cut
         if cut is None:
             return None
@@ -236,7 +237,7 @@ class HostedGroup:
 
 
 def began_anew(record: RecordedGroup) -> StampedeError:
-    """What its readers hear."""
+    """The error for the readers of a group that began anew."""
     return error_for(
         "INCARNATION_LOST",
         f"group {record.name} began anew, because all hosts of its members were restarted, and its former cut is "

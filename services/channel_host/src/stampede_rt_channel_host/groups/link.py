@@ -27,7 +27,7 @@ INTEREST_MAX = 4096
 
 
 class Knowledge(Protocol):
-    """What a link tells from, and what it tells it to."""
+    """The source of the messages of a link, and the receiver of the other side's."""
 
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
         """How far a channel of this host is; None if it is none of it."""

@@ -199,7 +199,7 @@ def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
 
 
 def _state(group: HostedGroup, hosted: HostedChannel) -> object:
-    """What the answers to gets hang on."""
+    """The state on which answers to gets depend."""
     return hosted.channel.next_seq, hosted.channel.advanced_to, group.cut.cut, group.arrangement
 
 

@@ -119,7 +119,8 @@ class GroupStore:
         self.end_all(refusals.fenced(self._identity.name))
 
     def end_all(self, error: StampedeError) -> None:
-        """Whoever waits for a group or listens to it hears `error`; of many groups, the last ones a moment later."""
+        """End the waits of all callers and the streams of all readers of groups with `error`. With many, the last end a
+        moment later."""
         self.channels.scheduler.begin(_ending(list(self._table.groups.values()), error))
 
     # What the directory, and other hosts, tell by themselves.

@@ -1,4 +1,4 @@
-"""What a host knows of groups: the groups themselves, which channel is in which, and how far the channels are."""
+"""The groups that a host knows, the channels of each, and the times of the channels."""
 
 from __future__ import annotations
 

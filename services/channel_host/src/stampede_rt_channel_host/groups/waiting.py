@@ -19,7 +19,7 @@ class Waiter:
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """What is waited for is not served any more."""
+        """The channel or group that was waited for is not served any more."""
         self._error = error
         self._news.set()
 

@@ -177,7 +177,7 @@ def _conclude(
     acks: Sequence[channel_service_pb2.PutAck],
     refusals: Counter[int],
 ) -> None:
-    """What was taken has left; what was not lets the others go first. Raises the last refusal."""
+    """Items that were taken have left. Items that were refused let the others go first. Raises the last refusal."""
     failure: StampedeError | None = None
     for item, ack in zip(items, acks, strict=True):
         if ack.HasField("first_seq"):

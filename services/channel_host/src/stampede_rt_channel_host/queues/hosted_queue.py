@@ -140,7 +140,7 @@ class HostedQueue:
         self._follow_up()
 
     def sent(self, taker: TakerState) -> None:
-        """What it was dealt last has been sent."""
+        """The batch that the taker was dealt last has been sent."""
         self.queue.sent(taker, self._now())
         self._follow_up()
 
@@ -151,13 +151,13 @@ class HostedQueue:
         self._follow_up()
 
     def settle(self, taker_id: int, settlements: Sequence[Settlement]) -> list[SettlementResult]:
-        """What became of each settlement, in order."""
+        """The outcome of each settlement, in order."""
         results = self.queue.settle(taker_id, settlements, self._now())
         self._follow_up()
         return results
 
     def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
-        """What is leased to whom, at most `limit` deliveries behind the one named."""
+        """The leased deliveries and their takers, at most `limit` deliveries behind the one named."""
         found = self.queue.pending(after_delivery_id, limit, self._now())
         self._follow_up()
         return found

@@ -70,7 +70,7 @@ def _message_id_of(message: EnqueueRun, items: int) -> str:
 
 
 def _origin_of(message: EnqueueRun, items: int) -> bytes:
-    """What is appended to the stored run of a dead letter; nothing for others."""
+    """The bytes to append to the stored run of a dead letter; none for other runs."""
     if not message.origin:
         return b""
     try:
@@ -101,7 +101,7 @@ def check_number(producer_id: int, first_number: int) -> None:
 
 
 def answer(run: Enqueue, now: int, incarnation: int) -> pb.PutAck:
-    """What became of a run that is through."""
+    """The ack of a run that is through."""
     if run.error is not None:
         return refused(run.first_number, len(run.lengths), run.error, now, incarnation)
     assert run.outcome is not None, "a run that is through has an outcome"

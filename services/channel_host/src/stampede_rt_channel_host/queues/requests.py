@@ -1,4 +1,4 @@
-"""What arrives at QueueService, checked and turned into the core's values."""
+"""The requests of QueueService, checked and turned into the core's values."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def check_taker_id(taker_id: int) -> None:
 
 
 def taker_of(opened: pb.TakeOpen) -> TakerState:
-    """Who takes. Raises InvalidArgument."""
+    """The taker of a request. Raises InvalidArgument."""
     check_queue_id(opened.queue_id)
     check_taker_id(opened.taker_id)
     lease_nanos = opened.lease_nanos if opened.HasField("lease_nanos") else None
@@ -53,7 +53,7 @@ def taker_of(opened: pb.TakeOpen) -> TakerState:
 
 
 def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]:
-    """What a taker says of its deliveries. Raises InvalidArgument."""
+    """The settlements of a taker. Raises InvalidArgument."""
     settlements = [_settlement_of(message) for message in messages]
     if len(settlements) > SETTLEMENTS_MAX:
         raise InvalidArgument(
@@ -83,7 +83,7 @@ def pending_message(one: PendingDelivery) -> queue_pb2.PendingDelivery:
 
 
 def result_message(result: SettlementResult) -> queue_pb2.SettlementResult:
-    """What became of one."""
+    """The message of one result."""
     return queue_pb2.SettlementResult(
         delivery_id=result.delivery_id,
         error=to_error_message(result.error) if result.error else None,

@@ -116,7 +116,7 @@ class TakeStream:
         hosted.grant(taker, credit)
 
     async def _write_all(self, hosted: HostedQueue, taker: TakerState) -> None:
-        """What gathered while the last write was in flight goes out together; after a silence, a sign of life."""
+        """Results that gathered during the last write go out together. After a silence, a sign of life goes out."""
         await self._write(hosted, take_response(None, (), 0, incarnation=hosted.queue.incarnation))
         while not self._is_over(taker):
             if await self._wait_for_news():

@@ -1,1 +1,1 @@
-"""Who calls, what they may do, and how that is known: identities, tokens, rules, and the calls under way."""
+"""Callers and their rights: identities, tokens, rules, and the calls under way."""

@@ -1,4 +1,4 @@
-"""Who makes a call: by which proof, under which name, in which roles. Pure."""
+"""The caller of a call: its proof, its name and its roles. Pure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from stampede_rt_runtime.identity import SERVICES, Identity, Role
 
 
 class CallerKind(StrEnum):
-    """What proves who the caller is."""
+    """The proof of the caller's identity."""
 
     CERTIFICATE = "certificate"
     TOKEN = "token"
@@ -56,12 +56,12 @@ ANYONE = Caller(kind=CallerKind.NOBODY, roles=ALL_ROLES, name="@anyone")
 
 
 def by_secret(*, of_cluster: bool) -> Caller:
-    """Who brings the cluster's secret, or that of its clients."""
+    """The caller that brings the cluster's secret, or that of its clients."""
     if of_cluster:
         return Caller(kind=CallerKind.CLUSTER_SECRET, roles=ALL_ROLES, name="@cluster")
     return Caller(kind=CallerKind.CLIENT_SECRET, roles=frozenset({Role.CLIENT}), name="@clients")
 
 
 def by_certificate(identity: Identity, serial: str = "") -> Caller:
-    """Who brings that certificate."""
+    """The caller that brings this certificate."""
     return Caller(kind=CallerKind.CERTIFICATE, roles=frozenset({identity.role}), name=identity.name, serial=serial)

@@ -70,7 +70,7 @@ class AccessControl:
         return self._known().rules
 
     def read_token(self, text: str) -> Caller | None:
-        """Who brings `text`; None if it is no token. Raises PermissionDenied, Unavailable."""
+        """The caller that brings `text`; None if it is no token. Raises PermissionDenied, Unavailable."""
         if not is_token(text):
             return None
         state = self._known()
@@ -168,7 +168,7 @@ _CURRENT: ContextVar[OpenCall | None] = ContextVar("call", default=None)
 
 
 def current_caller() -> Caller | None:
-    """Who made the call that is being served; None outside of a server, as in tests of single methods."""
+    """The caller of the call that is being served; None outside of a server, as in tests of single methods."""
     call = _CURRENT.get()
     return None if call is None else call.caller
 
@@ -206,7 +206,7 @@ def owner_name() -> str:
 
 
 def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> PermissionDenied:
-    """What a caller is told that may not."""
+    """The refusal for a caller that may not."""
     return PermissionDenied(
         f"{caller} may not {verb} {kind} {name}; an operator can allow it (stampede acl add {caller.name} {verb} "
         f"{name})",

@@ -32,7 +32,8 @@ class Accepted:
 
 
 def identify(accepted: Accepted, authorization: bytes | None, certificate: Identity | None) -> Caller:
-    """Who brings that metadata and that certificate. Raises PermissionDenied, and what `read_token` raises."""
+    """The caller that brings this metadata and this certificate. Raises PermissionDenied, and the errors of
+    `read_token`."""
     certified = _certified(accepted, certificate) if accepted.cluster else None
     brought = _brought(authorization)
     token = _token(accepted, brought)

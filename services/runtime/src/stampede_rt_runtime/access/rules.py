@@ -23,7 +23,7 @@ _CALLERS_KEPT_MAX = _JUDGEMENTS_KEPT_MAX = 8192
 
 
 class AccessVerb(StrEnum):
-    """What is done to a thing."""
+    """The action on a thing."""
 
     READ = "read"
     PUT = "put"
@@ -39,7 +39,7 @@ class AccessVerb(StrEnum):
 
 
 class AccessKind(StrEnum):
-    """What kind of thing; a mailbox goes by its peer."""
+    """The kind of thing; a mailbox goes by its peer."""
 
     CHANNEL = "channel"
     GROUP = "group"

@@ -1,4 +1,4 @@
-"""What a port must know to judge callers, as the directory tells it. Pure."""
+"""The facts that a port needs to judge callers, as the directory tells them. Pure."""
 
 from __future__ import annotations
 

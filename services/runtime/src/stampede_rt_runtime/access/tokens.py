@@ -28,7 +28,7 @@ _PREFIX = "stampede-token-1."
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TokenClaims:
-    """What a token says."""
+    """The contents of a token."""
 
     cluster_id: str
     name: str
@@ -37,7 +37,7 @@ class TokenClaims:
     ends_unix_nano: int
 
     def caller(self) -> Caller:
-        """Who brings it."""
+        """The bearer of the token."""
         return Caller(
             kind=CallerKind.TOKEN,
             roles=frozenset(self.roles),
@@ -59,7 +59,7 @@ def check_claims(name: str, roles: Sequence[str], valid_nanos: int) -> tuple[Rol
 
 
 def public_key(private_key: bytes) -> bytes:
-    """What tokens that are signed with it are checked with."""
+    """The public key that checks tokens signed with it."""
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # see below
 
     return Ed25519PrivateKey.from_private_bytes(private_key).public_key().public_bytes_raw()
@@ -88,7 +88,7 @@ def is_token(text: str) -> bool:
 
 
 def read_token(text: str, *, keys: Sequence[bytes], cluster_id: str) -> TokenClaims:
-    """What a token says whose signature holds. Raises PermissionDenied with reason UNAUTHENTICATED."""
+    """The contents of a token whose signature holds. Raises PermissionDenied with reason UNAUTHENTICATED."""
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 

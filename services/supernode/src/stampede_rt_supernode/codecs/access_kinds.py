@@ -1,4 +1,4 @@
-"""What is done to the rules of access, and what comes of it, to and from the messages of the log."""
+"""Commands about the rules of access and their results, to and from the messages of the log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a leader does to the cluster, and what comes of it, to and from the messages of the log."""
+"""Commands of a leader about the cluster and their results, to and from the messages of the log."""
 
 from __future__ import annotations
 

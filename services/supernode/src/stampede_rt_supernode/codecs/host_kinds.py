@@ -1,4 +1,4 @@
-"""What is done to hosts, and what comes of it, to and from the messages of the log."""
+"""Commands about hosts and their results, to and from the messages of the log."""
 
 from __future__ import annotations
 

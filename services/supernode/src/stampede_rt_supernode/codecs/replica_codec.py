@@ -84,7 +84,7 @@ def load_message(load: ReplicaLoad) -> replica_pb2.ReplicaLoad:
 
 
 def load_from(message: replica_pb2.ReplicaLoad) -> ReplicaLoad:
-    """What a host tells. Raises as `channel_id_of`."""
+    """The loads that a host tells. Raises as `channel_id_of`."""
     return ReplicaLoad(
         channel_id=channel_id_of(message.subject),
         host_id=message.host_id,

@@ -1,4 +1,4 @@
-"""What is done to copies of channels, and what comes of it, to and from the messages of the log."""
+"""Commands about copies of channels and their results, to and from the messages of the log."""
 
 from __future__ import annotations
 

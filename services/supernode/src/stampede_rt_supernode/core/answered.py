@@ -33,7 +33,7 @@ FORGOTTEN_BY_MARK = 4096
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What became of an operation. `subject`: see `commands.subject_of`."""
+    """The answer to an operation. `subject`: see `commands.subject_of`."""
 
     op_id: bytes
     index: int
@@ -42,7 +42,7 @@ class Answer:
 
     @property
     def size_bytes(self) -> int:
-        """What it takes, about; the same on every replica."""
+        """The bytes that it takes, about; the same on every replica."""
         if isinstance(self.result, (GroupOpened, GroupUpdated)):
             return ANSWER_BYTES + MEMBER_BYTES * len(self.result.group.spec.channel_ids)
         return ANSWER_BYTES

@@ -1,4 +1,4 @@
-"""What a host may say of itself: by its certificate, if the cluster has them, and by the protocol it speaks. Pure."""
+"""Checks of a host's own words: by its certificate, if the cluster has them, and by the protocol it speaks. Pure."""
 
 from __future__ import annotations
 

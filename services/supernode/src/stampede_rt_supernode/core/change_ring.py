@@ -48,7 +48,7 @@ class ChangeRing:
         return self._dropped + len(self._changes)
 
     def begin(self, index: int) -> None:
-        """What is noted from now on is of log position `index`, which is not below the one before."""
+        """Note the following changes under log position `index`, which is not below the one before."""
         self._index = index
 
     def note(

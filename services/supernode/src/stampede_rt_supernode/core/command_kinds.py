@@ -28,7 +28,7 @@ def _never_late(state: DirectoryState, operation: Operation, as_of_index: int) -
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CommandKind(Generic[Op, Done]):
-    """What one kind of command is about, when it is refused, and what it does."""
+    """One kind of command: its subject, the reasons to refuse it, and its effect."""
 
     operation: type[Op]
     result: type[Done]

@@ -41,12 +41,13 @@ def kind_of(operation: Operation) -> CommandKind[Any, Any]:
 
 
 def subject_of(operation: Operation) -> str:
-    """What an operation is about, kind and thing: an operation id that comes back with another subject is a mistake."""
+    """The subject of an operation, kind and thing: an operation id that comes back with another subject is a
+    mistake."""
     return f"{type(operation).__name__} {kind_of(operation).subject(operation)}"
 
 
 def check_operation(operation: Operation) -> None:
-    """What can be said of `operation` without any state, so that nonsense never comes into the log.
+    """Check `operation` without any state, so that nonsense never comes into the log.
 
     An operation that passes fits into a log entry. Raises InvalidName or InvalidArgument.
     """

@@ -1,4 +1,4 @@
-"""What can be done to the directory, and what comes of it. Pure, immutable values.
+"""Operations on the directory, and their results. Pure, immutable values.
 
 All that is random or read from a clock is stamped into a command by its proposer, so that every replica computes the
 same from it.

@@ -32,7 +32,8 @@ class Directory(DirectoryState):
             self.tables.note_index(index)
 
     def note_done(self, index: int, result: bytes) -> None:
-        """What was done at a position gave `result`; not called for refusals, which releases may word differently."""
+        """Note the result of the operation at a position; not called for refusals, which releases may word
+        differently."""
         if self.digest:
             done = self.digest + index.to_bytes(8, "big") + result
             self.digest = blake2b(done, digest_size=DIGEST_BYTES).digest()

@@ -19,5 +19,5 @@ def matcher(glob: str) -> Callable[[str], bool]:
 
 
 def fixed_prefix(glob: str) -> str:
-    """What every matching name begins with."""
+    """The text with which every matching name begins."""
     return re.split(r"[*?]", glob, maxsplit=1)[0]

@@ -19,7 +19,7 @@ STALL_FRACTION = 2  # a leader that did not look for TTL / 2 did not hear renewa
 
 
 class Registered(Protocol):
-    """What a lease is held for: one registration of a host or peer."""
+    """The holder of a lease: one registration of a host or peer."""
 
     @property
     def holder_id(self) -> bytes:
@@ -99,12 +99,12 @@ class LeaseTable:
         return True
 
     def note_clock(self, holder: Registered, clock: ClockOffset, now: int) -> None:
-        """What a live holder told of its clock with its registration."""
+        """The clock report of a live holder, from its registration."""
         if self.tenure:
             self._lease_of(holder, now).clock = clock
 
     def clock(self, holder: Registered) -> ClockOffset | None:
-        """What a holder told last of its clock; None: nothing, or not to this leader."""
+        """The last clock report of a holder; None: none, or not to this leader."""
         held = self._leases.get(holder.holder_id)
         return held.clock if held is not None and held.registered_index == holder.registered_index else None
 

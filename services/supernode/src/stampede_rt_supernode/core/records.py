@@ -1,4 +1,5 @@
-"""What the directory holds: hosts, channels, groups, copies, queues, peers; and what changed. Pure, immutable values.
+"""The records of the directory: hosts, channels, groups, copies, queues, peers; and changes of them. Pure, immutable
+values.
 
 They are the rows of the four maps of the paper's section 4.3, its groups (3.3), its proxies (4.1), and its queues and
 participants (3.5). Ids are 16 opaque bytes.
@@ -108,7 +109,7 @@ class GroupRecord:
 
 
 class ReplicaKind(Enum):
-    """What a copy is for: readers only, or to take over besides."""
+    """The purpose of a copy: for readers only, or to take over besides."""
 
     PROXY = "proxy"
     WARM = "warm"
@@ -205,7 +206,7 @@ class PeerRecord:
 
 
 class ChangeKind(Enum):
-    """What a change did to its subject."""
+    """The effect of a change on its subject."""
 
     ADDED = "added"
     UPDATED = "updated"

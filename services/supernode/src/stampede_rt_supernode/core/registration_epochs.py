@@ -19,7 +19,7 @@ EPOCH_MAX = 2**63 - 1
 
 
 def check_registration_epoch(operation: RegisterHost | RegisterPeer) -> None:
-    """What can be said without the tables. Raises InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidArgument."""
     if not 0 <= operation.registration_epoch <= EPOCH_MAX:
         text = f"registration_epoch is {operation.registration_epoch}; take the next one after that which was reached"
         raise InvalidArgument(text, metadata={"field": "registration_epoch"})

@@ -1,4 +1,4 @@
-"""What becomes of channels, their copies, their groups, and mailboxes when their host goes. Pure.
+"""The fate of channels, their copies, their groups, and mailboxes when their host goes. Pure.
 
 A warm replica that is in sync holds everything that was acknowledged, so it becomes the owner when the owner's
 registration ends: in the very step that ends it, so that nobody else is given the channel in between. The incarnation

@@ -1,4 +1,4 @@
-"""What names, ids and endpoints must look like. Pure; every function raises InvalidArgument or InvalidName.
+"""The form of names, ids and endpoints. Pure; every function raises InvalidArgument or InvalidName.
 
 The errors name the thing, the reason and the way out, since they are shown to whoever typed the name.
 """

@@ -50,7 +50,7 @@ class Founding:
     refusals: int = 0
 
     def replication_settings(self, data_dir: Path | None) -> ReplicationSettings:
-        """What the log is to be told."""
+        """The settings of the log."""
         return ReplicationSettings(
             self_member=Member(member_id=self.supernode_id, address=self.address),
             initial_members=[Member(member_id=name, address=address) for name, address in self.members.items()],
@@ -62,7 +62,7 @@ class Founding:
 
 
 def read_founding(data_dir: Path) -> Founding | None:
-    """What the folder is for, None if neither `init` nor `join` has prepared it. Raises StampedeError."""
+    """The purpose of the folder; None if neither `init` nor `join` has prepared it. Raises StampedeError."""
     path = data_dir / FILE_NAME
     try:
         facts: dict[str, Any] = json.loads(path.read_text())
@@ -133,7 +133,7 @@ def check_restored(data_dir: Path) -> None:
 
 
 def misplaced(founding: Founding, listening_at: str, advertise: str) -> str:
-    """What to say of one that listens where nobody calls it; empty if all is well.
+    """The warning for a supernode that listens where nobody calls it; empty if all is well.
 
     Whoever names its address with --advertise knows how calls get from there to here.
     """

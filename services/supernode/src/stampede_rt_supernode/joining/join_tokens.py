@@ -32,7 +32,7 @@ class JoinTokens:
         return f"{body}.{self._proof(body, newcomer)}"
 
     def check(self, token: str, newcomer: Member, *, now_unix_nano: int) -> str:
-        """What the log knows the token by. Raises PermissionDenied with reason UNAUTHENTICATED."""
+        """The hash by which the log knows a valid token. Raises PermissionDenied with reason UNAUTHENTICATED."""
         body, _, proof = token.rpartition(".")
         parts = body.split(".")
         if not hmac.compare_digest(proof.encode(), self._proof(body, newcomer).encode()) or len(parts) != _PARTS:

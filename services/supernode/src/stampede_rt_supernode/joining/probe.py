@@ -22,7 +22,7 @@ PROBE_SECONDS = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What the last probe of a member found. `round_trip_nanos` is None if it did not answer."""
+    """The result of the last probe of a member. `round_trip_nanos` is None if it did not answer."""
 
     healthy: bool
     round_trip_nanos: int | None

@@ -1,4 +1,4 @@
-"""Who the members are, and how that follows from the log. Pure.
+"""The members, and how they follow from the log. Pure.
 
 One member comes or goes at a time: any majority of the members before and any of those after then share a member, so
 that two leaders of one term cannot both find one (Ongaro's dissertation, section 4.1). A configuration holds from the
@@ -35,7 +35,7 @@ class Configuration:
         return cls(tuple(sorted(members, key=lambda member: member.member_id)), tuple(retired), tuple(spent))
 
     def spender_of(self, ticket: str) -> str | None:
-        """Whom a ticket has let in."""
+        """The member that a ticket has let in."""
         return dict(self.spent).get(ticket)
 
     def find(self, member_id: str) -> Member | None:

@@ -12,8 +12,8 @@ from typing import Protocol
 
 
 class StateMachine(Protocol):
-    """What the log drives. Methods are called on the log's own thread, if nothing else is said; they neither raise nor
-    block.
+    """The state machine that the log drives. Methods are called on the log's own thread, if nothing else is said; they
+    neither raise nor block.
 
     Releases know commands up to a highest feature level. The state has a level, up to which all members know them.
     """
@@ -68,7 +68,7 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicationStatus:
-    """What a replica believes of the log at this moment; it may be stale.
+    """The log at this moment, as a replica believes it to be; it may be stale.
 
     `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may
     be committed or not yet. `removed`: the leader, or most of the others, say that this one was removed, for good;

@@ -44,7 +44,7 @@ class RaftNetwork(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MemberRoster:
-    """Whom a replica wants to talk to, and to whom it says what.
+    """The members that a replica talks to, and those that it knows.
 
     `members` are those of the newest configuration in the log; `removed` those of the newest one applied, for good.
     """
@@ -165,7 +165,7 @@ class RaftReplica:
         return bool(self._node.may_change_members()) and self._changes.is_idle and not self._arrivals.changes
 
     def promise_of(self, member_id: str) -> Promise:
-        """What another member has said that it holds."""
+        """The promise of another member: what it has said that it holds."""
         return self._log.promises.get(member_id, Promise(0, 0))
 
     def status(self) -> ReplicationStatus:

@@ -1,4 +1,4 @@
-"""What a replica must be told before it starts; checked here, once."""
+"""The settings of a replica; checked here, once."""
 
 from __future__ import annotations
 

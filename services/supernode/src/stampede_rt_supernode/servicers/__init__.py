@@ -1,1 +1,1 @@
-"""What a supernode answers over gRPC: check, ask or command the directory, encode."""
+"""The gRPC services of a supernode: check, ask or command the directory, encode."""

@@ -1,4 +1,4 @@
-"""What the servicers of this port have in common: the caller's time, reads and updates."""
+"""The common parts of this port's servicers: the caller's time, reads and updates."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ class DirectoryCalls:
         op_id: bytes,
         as_of_index: int | None = None,
     ) -> S:
-        """What came of `operation`, as in `Submission.submit`. Raises InvalidArgument for what cannot be meant.
+        """The result of `operation`, as in `Submission.submit`. Raises InvalidArgument for an operation that cannot be
+        meant.
 
         `as_of_index`: what `reached` gave when the request came, if it was not just now.
         """

@@ -91,7 +91,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Context) -> pb.OpenChannelResponse:
-        """What changes nothing is answered from a confirmed read, without an entry in the log."""
+        """An update that changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
         check_known(AccessKind.CHANNEL, request.name)
         operation = OpenChannel(

@@ -1,4 +1,4 @@
-"""What the leader does about the leases of hosts and peers: takes them over, prolongs them, ends them. The thin shell
+"""The leader's care for the leases of hosts and peers: it takes them over, prolongs them, ends them. The thin shell
 around `lease`.
 """
 
@@ -199,13 +199,13 @@ class LeaseKeeper:
         return PeerRenewal(ttl_nanos, tenure, self._clock.time_unix_nano(), self_id, held)
 
     def note_clock(self, peer: PeerRecord, clock: ClockOffset | None) -> None:
-        """What a peer told with this registration of it: of use if this supernode leads, and the peer still lives."""
+        """Keep the clock report of this registration, if this supernode leads and the peer still lives."""
         now_there = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer.peer_id))
         if clock is not None and peer == now_there:
             self._peers.note_clock(peer, clock, self._clock.boottime_nanos())
 
     def clock_of(self, peer: PeerRecord) -> ClockOffset | None:
-        """What a peer told last of its clock, if it told this supernode as the leader."""
+        """The last clock report of a peer, if it reported to this supernode as the leader."""
         return self._peers.clock(peer)
 
     async def _renew(

@@ -1,4 +1,4 @@
-"""What the leader does about the cluster's feature level: raises it once all members know a higher one."""
+"""The leader's care for the cluster's feature level: it raises the level once all members know a higher one."""
 
 from __future__ import annotations
 

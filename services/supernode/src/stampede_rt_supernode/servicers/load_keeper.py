@@ -1,5 +1,5 @@
-"""What the leader does about the loads of owners and copies: takes what hosts tell, and gives it to who asks. The thin
-shell around `replica_loads`."""
+"""The leader's care for the loads of owners and copies: it takes the reports of hosts, and gives them to callers. The
+thin shell around `replica_loads`."""
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ class LoadKeeper:
         self._loads.note(held, self._clock.boottime_nanos())
 
     def of(self, channel_id: bytes, host_ids: Sequence[bytes]) -> list[ReplicaLoad]:
-        """What these hosts told of a channel, the least loaded first; nothing if this supernode does not lead."""
+        """The loads that these hosts told of a channel, the least loaded first; nothing if this supernode does not
+        lead."""
         self._loads.lead(self._log.status().tenure)
         return self._loads.of(channel_id, host_ids, self._clock.boottime_nanos())
 

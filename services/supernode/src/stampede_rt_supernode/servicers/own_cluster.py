@@ -17,7 +17,7 @@ class OwnCluster:
         self._known = ""
 
     def learn(self, log_cluster_id: str) -> None:
-        """What the members call the cluster among each other: found at the start, before anybody is served."""
+        """The cluster's id among its members: found at the start, before anybody is served."""
         self._known = cluster_id_of(log_cluster_id)
 
     def id(self) -> str:

@@ -41,7 +41,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
 
     @errors_as_status
     async def OpenQueue(self, request: pb.OpenQueueRequest, context: Context) -> pb.OpenQueueResponse:
-        """What changes nothing is answered from a confirmed read, without an entry in the log."""
+        """An update that changes nothing is answered from a confirmed read, without an entry in the log."""
         as_of = self._calls.reached()
         check_known(AccessKind.QUEUE, request.name)
         operation = OpenQueue(

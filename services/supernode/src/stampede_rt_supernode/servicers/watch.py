@@ -163,7 +163,7 @@ def _peer_filter(glob: str) -> Callable[[DirectoryChange], bool]:
 
 
 def _matches(name: str, glob: str, matches: Callable[[str], bool]) -> bool:
-    """What has no name matches no pattern, but is there when none is given."""
+    """A mailbox without a name matches no pattern, but is there when no pattern is given."""
     return matches(name) if name else not glob
 
 

@@ -125,7 +125,7 @@ class ChannelCore:
         self._acceptance.rejected["OVERLOADED"] += items
 
     def read(self, query: Query, now: int) -> ReadAnswer:
-        """What the channel holds of the query, at once. Changes nothing that another reader could see.
+        """The items of the query that the channel holds now. Changes nothing that another reader could see.
 
         Raises IncarnationLost if a position comes from another incarnation.
         """
@@ -161,7 +161,7 @@ class ChannelCore:
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
 
     def give_up(self, pending: Pending, now: int) -> ReadAnswer:
-        """What there is when the get's time is over, with its reason."""
+        """The answer when the time of the get is over, with its reason."""
         return at_once(self.giving_up(pending, now))
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
@@ -327,7 +327,7 @@ class ChannelCore:
         return clock if more else self._retention.next_due()
 
     def counters(self, now: int) -> Counters:
-        """What became of all items, at this moment."""
+        """Counts of all items by what became of them, at this moment."""
         self._settle(self._tick(now))
         held = self._held
         return Counters(
@@ -340,7 +340,7 @@ class ChannelCore:
         )
 
     def look(self, now: int) -> tuple[Holdings, Retention]:
-        """What is held, aged to `now`, and under which limits, for views of the channel: to be read, not changed."""
+        """The held items, aged to `now`, and their limits. Views of the channel read them and do not change them."""
         self._settle(self._tick(now))
         return self._held, self._retention
 
@@ -351,7 +351,7 @@ class ChannelCore:
 
     @property
     def footprint_bytes(self) -> int:
-        """What is kept of the host's memory, as of the last call: whole runs, also of items that are not freed yet."""
+        """The memory that the channel keeps, as of the last call: whole runs, and items that are not freed yet."""
         return self._held.footprint_bytes
 
     @property

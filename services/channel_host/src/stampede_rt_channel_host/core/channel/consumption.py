@@ -1,4 +1,5 @@
-"""Who has consumed what (paper, section 3.4: reference count with a known number of consumers). Pure.
+"""The consumers of a channel, and the items that each has consumed (paper, section 3.4: a reference count with a known
+number of consumers). Pure.
 
 A channel with consumers has that many places. A consumer takes one with its first `consume`, keeps it by a lease that
 each further one renews, and loses it when the lease ends. It holds back what it has not consumed:

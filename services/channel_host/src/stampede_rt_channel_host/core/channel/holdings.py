@@ -1,4 +1,5 @@
-"""What a channel holds and what became of the rest: the state under retention, acceptance and reading. Pure.
+"""The items of a channel and the counts of those that are gone: the state under retention, acceptance and reading.
+Pure.
 
 What lies below `floor` is outdated: collected in every count and never returned, though its memory may be freed later.
 So a policy that outdates a million items at once stalls nobody.
@@ -90,7 +91,7 @@ class Holdings:
 
     @property
     def charged_bytes(self) -> int:
-        """What the held items count against max_bytes."""
+        """The bytes that the held items count against max_bytes."""
         return self.payload_bytes + self.items * ITEM_OVERHEAD_BYTES
 
     @property
@@ -100,7 +101,7 @@ class Holdings:
 
     @property
     def footprint_bytes(self) -> int:
-        """What is really kept: the bodies of all runs of which an item is left, and 64 bytes for each item."""
+        """The bytes that are really kept: the bodies of all runs with an item left, and 64 bytes for each item."""
         return self._kept_body_bytes + self._stored_items * ITEM_OVERHEAD_BYTES
 
     @property
@@ -111,7 +112,7 @@ class Holdings:
 
     @property
     def _free_floor(self) -> ItemKey:
-        """What snapshots still show is not freed, nor what was not told of."""
+        """The host frees items below this key: no snapshot shows them, and the follower has heard of their end."""
         floor = self.floor if self._on_gone is None else min(self.floor, self._told)
         return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
 
@@ -130,7 +131,7 @@ class Holdings:
         return LAST_KEY
 
     def snapshot(self) -> ChannelSnapshot:
-        """What is held now, to be walked while it changes."""
+        """A snapshot of the held items, to walk while the channel changes."""
         return ChannelSnapshot(self.index, self.floor, self.next_seq, self._snapshots)
 
     @property
@@ -441,7 +442,7 @@ class Holdings:
             self._copy_rest(run)
 
     def _copy_rest(self, run: ColumnRun) -> None:
-        """What is left of a run goes on in bodies of its own, if that saves as much as it costs."""
+        """Move the rest of a run into bodies of its own, if that saves as much as it costs."""
         parts = self.index.parts_of(run, COPIED_PARTS_MAX + 1)
         if self._cut is None or len(parts) > COPIED_PARTS_MAX:
             return

@@ -22,7 +22,7 @@ REJECT = "reject"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelLimits:
-    """What a channel holds to. None: no such limit."""
+    """The limits that a channel keeps to. None: no such limit."""
 
     max_age_nanos: int | None
     max_items: int | None

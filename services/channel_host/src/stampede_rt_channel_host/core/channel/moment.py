@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel.values import ReadAnswer, WakeAt
 
 
 class HeldThen:
-    """What was held, to be read like `Holdings`. Its entries stay in the index until `close`."""
+    """The items held at one moment, to read like `Holdings`. Its entries stay in the index until `close`."""
 
     def __init__(self, held: Holdings) -> None:
         self.newest = held.newest
@@ -34,7 +34,7 @@ class HeldThen:
         return LAST_KEY
 
     def snapshot(self) -> ChannelSnapshot:
-        """What was held. It outlives this view if it is held."""
+        """The items held at that moment. They outlive this view if the caller keeps them."""
         return self._snapshot.copy()
 
     def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:

@@ -36,7 +36,7 @@ class Reading:
         self.consumed_up_to: int | None = None  # the latest time of an item that consumption took: that one did come
 
     def now(self, clock: int) -> int:
-        """What the meta-time `now` resolves to: the later of the clock and the newest item's time."""
+        """The instant of the meta-time `now`: the later of the clock and the newest item's time."""
         return clock if self._held.newest is None else max(clock, self._held.newest)
 
     def resolve(self, query: Query, clock: int) -> ResolvedInterval | None:
@@ -61,7 +61,7 @@ class Reading:
             )
 
     def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
-        """What is held of the query, all as of the first piece."""
+        """The held items of the query, all as of the first piece."""
         if within is None:
             return self._unresolved()
         region = _region(query, within)
@@ -106,7 +106,7 @@ class Reading:
         return self._wake_at(within.start + within.start_exclusive, clock)
 
     def needs(self, pending: Pending) -> Needs:
-        """What may release the get, as far as that is not the clock's doing."""
+        """The events that may release the get, apart from the passing of time."""
         if pending.interval is None:
             return Needs(time=BEFORE_ALL)
         region = _region(pending.query, pending.interval)
@@ -178,7 +178,7 @@ class Reading:
         return Reason("NEVER", f"the channel is past the interval and nothing was put that matches{but}")
 
     def _gone(self, region: ResolvedInterval) -> Reason:
-        """What the region reaches back to was collected, or lost with an earlier incarnation."""
+        """The reason for a region that reaches back to collected items, or to those of a lost incarnation."""
         gone_before = self._held.gone_before
         return self._collected() if gone_before is not None and region.start < gone_before else self._lost()
 
@@ -197,7 +197,7 @@ class Reading:
         return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
-        """Whoever reaches back hears what was lost, though more may come."""
+        """The reason while nothing matches yet. A reader that reaches back hears of a loss, though more may come."""
         return self._lost() if self._reaches_into_loss(region) else self._not_yet(query, region)
 
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:

@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 SLICES_USED_UP_MAX = 64
-"""What one call lets go of by consumption: a consumer that makes up for a long delay stalls nobody."""
+"""The most slices that one call frees by consumption. A consumer that catches up after a long delay stalls nobody."""
 ENTRIES_PER_LOOK = 8
 SLICES_AGED_MAX = 256
 """Of so many slices one call asks whether all consumers have consumed them, where ageing depends on that."""

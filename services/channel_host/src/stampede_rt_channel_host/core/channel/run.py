@@ -15,7 +15,7 @@ ABSENT = -1
 """Stands for "no duration" in a column of durations."""
 
 ITEM_OVERHEAD_BYTES = 64
-"""What an item is charged against max_bytes beside its payload."""
+"""The bytes that an item is charged against max_bytes beside its payload."""
 
 
 class Run(ABC):
@@ -54,7 +54,7 @@ class Run(ABC):
 
 
 class Slicer(Protocol):
-    """What the shell knows of a run's body, once a part of it was asked for."""
+    """Cuts parts out of a run's body. The shell makes it when a reader first asks for a part."""
 
     def cut(self, lo: int, hi: int, *, without_payloads: bool) -> bytes:
         """The body of the items from position `lo` up to, not including, `hi`."""
@@ -198,7 +198,7 @@ class Slice(NamedTuple):
 
     @property
     def charge_bytes(self) -> int:
-        """What its items take off a reader's credit."""
+        """The bytes that its items cost a reader's credit."""
         return self.payload_bytes + self.items * ITEM_OVERHEAD_BYTES
 
     def within(self, credit_bytes: int) -> Slice:

@@ -54,7 +54,7 @@ class Readable(Protocol):
 
     @property
     def end(self) -> ItemKey:
-        """What is shown lies below it."""
+        """The visible items lie below this key."""
 
     def snapshot(self) -> ChannelSnapshot:
         """All that is held now, whether it is shown or not."""
@@ -89,7 +89,8 @@ NOTHING = Selected((), False, None)
 def select(
     held: Readable, query: Query, within: ResolvedInterval, now: int, on_hold: Callable[[], object] = lambda: None
 ) -> Pieces[Selected]:  # fmt: skip
-    """What matches, in pieces. `now` is the resolved meta-time. If the first piece is not all, `on_hold` is called."""
+    """The matching items, in pieces. `now` is the resolved meta-time. If the first piece is not all, it calls
+    `on_hold`."""
     if within.is_empty or held.oldest is None:
         return NOTHING
     stretches = [_clip(stretch, query, held.end) for stretch in _stretches(held, query.match, within, now)]
@@ -195,7 +196,7 @@ def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int)
 
 
 def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_Stretch]:
-    """What begins at or before the lower bound, as far as its spans hold an instant of the interval."""
+    """The items that begin at or before the lower bound and whose spans hold an instant of the interval."""
     bucket = held.floor_time(within.start)
     if bucket is None:
         return []

@@ -33,7 +33,7 @@ class SeqSet:
 
     @property
     def ranges(self) -> list[tuple[int, int]]:
-        """What is in above `below`, ascending: first and end, the end excluded."""
+        """The ranges above `below`, ascending: first and end, the end excluded."""
         return list(self._ranges)
 
     @property

@@ -1,4 +1,4 @@
-"""What a channel holds at one moment, to be walked in pieces while the channel goes on. Pure."""
+"""The items of a channel at one moment. A reader walks them in pieces while the channel goes on. Pure."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class ChannelSnapshot:
         self._holders.pop(self, None)
 
     def detach(self) -> None:
-        """What it shows leaves the index now: keep it. Takes as long as it has entries."""
+        """Copy the index, because the channel frees items of the snapshot. Takes a step for each entry."""
         self._index = self._index.copy_from(self.floor)
 
     def shows(self, part: Slice) -> bool:

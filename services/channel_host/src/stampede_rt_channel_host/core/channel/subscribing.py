@@ -17,7 +17,8 @@ from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SavedCursor, SubscriptionBatch
 
 GAP_ENTRIES_MAX = 1024
-"""What one call looks at of outdated items: a reader that is far behind stalls nobody, and hears of several gaps."""
+"""The most outdated entries that one call looks at. A reader that is far behind stalls nobody, and hears of several
+gaps."""
 
 
 Range = tuple[int, int]

@@ -1,4 +1,4 @@
-"""What callers give a channel and get back from it. Pure.
+"""The values that callers give a channel and get back from it. Pure.
 
 Every instant is int nanoseconds since the epoch, every duration int nanoseconds, every size bytes.
 """
@@ -64,7 +64,7 @@ class Rejection:
 
 
 class PutOutcome(NamedTuple):
-    """What became of an offer. Items before `waiting` (all, if None) were accepted, or refused with a rejection.
+    """The outcome of an offer. Items before `waiting` (all, if None) were accepted, or refused with a rejection.
 
     `run` holds the accepted ones (None: none); their seqs are `run.first_seq` and on, in the offer's order. Those from
     position `waiting` on must wait (on_full="block"): offer `offer.rest(waiting, now)` again after the next change of
@@ -184,7 +184,7 @@ class SubscriptionBatch:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Counters:
-    """What became of a channel's items, at one moment: `accepted == held + sum(collected.values())`, always.
+    """The counts of a channel's items at one moment: `accepted == held + sum(collected.values())`, always.
 
     `collected` has the keys age, count, bytes, consumption; `rejected` TOO_OLD, IN_FUTURE, ITEM_TOO_LARGE,
     CHANNEL_FULL, MALFORMED_RUN. Bytes are payload bytes.

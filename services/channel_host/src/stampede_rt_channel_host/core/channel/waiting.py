@@ -1,4 +1,5 @@
-"""What blocked gets wait for, and how far what came since reaches: only those are looked at that it may release. Pure.
+"""The needs of blocked gets, and how far the items since then reach. Only gets that they may release are looked at.
+Pure.
 
 A get is released by an item whose time, or, where spans count, whose span comes so far as its interval, or by whatever
 says that nothing more can come into it. Since when it was looked at last no item did, it is one that has come since.
@@ -21,8 +22,8 @@ _BUCKET_PARTS_MAX = 16
 
 
 class Needs(NamedTuple):
-    """What may release a get: the channel has passed an instant; an item comes with this time or a later one; or one
-    whose span lasts until this instant or longer. None: that does not."""
+    """The events that may release a get: the channel has passed an instant; an item comes with this time or a later
+    one; or an item comes whose span lasts until this instant or longer. None: such an event does not release it."""
 
     passed: int | None = None
     time: int | None = None
@@ -47,7 +48,7 @@ class Coming:
         self._cut = AFTER_ALL
 
     def begin(self, cut: int = AFTER_ALL) -> None:
-        """What is there by now was looked at."""
+        """The gets have seen all items so far."""
         self._seen_seq, self._cut = self._channel.next_seq, cut
 
     def reach(self, now: int, cut: int = AFTER_ALL) -> Reach:

@@ -1,4 +1,4 @@
-"""What a moving cut makes visible of one channel, each item once (paper, section 3.3). Pure.
+"""The items of one channel that a moving cut makes visible, each once (paper, section 3.3). Pure.
 
 A follower has dealt with all items before its cut that have a seq below its `next_seq`. The next step, to a later cut,
 brings the items between the two cuts, and apart from them the late ones: accepted below the former cut since.
@@ -183,7 +183,7 @@ class CutFollower:
         return taken, left, False
 
     def _deliver(self, held: Holdings, part: Slice) -> DeliveredSlice:
-        """What lies at or past the cut bounds nothing: nobody may see it yet."""
+        """Items at or past the cut bound nothing: nobody may see them yet."""
         following = held.next_time(part.last_time)
         hidden = following is not None and following >= self._target[0]
         return DeliveredSlice(part, None if hidden else following)
@@ -226,7 +226,7 @@ def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
 
 
 def _joined(unreported: Loss, since: Loss | None) -> Loss:
-    """What was lost before the reader came back, and since."""
+    """The loss of before the reader came back, joined with the loss since."""
     if since is None:
         return unreported
     before, last_seq = max(unreported.before, since.before), max(unreported.last_seq, since.last_seq)

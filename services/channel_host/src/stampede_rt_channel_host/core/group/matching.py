@@ -33,7 +33,7 @@ class FoundMatch:
 
     @property
     def charge_bytes(self) -> int:
-        """What its items take off a reader's credit, without those of other hosts."""
+        """The bytes that its items cost a reader's credit, without those of other hosts."""
         partners = (near.item for near in self.matched.values() if near.item is not None)
         return self.item.slice.charge_bytes + sum(one.slice.charge_bytes for one in partners)
 

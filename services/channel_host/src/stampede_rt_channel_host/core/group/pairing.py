@@ -19,7 +19,7 @@ HasPassed = Callable[[int], bool]
 
 
 class Undecided(Exception):
-    """What is still to come may be nearer."""
+    """An item that is still to come may be nearer."""
 
 
 class Pairing:
@@ -41,7 +41,7 @@ class Pairing:
         self._now = now
 
     def partner(self, key: ItemKey, tolerance: int) -> Nearest | None:
-        """What the first own item left gets; `other` has passed its time + tolerance. Raises Undecided."""
+        """The partner of the first own item left; `other` has passed its time + tolerance. Raises Undecided."""
         end, other_end = (
             LAST_KEY,
             LAST_KEY,

@@ -108,7 +108,7 @@ class OwnTimes:
 
 @dataclass(slots=True)
 class Heard:
-    """What a host knows of one channel. All instants are its own clock's.
+    """The facts that a host knows of one channel. All instants are its own clock's.
 
     `known_until`: up to when it knows whether the channel is silent; None: it owns the channel and always knows.
     """
@@ -127,7 +127,7 @@ class Heard:
 
 
 class TimesBoard:
-    """What a host knows of all channels that its groups have: one for each host, shared by the groups.
+    """The facts that a host knows of the channels of its groups: one for each host, shared by the groups.
 
     `setbacks`: how often a channel fell behind what was known of it, since its host was lost. Otherwise it only grows.
     """
@@ -137,7 +137,7 @@ class TimesBoard:
         self._heard: dict[bytes, Heard] = {}
 
     def find(self, channel_id: bytes) -> Heard | None:
-        """What is known of the channel; None: it was never heard of."""
+        """The known facts of the channel; None: it was never heard of."""
         return self._heard.get(channel_id)
 
     def tell_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:

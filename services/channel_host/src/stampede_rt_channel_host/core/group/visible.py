@@ -60,7 +60,7 @@ class VisibleHoldings:
 
     @property
     def end(self) -> ItemKey:
-        """What is visible lies below it."""
+        """The visible items lie below this key."""
         return self._end
 
     def snapshot(self) -> ChannelSnapshot:
@@ -106,7 +106,7 @@ class VisibleReading(Reading):
         return super().resolve_interval(interval, clock)
 
     def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
-        """What is visible of the query."""
+        """The visible items of the query."""
         if within is not None:
             self._asked = query, within, clock
         return super().answer(query, within, clock)
@@ -129,14 +129,14 @@ class VisibleReading(Reading):
     def _reason(
         self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
     ) -> Reason | None:
-        """What a limit cut off is no part of the answer, so neither is what is hidden behind it."""
+        """Items that a limit cuts off are no part of the answer, and hidden items behind them neither."""
         reason = super()._reason(query, region, complete, truncated, more)
         if reason is None and not (more and not query.newest_first) and self._hides():
             return self._hidden()
         return reason
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
-        """What is there and hidden comes before what was lost."""
+        """Hidden items come before lost ones."""
         if self._is_passed(region) or self._hides():
             return self._hidden()
         return super()._nothing_yet(query, region)
@@ -182,7 +182,7 @@ class VisibleChannel:
         self._channel = channel
 
     def read(self, query: Query, horizon: Horizon, now: int) -> ReadAnswer:
-        """What is visible of the query, at once. Raises IncarnationLost like `ChannelCore.read`."""
+        """The visible items of the query, now. Raises IncarnationLost like `ChannelCore.read`."""
         return at_once(self.reading(query, horizon, now))
 
     def reading(self, query: Query, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
@@ -203,7 +203,7 @@ class VisibleChannel:
         return polling(self._channel, pending, horizon, now)
 
     def give_up(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer:
-        """What there is when the get's time is over, with its reason."""
+        """The answer when the time of the get is over, with its reason."""
         return at_once(self.giving_up(pending, horizon, now))
 
     def giving_up(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:

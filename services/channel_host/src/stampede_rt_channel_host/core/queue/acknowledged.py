@@ -43,7 +43,7 @@ class AcknowledgedDeliveries:
 
     @property
     def footprint_bytes(self) -> int:
-        """What it takes of the host's memory."""
+        """The memory that it takes at the host."""
         return len(self._chunks) * BYTES_PER_CHUNK
 
     def record(self, delivery_id: int, taker_id: int, now: int) -> None:
@@ -64,7 +64,7 @@ class AcknowledgedDeliveries:
         return chunk is not None and chunk.takers[offset] == taker_id and chunk.times[offset] > now - KEPT_NANOS
 
     def all(self, now: int) -> Iterator[Acknowledged]:
-        """What is known, oldest chunk first."""
+        """The known deliveries, the oldest chunk first."""
         for number, chunk in self._chunks.items():
             for offset, taker_id in enumerate(chunk.takers):
                 if taker_id and chunk.times[offset] > now - KEPT_NANOS:

@@ -1,4 +1,4 @@
-"""Who is given what: takers that wait are served in turn, each with an equal share of what there is. Pure."""
+"""The dispatcher of a queue: takers that wait are served in turn, each with an equal share of the items. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BATCH_BYTES_MAX = 2**20 - 2**16
 ITEMS_DEALT_MAX = 256
 """So many items one batch holds at the most, and as many in all are given out at once; then others have their turn."""
 DELIVERY_BYTES = 16
-"""What an item's delivery id and number take on the wire, at the most."""
+"""The most bytes that an item's delivery id and number take on the wire."""
 VIEWS_MAX = 4096
 RETURNS_PER_LOOK_MAX = 1024
 

@@ -75,7 +75,7 @@ class Enqueue:
 
     @property
     def charged_bytes(self) -> int:
-        """What its items are charged against limits of memory."""
+        """The bytes that its items are charged against limits of memory."""
         return sum(self.lengths) + len(self.lengths) * ITEM_OVERHEAD_BYTES
 
 

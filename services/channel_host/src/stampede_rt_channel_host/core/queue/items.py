@@ -35,7 +35,7 @@ class QueuedRun:
 
     @property
     def label_bytes(self) -> int:
-        """What a part of the run takes on the wire beside its payloads, at the most: columns, type, attributes."""
+        """The most bytes that a part of the run takes on the wire beside its payloads: columns, type, attributes."""
         return len(self.body) - sum(self.lengths)
 
 

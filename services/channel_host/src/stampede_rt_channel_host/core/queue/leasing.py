@@ -50,7 +50,7 @@ class Lease:
         self.due: int | None = None
 
     def in_vain(self, ended: str, reason: str = "") -> FailedDelivery:
-        """What is remembered of it."""
+        """This delivery as a failed one, with how it ended."""
         return FailedDelivery(self.number, self.taker.taker_id, self.taker.name, ended, reason)
 
 
@@ -130,7 +130,7 @@ class Leasing:
         return self._deadlines.next()
 
     def recall(self, slices: Iterable[LeasedSlice]) -> None:
-        """What was dealt and never sent goes back as if it had not been dealt."""
+        """Deliveries that were dealt and never sent go back as if they had not been dealt."""
         for one in slices:
             for delivery_id in one.delivery_ids:
                 lease = self.leases.get(delivery_id)

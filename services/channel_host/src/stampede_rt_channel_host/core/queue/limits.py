@@ -10,7 +10,7 @@ from stampede_rt.values.queueing import QueuePolicy
 
 BLOCK, REJECT, DROP_OLDEST = "block", "reject", "drop_oldest"
 ITEM_OVERHEAD_BYTES = 64
-"""What an item is charged against max_bytes beside its payload."""
+"""The bytes that an item is charged against max_bytes beside its payload."""
 ITEM_BYTES_MAX = 16 * 2**20
 _NUMBERS = ("max_items", "max_bytes", "max_item_bytes", "copies", "lease_nanos", "max_deliveries")
 LEASE_NANOS_MAX = 3_600_000_000_000
@@ -19,7 +19,8 @@ LEASE_NANOS_MAX = 3_600_000_000_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueLimits:
-    """What a queue holds to. None: no such limit. Raises InvalidArgument, naming the value and what it may be."""
+    """The limits that a queue keeps to. None: no such limit. Raises InvalidArgument, naming the value and what it may
+    be."""
 
     max_items: int | None = None
     max_bytes: int = 256 * 2**20

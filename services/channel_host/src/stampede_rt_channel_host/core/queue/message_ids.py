@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 KEPT_NANOS = 600_000_000_000
 OVERHEAD_BYTES = 192
-"""What an id takes beside its characters, about."""
+"""The bytes, about, that an id takes beside its characters."""
 KNOWN_BYTES_MAX = 16 * 2**20
 """Of one queue: about 70,000 ids of 36 characters."""
 
@@ -58,7 +58,7 @@ class MessageIds:
         return next(iter(self._known.values())).time + KEPT_NANOS if self._known else None
 
     def all(self, now: int) -> Iterator[KnownMessage]:
-        """What is known, the oldest first."""
+        """The known ids, the oldest first."""
         return (known for known in self._known.values() if known.time > now - KEPT_NANOS)
 
     def _forget(self, message_id: str) -> None:

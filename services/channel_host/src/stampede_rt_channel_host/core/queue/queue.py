@@ -132,11 +132,11 @@ class QueueCore:
         self._dispatcher.wait(taker, clock)
 
     def sending(self, taker: TakerState) -> None:
-        """What it was dealt last is being sent: from now on it counts as delivered."""
+        """The batch that the taker was dealt last is being sent: from now on it counts as delivered."""
         taker.unsent = None
 
     def sent(self, taker: TakerState, now: int) -> None:
-        """What it was dealt last has been sent: it waits for more."""
+        """The batch that the taker was dealt last has been sent: the taker waits for more."""
         clock = self._tick(now)
         taker.unsent, taker.is_busy = None, False
         self._dispatcher.wait(taker, clock)
@@ -165,7 +165,7 @@ class QueueCore:
         return results
 
     def pending(self, after_delivery_id: int, limit: int, now: int) -> list[PendingDelivery]:
-        """What is leased to whom: at most `limit` deliveries behind the one named, in their order."""
+        """The leased deliveries and their takers: at most `limit` deliveries behind the one named, in their order."""
         self._tick(now)
         return self._leasing.pending(after_delivery_id, limit)
 
@@ -230,7 +230,7 @@ class QueueCore:
         return self._enqueuing.retries.next_expiry()
 
     def take_dealt(self) -> list[tuple[TakerState, Batch]]:
-        """Who was given what since the last call. Each batch is to be sent: say `sending`, then `sent`."""
+        """The batches dealt since the last call, with their takers. Send each one: say `sending`, then `sent`."""
         dealt, self._dispatcher.dealt = self._dispatcher.dealt, []
         return dealt
 
@@ -249,7 +249,7 @@ class QueueCore:
         return finished
 
     def counters(self, now: int) -> QueueCounters:
-        """What became of all items, at this moment."""
+        """Counts of all items by what became of them, at this moment."""
         self._tick(now)
         tally, queue_items = self._queue_items.tally, self._queue_items
         return QueueCounters(
@@ -286,8 +286,8 @@ class QueueCore:
 
     @property
     def footprint_bytes(self) -> int:
-        """What the queue takes of the host's memory: stored runs, 64 bytes for each item, runs that wait, and what it
-        knows of acknowledged deliveries, of producers' last runs and of message ids."""
+        """The memory that the queue takes at the host: stored runs, 64 bytes for each item, runs that wait, and the
+        facts about acknowledged deliveries, producers' last runs and message ids."""
         queue_items, enqueuing = self._queue_items, self._enqueuing
         known = self._leasing.acknowledged.footprint_bytes + enqueuing.retries.footprint_bytes
         known += enqueuing.message_ids.footprint_bytes

@@ -1,4 +1,5 @@
-"""What a queue holds: items that nobody was given yet, in order, and the touched ones, by what may be done with them.
+"""The items of a queue: fresh ones, which nobody was given yet, in order, and touched ones, by what may be done with
+them.
 
 Pure. Every operation is O(log n), amortised.
 """
@@ -19,7 +20,7 @@ from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, Queu
 
 @dataclass(slots=True)
 class QueueTally:
-    """What became of items and deliveries until now; see QueueCounters."""
+    """Counts of items and deliveries until now; see QueueCounters."""
 
     accepted: int = 0
     accepted_bytes: int = 0

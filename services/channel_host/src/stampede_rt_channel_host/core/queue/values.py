@@ -1,4 +1,4 @@
-"""What callers give a queue and get back from it (paper, section 3.5). Pure.
+"""The values that callers give a queue and get back from it (paper, section 3.5). Pure.
 
 Instants are int nanoseconds of the host's clock, durations int nanoseconds, sizes bytes.
 """
@@ -31,7 +31,7 @@ class LeasedSlice(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What one taker is given at one moment. The leases hold until `expires`."""
+    """The items that one taker is given at one moment. The leases hold until `expires`."""
 
     slices: Sequence[LeasedSlice]
     expires: int
@@ -76,14 +76,14 @@ AccessRuling = Acknowledge | GiveBack | Extend | Terminate
 
 
 class Settlement(NamedTuple):
-    """What a taker says of a delivery."""
+    """The verdict of a taker on a delivery."""
 
     delivery_id: int
     verdict: AccessRuling
 
 
 class SettlementResult(NamedTuple):
-    """What became of a settlement; `error` None: it is done. `lease_nanos`: the new length, of an Extend."""
+    """The outcome of a settlement; `error` None: it is done. `lease_nanos`: the new length, of an Extend."""
 
     delivery_id: int
     error: StampedeError | None = None

@@ -1,1 +1,1 @@
-"""Who may do what, in the directory: rules, and the key of client tokens. Pure."""
+"""Rights in the directory: rules of access, and the key of client tokens. Pure."""

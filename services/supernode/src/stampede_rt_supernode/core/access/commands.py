@@ -1,4 +1,4 @@
-"""What is done to the rules of access, and what comes of it. Pure, immutable values; see `commands`."""
+"""Commands about the rules of access, and their results. Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 

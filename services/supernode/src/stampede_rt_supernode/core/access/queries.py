@@ -17,7 +17,7 @@ from stampede_rt_supernode.core.tables import Tables
 
 
 def access_state(directory: DirectoryState) -> AccessState:
-    """What ports must know to judge callers. Without what signs tokens."""
+    """The facts that ports need to judge callers, without the key that signs tokens."""
     access = directory.access
     return AccessState(
         version=access.version,

@@ -1,4 +1,4 @@
-"""What the directory holds about access. Pure, immutable values."""
+"""The directory's facts about access. Pure, immutable values."""
 
 from __future__ import annotations
 

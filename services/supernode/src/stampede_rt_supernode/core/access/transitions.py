@@ -1,4 +1,4 @@
-"""What changes the rules of access, and the key of client tokens. Pure."""
+"""The changes of the rules of access, and of the key of client tokens. Pure."""
 
 from __future__ import annotations
 

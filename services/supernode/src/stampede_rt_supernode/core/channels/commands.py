@@ -1,4 +1,4 @@
-"""What can be done to channels, and what comes of it (paper, section 4.2). Pure, immutable values; see `commands`."""
+"""Commands about channels, and their results (paper, section 4.2). Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def check_ranges(channel: str, policy: Policy) -> None:
 
 
 def out_of_range(field: str, value: int, allowed: str) -> str:
-    """What is wrong with a field, in the words of callers, who write durations with their units."""
+    """The fault of a field, in the words of callers, who write durations with their units."""
     if field.endswith("_nanos"):
         return f"{field.removesuffix('_nanos')} is {format_duration(value)}; it must be {allowed}"
     return f"{field} is {value}; it must be {allowed}"

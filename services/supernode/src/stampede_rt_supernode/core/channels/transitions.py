@@ -1,4 +1,4 @@
-"""What opening, changing and forgetting a channel does to the tables (paper, sections 4.2 and 4.3). Pure.
+"""The effects on the tables of opening, changing and forgetting a channel (paper, sections 4.2 and 4.3). Pure.
 
 Each function checks everything first and edits then: it either raises a StampedeError and has changed nothing, or it
 is done.
@@ -30,7 +30,7 @@ CHANNELS_MAX = 200_000
 
 
 def check_open(operation: OpenChannel) -> None:
-    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidName or InvalidArgument."""
     check_name(operation.name, "channel")
     if operation.host_name:
         check_name(operation.host_name, "host")
@@ -40,7 +40,7 @@ def check_open(operation: OpenChannel) -> None:
 
 
 def check_update(operation: UpdateChannel) -> None:
-    """What can be said without the tables. Raises InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidArgument."""
     check_id(operation.channel_id, "channel_id")
     check_ranges(operation.channel_id.hex(), operation.policy)
 

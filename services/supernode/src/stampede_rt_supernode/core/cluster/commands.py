@@ -1,4 +1,4 @@
-"""What a leader does to the cluster as a whole, and what comes of it. Pure, immutable values; see `commands`."""
+"""Commands of a leader about the cluster as a whole, and their results. Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a leader's coming, and the time that it measures, do to the state. Pure."""
+"""The effects on the state of a new leader, and of the time that it measures. Pure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can be done to groups, and what comes of it (paper, section 3.3). Pure, immutable values; see `commands`."""
+"""Commands about groups, and their results (paper, section 3.3). Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 

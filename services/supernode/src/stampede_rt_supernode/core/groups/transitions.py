@@ -1,4 +1,5 @@
-"""What opening, changing and forgetting a group does to the tables, and what channels and hosts do to it. Pure.
+"""The effects on the tables of opening, changing and forgetting a group, and those of channels and hosts on groups.
+Pure.
 
 As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. Groups come
 and go while their channels stay as they are (paper, section 3.3).
@@ -29,7 +30,7 @@ GROUPS_PER_CHANNEL_MAX = 1_000  # all of them change at once when the channel is
 
 
 def check_open_group(operation: OpenGroup) -> None:
-    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidName or InvalidArgument."""
     check_name(operation.name, "group")
     check_id(operation.new_group_id, "new_group_id")
     check_incarnation(operation.new_incarnation, "new_incarnation")
@@ -44,7 +45,7 @@ def check_open_group(operation: OpenGroup) -> None:
 
 
 def check_update_group(operation: UpdateGroup) -> None:
-    """What can be said without the tables. Raises InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidArgument."""
     check_id(operation.group_id, "group_id")
     for field, ids in (
         ("add_channel_ids", operation.add_channel_ids),

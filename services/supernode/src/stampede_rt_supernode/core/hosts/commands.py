@@ -1,4 +1,4 @@
-"""What can be done to hosts, and what comes of it (paper, section 4.2). Pure, immutable values; see `commands`."""
+"""Commands about hosts, and their results (paper, section 4.2). Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a host's coming, going and vanishing does to the tables, and who may say so. Pure.
+"""The effects on the tables of a host's coming, going and vanishing, and who may say so. Pure.
 
 A lease belongs to one registration. Its end is an entry of the log that names the boot incarnation, the registration
 and the leader's tenure: one that arrives late, after any of them has changed, is without effect.
@@ -63,7 +63,7 @@ def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
 
 
 def check_register(operation: RegisterHost) -> None:
-    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidName or InvalidArgument."""
     check_id(operation.host_id, "host_id")
     check_name(operation.name, "host")
     check_gatekeepers(operation.gatekeepers, operation.name)

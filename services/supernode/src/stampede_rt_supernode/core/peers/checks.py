@@ -1,4 +1,4 @@
-"""What a peer may say of itself, and who may take a living one's place. Pure."""
+"""Checks of a peer's own words, and of who may replace a live peer. Pure."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def check_proof(proof: bytes) -> None:
 
 
 def check_clock(clock: ClockOffset | None) -> None:
-    """What a peer tells of its clock. Raises InvalidArgument."""
+    """The clock report of a peer. Raises InvalidArgument."""
     if clock is None:
         return
     check_text(clock.supernode, "clock.supernode_id", 1, SUPERNODE_ID_CHARACTERS_MAX)
@@ -44,7 +44,7 @@ def check_clock(clock: ClockOffset | None) -> None:
 
 
 def check_register_peer(operation: RegisterPeer) -> None:
-    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidName or InvalidArgument."""
     check_id(operation.peer_id, "peer_id")
     check_incarnation(operation.boot_incarnation, "boot_incarnation")
     check_id(operation.new_mailbox_id, "new_mailbox_id")

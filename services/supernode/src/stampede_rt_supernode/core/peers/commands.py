@@ -1,5 +1,4 @@
-"""What can be done to peers, and what comes of it (paper, sections 3.5 and 4.2). Pure, immutable values; see
-`commands`."""
+"""Commands about peers, and their results (paper, sections 3.5 and 4.2). Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 

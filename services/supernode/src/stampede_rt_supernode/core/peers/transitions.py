@@ -1,4 +1,4 @@
-"""What a peer's coming, going and vanishing does to the tables (paper, sections 3.5 and 4.2). Pure.
+"""The effects on the tables of a peer's coming, going and vanishing (paper, sections 3.5 and 4.2). Pure.
 
 As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. A named peer
 has a mailbox from the step that registers it to the step that ends it.

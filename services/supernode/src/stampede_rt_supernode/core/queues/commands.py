@@ -1,4 +1,4 @@
-"""What can be done to queues, and what comes of it (paper, section 3.5). Pure, immutable values; see `commands`."""
+"""Commands about queues, and their results (paper, section 3.5). Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 

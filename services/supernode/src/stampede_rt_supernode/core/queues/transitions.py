@@ -1,4 +1,4 @@
-"""What opening, changing and forgetting a queue does to the tables (paper, section 3.5). Pure.
+"""The effects on the tables of opening, changing and forgetting a queue (paper, section 3.5). Pure.
 
 As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. Mailboxes
 come and go with their peers, see `peers.transitions`.
@@ -29,7 +29,7 @@ DEAD_LETTER_STEPS_MAX = 16  # from a queue to its dead-letter queue, to that one
 
 
 def check_open_queue(operation: OpenQueue) -> None:
-    """What can be said without the tables. Raises InvalidName or InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidName or InvalidArgument."""
     check_name(operation.name, "queue")
     if operation.host_name:
         check_name(operation.host_name, "host")
@@ -39,7 +39,7 @@ def check_open_queue(operation: OpenQueue) -> None:
 
 
 def check_update_queue(operation: UpdateQueue) -> None:
-    """What can be said without the tables. Raises InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidArgument."""
     check_id(operation.queue_id, "queue_id")
     check_queue_spec(operation.queue_id.hex(), operation.spec)
 

@@ -1,5 +1,4 @@
-"""What can be done to copies of channels, and what comes of it (paper, section 4.1). Pure, immutable values; see
-`commands`."""
+"""Commands about copies of channels, and their results (paper, section 4.1). Pure, immutable values; see `commands`."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ REPORT_LOADS_MAX = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaLoad:
-    """What the owner or a copy of a channel carries at a host; `lag_nanos` is 0 for the owner."""
+    """The load of the owner or a copy of a channel at a host; `lag_nanos` is 0 for the owner."""
 
     channel_id: bytes
     host_id: bytes
@@ -35,7 +35,7 @@ class ReplicaLoads:
         self._swept_nanos = 0
 
     def lead(self, tenure: int) -> None:
-        """What was told under another tenure, or before this supernode led, is of no worth."""
+        """Loads from another tenure, or from before this supernode led, are of no worth."""
         if tenure != self._tenure:
             self._tenure = tenure
             self._loads.clear()
@@ -47,7 +47,7 @@ class ReplicaLoads:
             self._loads.setdefault(load.channel_id, {})[load.host_id] = (now, load)
 
     def of(self, channel_id: bytes, host_ids: Iterable[bytes], now: int) -> list[ReplicaLoad]:
-        """What these hosts told of a channel within LOAD_AGE_NANOS_MAX, the least loaded first."""
+        """The loads that these hosts told of a channel within LOAD_AGE_NANOS_MAX, the least loaded first."""
         told = self._loads.get(channel_id, {})
         fresh = [told[one] for one in host_ids if one in told and now - told[one][0] <= LOAD_AGE_NANOS_MAX]
         return sorted((load for _, load in fresh), key=_weight)

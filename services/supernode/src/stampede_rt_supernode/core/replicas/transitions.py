@@ -1,4 +1,4 @@
-"""What adding, judging and removing copies of channels does to the tables (paper, section 4.1). Pure.
+"""The effects on the tables of adding, judging and removing copies of channels (paper, section 4.1). Pure.
 
 As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. What
 becomes of copies when hosts and owners go is in `takeover`.
@@ -26,7 +26,7 @@ REPLICAS_MAX = 16  # of one channel
 
 
 def check_add_replica(operation: AddReplica) -> None:
-    """What can be said without the tables. Raises InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidArgument."""
     check_id(operation.channel_id, "subject")
     if operation.host_id:
         check_id(operation.host_id, "host_id")
@@ -38,13 +38,13 @@ def check_add_replica(operation: AddReplica) -> None:
 
 
 def check_remove_replica(operation: RemoveReplica) -> None:
-    """What can be said without the tables. Raises InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidArgument."""
     check_id(operation.channel_id, "subject")
     check_id(operation.host_id, "host_id")
 
 
 def check_set_in_sync(operation: SetReplicaInSync) -> None:
-    """What can be said without the tables. Raises InvalidArgument."""
+    """Check the operation without the tables. Raises InvalidArgument."""
     check_id(operation.channel_id, "subject")
     check_id(operation.host_id, "host_id")
     check_incarnation(operation.boot_incarnation, "boot_incarnation")

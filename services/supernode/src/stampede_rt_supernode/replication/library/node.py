@@ -35,7 +35,7 @@ class RandomSource(Protocol):
 
 
 class Fate(enum.Enum):
-    """What became of a command without a result."""
+    """The fate of a command without a result."""
 
     # It is certainly not in the log, or was cut off the log before anybody applied it.
     NOT_TAKEN = enum.auto()

@@ -47,7 +47,7 @@ def introduction(
     roster: MemberRoster,
     highest_level: int,
 ) -> pb.RaftHello:
-    """What this member says of itself to another one. `standing`: term and last index on its disk."""
+    """The introduction of this member to another one. `standing`: term and last index on its disk."""
     own = settings.self_member
     is_member = any(member.member_id == own.member_id for member in roster.members)
     return pb.RaftHello(

@@ -1,4 +1,4 @@
-"""What other members have said against this one, and when that holds. Pure.
+"""The refusals of this member by others, and when they hold. Pure.
 
 One of them may be mistaken, or lie. While any refuses its store, this member does not vote: it might have forgotten
 what it has promised. A release that is said to be too old does not hold its vote back: its store is sound. Either ends
@@ -30,12 +30,13 @@ class Grounds(Enum):
 
 
 def grounds_of(why: str) -> Grounds | None:
-    """What a refusal is about; None if it may be over in a moment."""
+    """The grounds of a refusal; None if it may be over in a moment."""
     return next((grounds for grounds in Grounds if grounds.value in why), None)
 
 
 class Refusals:
-    """Who refuses this member's store, or its release, at present, and what has been confirmed. On one thread only."""
+    """The members that refuse this member's store, or its release, at present, and the confirmed refusal. On one thread
+    only."""
 
     def __init__(self) -> None:
         # Member id -> its words.

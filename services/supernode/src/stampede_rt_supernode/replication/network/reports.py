@@ -1,4 +1,4 @@
-"""What was logged lately, so that the log does not say the same over and over. Pure."""
+"""The recent log messages, so that the log does not say the same over and over. Pure."""
 
 from __future__ import annotations
 

@@ -78,7 +78,8 @@ class Digests:
 
 
 class DigestPoll:
-    """What the members hold at the position that this leader names. Anew with each leadership; tick thread only."""
+    """The digests of the members at the position that this leader names. Anew with each leadership; tick thread
+    only."""
 
     def __init__(self) -> None:
         self.asked: StateDigest = NO_DIGEST
@@ -107,7 +108,7 @@ class DigestPoll:
         self.doubts = {**held, member_id: self.doubts.get(member_id, index)} if differs else held
 
     def of_most(self, voters: Collection[str]) -> StateDigest:
-        """What more than half of all members, this one included, hold at the position; NO_DIGEST: nobody knows."""
+        """The digest of more than half of all members, this one included, at the position; NO_DIGEST: nobody knows."""
         index, own = self.asked
         if not own:
             return NO_DIGEST
@@ -116,5 +117,5 @@ class DigestPoll:
         return (index, digest) if 2 * count > len(voters) + 1 else NO_DIGEST
 
     def agreeing(self, digest: bytes) -> list[str]:
-        """Who holds this digest."""
+        """The members that hold this digest."""
         return [name for name, held in self._held.items() if held == digest]

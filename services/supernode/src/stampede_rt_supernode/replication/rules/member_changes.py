@@ -34,7 +34,7 @@ HAND_OVER_SECONDS = 1.0
 
 @dataclass(slots=True)
 class MemberChange:
-    """What a caller wants: `member` to come, or, without an address, to go. `done` is called once."""
+    """The request of a caller: `member` is to come, or, without an address, to go. `done` is called once."""
 
     member: Member
     is_removal: bool

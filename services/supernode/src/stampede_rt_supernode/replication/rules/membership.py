@@ -1,4 +1,4 @@
-"""Whom this node counts, hears and sends to: always what the newest configuration in its log says.
+"""The members that this node counts, hears and sends to: always those of the newest configuration in its log.
 
 Three circles: the *voters* are counted; the *learner* is sent the log, so that it can become a voter soon; every other
 *known* node is heard, since a member that was away does not know yet who leads by now (Ongaro's dissertation,

@@ -1,4 +1,4 @@
-"""What the corrected rules of Raft share.
+"""The common parts of the corrected rules of Raft.
 
 The rules are in following.py, leading.py and elections.py. They keep to the Raft paper (Ongaro and Ousterhout 2014,
 figures 2 and 13). Each one says which fault of PySyncObj 0.3.17 it closes.
@@ -28,7 +28,7 @@ class PeerAtFault(Exception):
 
 
 class NodeState(LibraryNode):
-    """What all rules read and change. Tick thread only."""
+    """The state that all rules read and change. Tick thread only."""
 
     transport: BufferedTransport
     has_room: Callable[[str], bool]

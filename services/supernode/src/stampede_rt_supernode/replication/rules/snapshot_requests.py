@@ -1,4 +1,4 @@
-"""Whoever asks for a snapshot now, beside those that are taken when the log has grown long."""
+"""Requests for a snapshot now, beside those that are taken when the log has grown long."""
 
 from __future__ import annotations
 

@@ -27,7 +27,8 @@ STORE_ID_BYTES_MAX = 64
 
 
 class KnownStores:
-    """What one member remembers, in `data_dir`; nothing, and no id of its own, for one that keeps nothing.
+    """The stores that one member remembers, in `data_dir`. A member that keeps nothing remembers none, and has no id of
+    its own.
 
     From any thread.
     """

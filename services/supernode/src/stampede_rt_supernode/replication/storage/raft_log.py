@@ -123,7 +123,7 @@ class RaftLog:
 
     @property
     def promises(self) -> Mapping[str, Promise]:
-        """What the other members have said that they hold, by id."""
+        """The promises of the other members, by id."""
         return self._promises
 
     def note_promise(self, member_id: str, term: int, held: int) -> None:

@@ -39,7 +39,7 @@ class _Decoded:
 
 
 class UnreadableSnapshot(Exception):
-    """What came is whole, and yet no snapshot that this member can go on from."""
+    """The snapshot came whole, and yet this member cannot go on from it."""
 
 
 @dataclass(slots=True)

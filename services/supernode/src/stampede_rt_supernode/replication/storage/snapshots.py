@@ -175,7 +175,7 @@ class SnapshotKeeper:
         )
 
     def _sending_to(self, member_id: str) -> _Sending | None:
-        """What is being sent to a member: the present snapshot, or an older one behind which the log is kept."""
+        """The snapshot on its way to a member: the present one, or an older one behind which the log is kept."""
         sending, present = self._sending.get(member_id), self._log.snapshot
         if sending is not None and sending.snapshot.last_log_index >= self._log.first_sendable:
             return sending

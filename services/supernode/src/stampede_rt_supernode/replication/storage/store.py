@@ -1,4 +1,4 @@
-"""What the log keeps on stable storage, and the interface of what keeps it."""
+"""The log's data on stable storage, and the interface of stores."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PIECE_BYTES = 1 << 20
 
 
 class Promise(NamedTuple):
-    """What another member has said that it holds: its term, and committed entries up to `held`.
+    """The promise of another member: its term, and committed entries up to `held`.
 
     Both only grow. A store of that member that has less is an older copy of it.
     """
@@ -31,7 +31,7 @@ REJOIN = "empty the folder and let this member join again under a new id"
 
 
 class StoreDamaged(RuntimeError):
-    """What is on disk is not what was written. The member must rejoin under a new id with an empty folder."""
+    """The disk holds something else than was written. The member must rejoin under a new id with an empty folder."""
 
 
 class StoreRefused(RuntimeError):
@@ -75,7 +75,7 @@ class StoredSnapshot:
         return map(self.piece, range(self.pieces_count))
 
     def seal(self) -> SnapshotSeal:
-        """What makes the pieces the present snapshot."""
+        """The change that makes the pieces the present snapshot."""
         return SnapshotSeal(self.last_log_index, self.pieces_count, self.sha256)
 
 
@@ -101,7 +101,7 @@ class StoredState:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StoreChanges:
-    """What one sync makes durable, all or nothing.
+    """The changes that one sync makes durable, all or nothing.
 
     Entries at or past `replace_from` are replaced by `entries`; then those before `first_index` are dropped. Pieces of
     a snapshot may come with any number of commits before, and at the latest with, the one that has its seal. The log
@@ -125,7 +125,7 @@ class Store(Protocol):
     """Stable storage of one replica. Used from one thread at a time; every method blocks on the disk."""
 
     def load(self) -> StoredState:
-        """What was committed last. Raises StoreDamaged."""
+        """The state that was committed last. Raises StoreDamaged."""
 
     def commit(self, changes: StoreChanges) -> None:
         """Make the changes durable, all or nothing, before returning."""

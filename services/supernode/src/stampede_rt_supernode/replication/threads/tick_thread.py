@@ -44,7 +44,7 @@ def end_process(error: BaseException) -> NoReturn:
 
 
 class Ticked(Protocol):
-    """What the thread drives: a replica of the log."""
+    """The part that the thread drives: a replica of the log."""
 
     def step(self) -> bool:
         """Do what is due; True when another step is due at once. Whatever it raises ends the thread."""

@@ -20,7 +20,7 @@ class Result(Protocol[T_co]):
         """Whether the work is finished."""
 
     def result(self) -> T_co:
-        """What the work gave, once it is finished. Raises what the work raised."""
+        """The result of the work, once it is finished. Raises what the work raised."""
 
 
 class RunInBackground(Protocol):

@@ -1,1 +1,1 @@
-"""What travels between members: messages, their encoding, and the buffer in which they wait."""
+"""The traffic between members: messages, their encoding, and the buffer in which they wait."""

@@ -95,7 +95,7 @@ class MemberNode(Protocol):
 
 
 class Handler(Protocol):
-    """Whom the events are for: a node of the log. `node` is the member that an event is about."""
+    """The receiver of the events: a node of the log. `node` is the member that an event is about."""
 
     def receive(self, node: MemberNode, message: Message) -> None:
         """A member has sent a message."""

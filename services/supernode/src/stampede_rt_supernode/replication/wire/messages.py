@@ -1,4 +1,4 @@
-"""What members say to each other, as values. Pure. `codec` gives them their form on the wire.
+"""The messages between members, as values. Pure. `codec` gives them their form on the wire.
 
 The names are those of the Raft paper (Ongaro and Ousterhout 2014, figures 2 and 13), and of Ongaro's dissertation.
 """
@@ -61,7 +61,8 @@ class InstallSnapshot:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AppendReply:
-    """What a member holds: everything before `next_index`, if `success`. `reset`: the leader is to go back to there.
+    """The entries that a member holds: everything before `next_index`, if `success`. `reset`: the leader is to go back
+    to there.
 
     `digest`: its own at the position that the leader named last.
     """
