@@ -26,8 +26,8 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
 MATCHES_PER_MESSAGE_MAX = 64
-UNIQUE_PER_MESSAGE_MAX = 8
-"""Each may take up to a millisecond to be found, before anybody else has a turn."""
+LOOKS_PER_TURN_MAX = 128
+"""So many looks for a member's nearest item take a millisecond or two; then others have a turn."""
 
 
 class MatchStream:
@@ -99,6 +99,9 @@ class MatchStream:
                 group.check_incarnation(incarnation)
                 matcher.set_tracks(self._arrange(group, member_of(group, hosted), matcher.earliest))
             found = self._take(matcher, group, request)
+            if matcher.has_more and not found:
+                await asyncio.sleep(0)  # much to look at: everybody else first
+                continue
             holds = counted is not None or all(far.is_followed for far, _ in self._far.values())
             news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
             wanted = counted is None or self._credit.left > 0  # without credit nothing is taken or said
@@ -147,8 +150,8 @@ class MatchStream:
             asked = request.per_channel_id if channel_id == OWN else channel_id
             return self._has_passed(group, asked, instant, request.lateness_nanos, now)
 
-        most = UNIQUE_PER_MESSAGE_MAX if request.unique else MATCHES_PER_MESSAGE_MAX
-        found = matcher.take(has_passed, now, most if credit > 0 else 0, credit)
+        most = MATCHES_PER_MESSAGE_MAX if credit > 0 else 0
+        found = matcher.take(has_passed, now, most, credit, LOOKS_PER_TURN_MAX)
         self._credit.spend(sum(one.charge_bytes for one in found))
         return found
 

@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.group.ledger import Ledger
 from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided
 from stampede_rt_channel_host.core.group.tracks import Nearest, OwnTrack, Track
 
-CREDIT_UNLIMITED = 1 << 62
+CREDIT_UNLIMITED = LOOKS_UNLIMITED = 1 << 62
 OWN = b""
 """Instead of a member's id: the matched channel itself."""
 
@@ -42,7 +42,7 @@ class Matcher:
     """Matches one channel's items in time order. It keeps a position and no items: what waits, waits in the channel.
 
     `unmatched`: items for which some member had nothing. `dropped`: items that went before they could be matched, or
-    came after their time had been decided; as of the last `take`.
+    came after their time had been decided; as of the last `take`. `has_more`: it used up its looks, so take again soon.
     """
 
     def __init__(
@@ -67,6 +67,10 @@ class Matcher:
         self._partners = None if partners is None else dict(partners)
         self.unmatched = 0
         self.dropped = 0
+        self.has_more = False
+        self._looks_left = 0
+        # An item, and the nearest ones of some members.
+        self._begun: tuple[ItemKey, dict[bytes, Nearest | None]] | None = None
 
     @property
     def position(self) -> Position:
@@ -92,24 +96,29 @@ class Matcher:
     def set_tracks(self, tracks: Mapping[bytes, Track]) -> None:
         """Members came, went, or moved to another host."""
         self._tracks = dict(tracks)
+        self._begun = None
 
     def take(
-        self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int, credit_bytes: int = CREDIT_UNLIMITED
+        self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int, credit_bytes: int = CREDIT_UNLIMITED,
+        looks_max: int = LOOKS_UNLIMITED,
     ) -> list[FoundMatch]:  # fmt: skip
         """Take decided matches, at most `items_max`, and only while some credit is left before each.
+
+        Looks about `looks_max` times for the nearest item of a member, whatever number of members there is; what is
+        known then of an item is kept for the next call.
 
         `has_passed(member, instant)`: nothing that is waited for can come up to `instant`; see
         `ChannelTimes.has_passed`. It is asked for OWN, too. A member that is not waited for has passed everything.
         """
         held, _ = self._channel.look(now)
         taken: list[FoundMatch] = []
+        self._looks_left = looks_max
         for one in [*islice(_ones(held.slices(self._low)), items_max)]:  # first, since each look may free entries
             time = one.first_time
             if credit_bytes <= 0 or not self._is_settled(time, has_passed):
                 break
-            try:
-                found = self._found((time, one.first_seq), has_passed, now)
-            except Undecided:
+            found = self._found((time, one.first_seq), has_passed, now)
+            if found is None:
                 break
             taken.append(self._match(DeliveredSlice(one, held.next_time(time)), found))
             credit_bytes -= taken[-1].charge_bytes
@@ -119,6 +128,7 @@ class Matcher:
         )
         for track in self._tracks.values():
             track.forget_before(self._low[0] - self._tolerance)
+        self.has_more = self._looks_left <= 0
         return taken
 
     def _is_settled(self, time: int, has_passed: Callable[[bytes, int], bool]) -> bool:
@@ -127,18 +137,38 @@ class Matcher:
 
     def _found(
         self, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
-    ) -> dict[bytes, Nearest | None]:  # fmt: skip
-        """Each member's item. Raises Undecided."""
-        partners, time = self._partners, key[0]
-        if partners is None:
-            return {member: track.nearest(time, self._tolerance, now) for member, track in self._tracks.items()}
-        found = {}
+    ) -> dict[bytes, Nearest | None] | None:  # fmt: skip
+        """Each member's item; None: one is not decided yet, or the looks are used up."""
+        found = self._begun[1] if self._begun is not None and self._begun[0] == key else {}
+        self._begun = None
         for member, track in self._tracks.items():
-            after = _behind(partners.get(member))
-            pairing = Pairing(self._own, track, after, partial(has_passed, OWN), partial(has_passed, member), now)
-            found[member] = pairing.partner(key, self._tolerance)
-        partners.update({member: (near.time, near.seq) for member, near in found.items() if near is not None})
+            if member in found:
+                continue
+            if self._looks_left <= 0:
+                self._begun = key, found
+                return None
+            try:
+                found[member] = self._found_in(member, track, key, has_passed, now)
+            except Undecided:
+                return None
+        if self._partners is not None:
+            near = ((member, one) for member, one in found.items() if one is not None)
+            self._partners.update({member: (one.time, one.seq) for member, one in near})
         return found
+
+    def _found_in(
+        self, member: bytes, track: Track, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
+    ) -> Nearest | None:
+        """One member's item. Raises Undecided."""
+        if self._partners is None:
+            self._looks_left -= 1
+            return track.nearest(key[0], self._tolerance, now)
+        after = _behind(self._partners.get(member))
+        pairing = Pairing(self._own, track, after, partial(has_passed, OWN), partial(has_passed, member), now)
+        try:
+            return pairing.partner(key, self._tolerance)
+        finally:
+            self._looks_left -= pairing.looks
 
     def _match(self, item: DeliveredSlice, found: Mapping[bytes, Nearest | None]) -> FoundMatch:
         matched = {member: near for member, near in found.items() if near is not None}

@@ -27,7 +27,7 @@ class Pairing:
 
     Whether an item gets its nearest depends on the later items that are nearer to that one, which depends on what is
     nearer to those, and so on, at ever smaller distances. That is followed for STEPS_MAX steps; then the item gets its
-    nearest of those left.
+    nearest of those left. `looks` counts looks for a nearest item.
     """
 
     def __init__(
@@ -39,6 +39,7 @@ class Pairing:
         self._own_has_passed = own_has_passed
         self._other_has_passed = other_has_passed
         self._now = now
+        self.looks = 0
 
     def partner(self, key: ItemKey, tolerance: int) -> Nearest | None:
         """The partner of the first own item left; `other` has passed its time + tolerance. Raises Undecided."""
@@ -49,6 +50,7 @@ class Pairing:
         chain = [(key, tolerance)]  # each is nearer than the one before it to what that one would get
         for _ in range(STEPS_MAX):
             one, reach = chain[-1]
+            self.looks += 2
             near = self._other.nearest(one[0], reach, self._now, self._after, other_end) if one < end else None
             rival = one if near is None else self._rival(key, one, near, end)
             if near is None or rival == one:
