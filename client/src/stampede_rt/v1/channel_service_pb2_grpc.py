@@ -93,7 +93,8 @@ class ChannelServiceServicer(object):
 
     def Subscribe(self, request_iterator, context):
         """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
-        missed without a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+        missed without a `gap`. A slow reader delays no other. If retention collects items before the host sends them, the
+        host reports them as a gap.
         A caller that closes its sending side gets what its credit still allows; then the stream ends.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

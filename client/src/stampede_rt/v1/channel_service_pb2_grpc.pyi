@@ -47,7 +47,8 @@ class ChannelServiceStub:
     """
     Subscribe: _grpc.StreamStreamMultiCallable[_channel_service_pb2.SubscribeRequest, _channel_service_pb2.SubscribeResponse]
     """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
-    missed without a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+    missed without a `gap`. A slow reader delays no other. If retention collects items before the host sends them, the
+    host reports them as a gap.
     A caller that closes its sending side gets what its credit still allows; then the stream ends.
     """
     Advance: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]
@@ -83,7 +84,8 @@ class ChannelServiceAsyncStub(ChannelServiceStub):
     """
     Subscribe: _aio.StreamStreamMultiCallable[_channel_service_pb2.SubscribeRequest, _channel_service_pb2.SubscribeResponse]  # type: ignore[assignment]
     """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
-    missed without a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+    missed without a `gap`. A slow reader delays no other. If retention collects items before the host sends them, the
+    host reports them as a gap.
     A caller that closes its sending side gets what its credit still allows; then the stream ends.
     """
     Advance: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]  # type: ignore[assignment]
@@ -134,7 +136,8 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_channel_service_pb2.SubscribeResponse], _abc.AsyncIterator[_channel_service_pb2.SubscribeResponse]]:
         """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
-        missed without a `gap`. A slow reader delays nobody: what retention collects before it is sent is reported as a gap.
+        missed without a `gap`. A slow reader delays no other. If retention collects items before the host sends them, the
+        host reports them as a gap.
         A caller that closes its sending side gets what its credit still allows; then the stream ends.
         """
 

@@ -161,7 +161,7 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def UpdateChannel(self, request, context):
-        """Change the set-up of a channel while it runs; fields left out stay.
+        """Change the policy of a channel while it runs; fields left out stay.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

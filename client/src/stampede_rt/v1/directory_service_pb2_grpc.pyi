@@ -58,7 +58,7 @@ class DirectoryServiceStub:
     ListChannels: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListChannelsRequest, _directory_service_pb2.ListChannelsResponse]
     """List channels by name, page by page."""
     UpdateChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.UpdateChannelRequest, _directory_service_pb2.UpdateChannelResponse]
-    """Change the set-up of a channel while it runs; fields left out stay."""
+    """Change the policy of a channel while it runs; fields left out stay."""
     DeleteChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeleteChannelRequest, _directory_service_pb2.DeleteChannelResponse]
     """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
     Its copies go with it, and it leaves its groups; see GroupDirectoryService.
@@ -110,7 +110,7 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     ListChannels: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListChannelsRequest, _directory_service_pb2.ListChannelsResponse]  # type: ignore[assignment]
     """List channels by name, page by page."""
     UpdateChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.UpdateChannelRequest, _directory_service_pb2.UpdateChannelResponse]  # type: ignore[assignment]
-    """Change the set-up of a channel while it runs; fields left out stay."""
+    """Change the policy of a channel while it runs; fields left out stay."""
     DeleteChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeleteChannelRequest, _directory_service_pb2.DeleteChannelResponse]  # type: ignore[assignment]
     """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
     Its copies go with it, and it leaves its groups; see GroupDirectoryService.
@@ -189,7 +189,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.UpdateChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.UpdateChannelResponse, _abc.Awaitable[_directory_service_pb2.UpdateChannelResponse]]:
-        """Change the set-up of a channel while it runs; fields left out stay."""
+        """Change the policy of a channel while it runs; fields left out stay."""
 
     @_abc_1.abstractmethod
     def DeleteChannel(

@@ -89,7 +89,7 @@ class GatekeeperServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ConfigureChannel(self, request, context):
-        """Change the set-up of a channel, here and in the directory; fields left out stay.
+        """Change the policy of a channel, here and in the directory; fields left out stay.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

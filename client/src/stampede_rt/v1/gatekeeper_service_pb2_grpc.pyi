@@ -42,7 +42,7 @@ class GatekeeperServiceStub:
     DropChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.DropChannelRequest, _gatekeeper_service_pb2.DropChannelResponse]
     """Delete a channel, here and in the directory; its readers are told."""
     ConfigureChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ConfigureChannelRequest, _gatekeeper_service_pb2.ConfigureChannelResponse]
-    """Change the set-up of a channel, here and in the directory; fields left out stay."""
+    """Change the policy of a channel, here and in the directory; fields left out stay."""
     ListHostedChannels: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListHostedChannelsRequest, _gatekeeper_service_pb2.ListHostedChannelsResponse]
     """The channels at this host with their counters, page by page."""
 
@@ -60,7 +60,7 @@ class GatekeeperServiceAsyncStub(GatekeeperServiceStub):
     DropChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.DropChannelRequest, _gatekeeper_service_pb2.DropChannelResponse]  # type: ignore[assignment]
     """Delete a channel, here and in the directory; its readers are told."""
     ConfigureChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ConfigureChannelRequest, _gatekeeper_service_pb2.ConfigureChannelResponse]  # type: ignore[assignment]
-    """Change the set-up of a channel, here and in the directory; fields left out stay."""
+    """Change the policy of a channel, here and in the directory; fields left out stay."""
     ListHostedChannels: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListHostedChannelsRequest, _gatekeeper_service_pb2.ListHostedChannelsResponse]  # type: ignore[assignment]
     """The channels at this host with their counters, page by page."""
 
@@ -99,7 +99,7 @@ class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _gatekeeper_service_pb2.ConfigureChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_gatekeeper_service_pb2.ConfigureChannelResponse, _abc.Awaitable[_gatekeeper_service_pb2.ConfigureChannelResponse]]:
-        """Change the set-up of a channel, here and in the directory; fields left out stay."""
+        """Change the policy of a channel, here and in the directory; fields left out stay."""
 
     @_abc_1.abstractmethod
     def ListHostedChannels(

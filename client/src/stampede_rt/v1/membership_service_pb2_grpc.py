@@ -66,8 +66,8 @@ class MembershipServiceServicer(object):
     """
 
     def CreateJoinToken(self, request, context):
-        """Make a token that lets one supernode in, under one id and at one address; any supernode can. Idempotent by request id for as long as the same
-        valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
+        """Make a token that lets one supernode join, under one id and at one address; any supernode can. Idempotent by
+        request id for as long as the same valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

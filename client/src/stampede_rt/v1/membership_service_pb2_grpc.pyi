@@ -37,8 +37,8 @@ class MembershipServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MembershipServiceAsyncStub: ...
     CreateJoinToken: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.CreateJoinTokenRequest, _membership_service_pb2.CreateJoinTokenResponse]
-    """Make a token that lets one supernode in, under one id and at one address; any supernode can. Idempotent by request id for as long as the same
-    valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
+    """Make a token that lets one supernode join, under one id and at one address; any supernode can. Idempotent by
+    request id for as long as the same valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
     """
     AddSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]
     """A supernode asks to be a member. It is counted once it has caught up; until then the call waits. Idempotent by
@@ -67,8 +67,8 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     CreateJoinToken: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.CreateJoinTokenRequest, _membership_service_pb2.CreateJoinTokenResponse]  # type: ignore[assignment]
-    """Make a token that lets one supernode in, under one id and at one address; any supernode can. Idempotent by request id for as long as the same
-    valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
+    """Make a token that lets one supernode join, under one id and at one address; any supernode can. Idempotent by
+    request id for as long as the same valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
     """
     AddSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]  # type: ignore[assignment]
     """A supernode asks to be a member. It is counted once it has caught up; until then the call waits. Idempotent by
@@ -100,8 +100,8 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.CreateJoinTokenRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_membership_service_pb2.CreateJoinTokenResponse, _abc.Awaitable[_membership_service_pb2.CreateJoinTokenResponse]]:
-        """Make a token that lets one supernode in, under one id and at one address; any supernode can. Idempotent by request id for as long as the same
-        valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
+        """Make a token that lets one supernode join, under one id and at one address; any supernode can. Idempotent by
+        request id for as long as the same valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
         """
 
     @_abc_1.abstractmethod

@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class PeerServiceStub(object):
-    """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
     """
@@ -70,15 +70,15 @@ class PeerServiceStub(object):
 
 
 class PeerServiceServicer(object):
-    """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
     """
 
     def RegisterPeer(self, request, context):
-        """A participant enters, or enters again after a restart; its lease begins, and with a name its mailbox is made or
+        """A peer registers, or registers again after a restart; its lease begins, and with a name its mailbox is made or
         found. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer has the name and
-        the proof is another one), HOST_NOT_FOUND, NO_HOST (nobody to hold the mailbox).
+        the proof is another one), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -92,7 +92,7 @@ class PeerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterPeer(self, request, context):
-        """A participant leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
+        """A peer leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
         boot of the same peer is in).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -164,7 +164,7 @@ def add_PeerServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class PeerService(object):
-    """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
     """

@@ -27,7 +27,7 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class PeerServiceStub:
-    """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
     """
@@ -37,14 +37,14 @@ class PeerServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> PeerServiceAsyncStub: ...
     RegisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.RegisterPeerRequest, _peer_service_pb2.RegisterPeerResponse]
-    """A participant enters, or enters again after a restart; its lease begins, and with a name its mailbox is made or
+    """A peer registers, or registers again after a restart; its lease begins, and with a name its mailbox is made or
     found. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer has the name and
-    the proof is another one), HOST_NOT_FOUND, NO_HOST (nobody to hold the mailbox).
+    the proof is another one), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
     """
     RenewPeerLease: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]
     """Keep a lease. Goes to the leader. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]
-    """A participant leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
+    """A peer leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
     boot of the same peer is in).
     """
     ResolvePeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]
@@ -60,21 +60,21 @@ class PeerServiceStub:
 
 @_typing.type_check_only
 class PeerServiceAsyncStub(PeerServiceStub):
-    """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     RegisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.RegisterPeerRequest, _peer_service_pb2.RegisterPeerResponse]  # type: ignore[assignment]
-    """A participant enters, or enters again after a restart; its lease begins, and with a name its mailbox is made or
+    """A peer registers, or registers again after a restart; its lease begins, and with a name its mailbox is made or
     found. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer has the name and
-    the proof is another one), HOST_NOT_FOUND, NO_HOST (nobody to hold the mailbox).
+    the proof is another one), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
     """
     RenewPeerLease: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]  # type: ignore[assignment]
     """Keep a lease. Goes to the leader. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]  # type: ignore[assignment]
-    """A participant leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
+    """A peer leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
     boot of the same peer is in).
     """
     ResolvePeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]  # type: ignore[assignment]
@@ -89,7 +89,7 @@ class PeerServiceAsyncStub(PeerServiceStub):
     """Changes among the peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
 
 class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Registration and discovery of participants (paper, sections 3.5 and 4.2), served by every supernode on the port of
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
     DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
     repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
     """
@@ -100,9 +100,9 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.RegisterPeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.RegisterPeerResponse, _abc.Awaitable[_peer_service_pb2.RegisterPeerResponse]]:
-        """A participant enters, or enters again after a restart; its lease begins, and with a name its mailbox is made or
+        """A peer registers, or registers again after a restart; its lease begins, and with a name its mailbox is made or
         found. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer has the name and
-        the proof is another one), HOST_NOT_FOUND, NO_HOST (nobody to hold the mailbox).
+        the proof is another one), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
         """
 
     @_abc_1.abstractmethod
@@ -119,7 +119,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.DeregisterPeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.DeregisterPeerResponse, _abc.Awaitable[_peer_service_pb2.DeregisterPeerResponse]]:
-        """A participant leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
+        """A peer leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
         boot of the same peer is in).
         """
 

@@ -88,7 +88,7 @@ class QueueDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def UpdateQueue(self, request, context):
-        """Change the set-up of a queue while it runs; fields left out stay. Idempotent by request id.
+        """Change the policy of a queue while it runs; fields left out stay. Idempotent by request id.
         Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -45,7 +45,7 @@ class QueueDirectoryServiceStub:
     ResolveQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.ResolveQueueRequest, _queue_directory_service_pb2.ResolveQueueResponse]
     """Find a queue by id or name, or a mailbox by its peer's name. Changes nothing. Errors: QUEUE_NOT_FOUND."""
     UpdateQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.UpdateQueueRequest, _queue_directory_service_pb2.UpdateQueueResponse]
-    """Change the set-up of a queue while it runs; fields left out stay. Idempotent by request id.
+    """Change the policy of a queue while it runs; fields left out stay. Idempotent by request id.
     Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
     """
     DeleteQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.DeleteQueueRequest, _queue_directory_service_pb2.DeleteQueueResponse]
@@ -72,7 +72,7 @@ class QueueDirectoryServiceAsyncStub(QueueDirectoryServiceStub):
     ResolveQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.ResolveQueueRequest, _queue_directory_service_pb2.ResolveQueueResponse]  # type: ignore[assignment]
     """Find a queue by id or name, or a mailbox by its peer's name. Changes nothing. Errors: QUEUE_NOT_FOUND."""
     UpdateQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.UpdateQueueRequest, _queue_directory_service_pb2.UpdateQueueResponse]  # type: ignore[assignment]
-    """Change the set-up of a queue while it runs; fields left out stay. Idempotent by request id.
+    """Change the policy of a queue while it runs; fields left out stay. Idempotent by request id.
     Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
     """
     DeleteQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.DeleteQueueRequest, _queue_directory_service_pb2.DeleteQueueResponse]  # type: ignore[assignment]
@@ -114,7 +114,7 @@ class QueueDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_directory_service_pb2.UpdateQueueRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_directory_service_pb2.UpdateQueueResponse, _abc.Awaitable[_queue_directory_service_pb2.UpdateQueueResponse]]:
-        """Change the set-up of a queue while it runs; fields left out stay. Idempotent by request id.
+        """Change the policy of a queue while it runs; fields left out stay. Idempotent by request id.
         Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
         """
 
