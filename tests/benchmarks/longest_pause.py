@@ -354,30 +354,6 @@ async def subscribers(rig: Rig, count: int) -> tuple[str, Work]:
     return f"{FOLLOWED_ITEMS} puts to a channel with {count:,} subscriptions", work
 
 
-async def short_waits(rig: Rig, gets: int) -> tuple[str, Work]:
-    """Their time is over at about the same instant."""
-    channel, _ = await opened(rig)
-    fill(rig.host.store.find(channel.channel_id, channel.epoch), rig.now(), [rig.now()])
-    end_nanos = time.monotonic_ns() + 12 * S
-    calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
-    for call in calls:
-        for call_id in range(1, CALLS + 1):
-            wait_nanos = max(1, end_nanos - time.monotonic_ns())
-            await call.write(channel.get_request(call_id, interval=channel.future(), wait_nanos=wait_nanos))
-    await channel.until(lambda status: status.waiting_gets == len(calls) * CALLS)
-
-    async def read(call: Any) -> None:
-        answered = 0
-        while answered < CALLS:
-            answered += (await call.read()).HasField("summary")
-
-    async def work() -> None:
-        async with asyncio.timeout(PATIENCE_SECONDS):
-            await asyncio.gather(*map(read, calls))
-
-    return f"{len(calls) * CALLS:,} blocked gets whose time is over at the same instant", work
-
-
 async def group_readers(rig: Rig, count: int) -> tuple[str, Work]:
     """As subscriptions to cuts wait for a group, which moves, and then goes."""
     hosted = group_of(rig)
@@ -454,7 +430,6 @@ CASES: dict[str, tuple[Case, int]] = {
     "list": (listing, CHANNELS),
     "batches": (batches, QUEUED_ITEMS),
     "subscribers": (subscribers, SUBSCRIBERS),
-    "short-waits": (short_waits, BLOCKED_GETS),
     "group-readers": (group_readers, 4096),
 }
 
