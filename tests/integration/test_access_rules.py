@@ -240,3 +240,22 @@ def test_an_operator_is_told_what_a_rule_would_do_and_why_something_is_denied(
     assert "put" in capsys.readouterr().out.split("this changes for cam")[1]
     assert operator.run("acl", "add", "cam", "put", "jobs", "--kind", "queue") == 2
     assert "nobody can put a queue" in capsys.readouterr().err
+
+
+def test_denials_and_changes_are_told_in_the_logs_of_the_services(cluster: LocalCluster, operator: Operator) -> None:
+    things(cluster)
+    operator.add("audited", "put", "video/1")
+    with st.connect(cluster.address, secret=operator.token("audited")) as rt:
+        channel = granted(lambda: rt.channel("video/1"))
+        refused(channel.newest)
+    logged = (
+        ("who=audited proof=token", 'verb=read thing="channel video/1" result=denied'),
+        ('verb="add rule"', "audited"),
+    )
+    for words in logged:
+        assert any(audited(cluster, *words) for _ in attempts())
+
+
+def audited(cluster: LocalCluster, *words: str) -> bool:
+    lines = [line for process in cluster.processes() for line in process.last_lines]
+    return any("logger=stampede_rt.audit" in line and all(word in line for word in words) for line in lines)

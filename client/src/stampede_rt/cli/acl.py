@@ -75,8 +75,8 @@ def _change(arguments: argparse.Namespace, rpc: str, outcomes: tuple[str, str]) 
             {did: changed, "dry_run": arguments.dry_run, "rules": answer.rules, "effects": effects}, arguments.output
         )
         return 0
-    would = "would be " if arguments.dry_run else ""
-    print(f"The rule {would if changed else ''}{did if changed else did_not}: {_text(request.rule)}.")
+    outcome = f"{'would be' if arguments.dry_run else 'is'} {did}" if changed else did_not
+    print(f"The rule {outcome}: {_text(request.rule)}.")
     for line in _warnings(rpc, changed=changed, rules=answer.rules):
         print(line)
     _print_effects(arguments.who, effects)

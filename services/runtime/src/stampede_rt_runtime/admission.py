@@ -48,9 +48,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         @contextlib.asynccontextmanager
         async def admitted(context: Context) -> AsyncIterator[None]:
             try:
-                caller = self._caller(method, context)
-                if refusal := why_refused(method, caller):
-                    raise PermissionDenied(refusal)
+                caller = self._admit(method, context)
             except StampedeError as error:
                 await abort(context, error)
             async with self._control.serving(caller, context):
@@ -72,6 +70,18 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
             await context.abort(grpc.StatusCode.UNIMPLEMENTED, f"Method not found: {method}")
 
         return grpc.stream_stream_rpc_method_handler(refuse)
+
+    def _admit(self, method: str, context: Context) -> Caller:
+        """Who calls, if that one may. Raises PermissionDenied, of which the audit log hears, and Unavailable."""
+        caller: Caller | None = None
+        try:
+            caller = self._caller(method, context)
+            if refusal := why_refused(method, caller):
+                raise PermissionDenied(refusal)
+        except PermissionDenied:
+            self._control.audit.denied(caller, context.peer(), method.rpartition(".")[2], "")
+            raise
+        return caller
 
     def _caller(self, method: str, context: Context) -> Caller:
         certificate = caller_identity(context) if self._accepted.cluster else None

@@ -13,6 +13,7 @@ from typing import Any
 
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import abort
+from stampede_rt_runtime.access.audit import AuditLog
 from stampede_rt_runtime.access.caller import Caller
 from stampede_rt_runtime.access.rules import NO_RULES, AccessKind, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
@@ -22,6 +23,7 @@ logger = logging.getLogger(__name__)
 
 TOKENS_KEPT_MAX = 4096
 GRANTS_KEPT_MAX = 1024
+CALLS_PER_TURN = 8
 Grant = tuple[AccessVerb, AccessKind, str]
 
 
@@ -43,6 +45,8 @@ class AccessControl:
         self._time_unix_nano = time_unix_nano
         self._tokens: OrderedDict[str, TokenClaims] = OrderedDict()
         self._open: set[OpenCall] = set()
+        self._judging: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
+        self.audit = AuditLog()
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
         """From now on `source` gives the state."""
@@ -53,9 +57,17 @@ class AccessControl:
         former, self._state = self._state, state
         if former is not None and former.token_keys != state.token_keys:
             self._tokens.clear()
-        if former is None or former.rules is not state.rules:
-            for call in tuple(self._open):
-                call.judge_again(state.rules)
+        if self._open and (former is None or former.rules is not state.rules):
+            self._judging = asyncio.create_task(self._judge_again(state))  # one of an earlier state gives up
+
+    async def _judge_again(self, state: AccessState) -> None:
+        """Look at a few calls in a turn: there may be thousands, of as many callers, and a thousand rules."""
+        for number, call in enumerate(tuple(self._open), start=1):
+            if state is not self._state:
+                return
+            call.judge_again(state.rules)
+            if number % CALLS_PER_TURN == 0:
+                await asyncio.sleep(0)
 
     def refresh(self) -> AccessState | None:
         """The state as it is now; None: it is not known yet."""
@@ -94,7 +106,7 @@ class AccessControl:
     @contextlib.asynccontextmanager
     async def serving(self, caller: Caller, context: Any) -> AsyncIterator[None]:
         """Run a call of `caller`. It ends when what it rests on does."""
-        call = OpenCall(self, caller)
+        call = OpenCall(self, caller, context)
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
         if not caller.is_judged and not caller.ends_unix_nano:
             yield
@@ -127,13 +139,15 @@ class AccessControl:
 class OpenCall:
     """One call that is being served, and what it was granted."""
 
-    def __init__(self, control: AccessControl, caller: Caller) -> None:
+    def __init__(self, control: AccessControl, caller: Caller, context: Any) -> None:
         task = asyncio.current_task()
         assert task is not None, "handlers run in tasks"
         self.task = task
         self.caller = caller
         self.error: StampedeError | None = None
         self._control = control
+        self._context = context
+        self._is_judged = caller.is_judged
         self._granted: dict[Grant, None] = {}
 
     def end(self, error: StampedeError) -> None:
@@ -144,14 +158,14 @@ class OpenCall:
 
     def rules(self) -> AccessRules:
         """Those that judge it now. Raises Unavailable."""
-        return self._control.rules() if self.caller.is_judged else NO_RULES
+        return self._control.rules() if self._is_judged else NO_RULES
 
     def check(self, grant: Grant) -> None:
         """Raises PermissionDenied. What was granted is remembered, until the rules change."""
-        if grant in self._granted or not self.caller.is_judged:
+        if not self._is_judged or grant in self._granted:
             return
         if not self.rules().judge(self.caller, *grant).allowed:
-            raise denied(self.caller, *grant)
+            raise self.denied(denied(self.caller, *grant), *grant)
         if len(self._granted) >= GRANTS_KEPT_MAX:
             self._granted.clear()
         self._granted[grant] = None
@@ -160,8 +174,17 @@ class OpenCall:
         """The rules have changed."""
         for grant in self._granted:
             if not rules.judge(self.caller, *grant).allowed:
-                self.end(denied(self.caller, *grant))
+                self.end(self.denied(denied(self.caller, *grant), *grant))
                 return
+
+    def denied(self, error: PermissionDenied, verb: str, kind: AccessKind, name: str) -> PermissionDenied:
+        """`error`, which the audit log has heard of."""
+        self._control.audit.denied(self.caller, self._context.peer(), verb, f"{kind} {name}")
+        return error
+
+    def changed(self, what: str, name: str) -> None:
+        """The audit log is to hear of what the call has changed."""
+        self._control.audit.changed(self.caller, self._context.peer(), what, name)
 
 
 _CURRENT: ContextVar[OpenCall | None] = ContextVar("call", default=None)
@@ -184,10 +207,11 @@ def check_known(kind: AccessKind, name: str) -> None:
     """Whether the caller may know of that thing: do anything at all to it. Raises PermissionDenied, Unavailable."""
     call = _CURRENT.get()
     if call is not None and not call.rules().knows_of(call.caller, kind, name):
-        raise PermissionDenied(
+        error = PermissionDenied(
             f"{call.caller} may do nothing with {kind} {name}; an operator can allow it (stampede acl add "
             f"{call.caller.name} VERB {name})"
         )
+        raise call.denied(error, "find", kind, name)
 
 
 def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:
@@ -197,6 +221,13 @@ def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:
     if call is None or not call.caller.is_judged:
         return lambda name: True
     return lambda name: call.rules().judge(call.caller, verb, kind, name).allowed
+
+
+def audit_change(what: str, name: str) -> None:
+    """Have the audit log tell what the call that is being served has changed."""
+    call = _CURRENT.get()
+    if call is not None:
+        call.changed(what, name)
 
 
 def owner_name() -> str:

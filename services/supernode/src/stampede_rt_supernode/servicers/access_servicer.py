@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from stampede_rt.v1 import access_service_pb2 as pb
 from stampede_rt.v1 import access_service_pb2_grpc
+from stampede_rt_runtime.access.control import audit_change
 from stampede_rt_runtime.access.messages import KINDS, VERBS, kind_from, rule_from, rule_message, verb_from
 from stampede_rt_runtime.access.rules import AccessRule, AccessRules, check_rule
 from stampede_rt_runtime.access.tokens import KEY_BYTES, VALID_NANOS_DEFAULT, TokenClaims, check_claims, make_token
@@ -65,6 +66,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
             serial=secrets.token_hex(SERIAL_BYTES),
             ends_unix_nano=self._time_unix_nano() + valid_nanos,
         )
+        audit_change("issue token", f"{claims.name} {' '.join(roles)} serial {claims.serial}")
         return pb.CreateClientTokenResponse(
             token=make_token(token_key, claims), serial=claims.serial, valid_until_unix_nano=claims.ends_unix_nano
         )
@@ -77,6 +79,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         added = change.after is not change.before
         if not request.dry_run:
             added = (await self._calls.submit(context, operation, commands.AccessRuleAdded, request.request_id)).added
+            audit_change("add rule", str(operation.rule))
         return pb.AddAccessRuleResponse(added=added, rules=len(change.after.rules), effects=change.effects)
 
     @errors_as_status
@@ -90,6 +93,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         if not request.dry_run:
             done = await self._calls.submit(context, operation, commands.AccessRuleRemoved, request.request_id)
             removed = done.removed
+            audit_change("remove rule", str(operation.rule))
         return pb.RemoveAccessRuleResponse(removed=removed, rules=len(change.after.rules), effects=change.effects)
 
     async def _change(

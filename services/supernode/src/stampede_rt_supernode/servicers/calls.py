@@ -21,6 +21,7 @@ from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import OpenGroup
 from stampede_rt_supernode.core.peers.checks import check_owner
 from stampede_rt_supernode.core.queues.commands import OpenQueue
+from stampede_rt_supernode.core.records import PeerRecord
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.submission import Submission
@@ -105,6 +106,10 @@ class DirectoryCalls:
         name = self._replica.read(lambda directory: name_of(directory.tables, kind, thing_id))
         if name is not None:
             check_access(verb, kind, name)
+
+    def holder_of(self, name: str) -> PeerRecord | None:
+        """The live peer of that name, as this replica knows it."""
+        return self._replica.read(lambda directory: directory.tables.peers.live_named(name))
 
     def check_peer(self, peer_id: bytes) -> None:
         """Raises PermissionDenied if another caller registered that peer."""

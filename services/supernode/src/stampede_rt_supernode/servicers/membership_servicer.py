@@ -15,6 +15,7 @@ from stampede_rt.errors import (
 )
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt.v1 import membership_service_pb2_grpc
+from stampede_rt_runtime.access.control import audit_change
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.values import parse_target
@@ -66,6 +67,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             valid_until_unix_nano=until,
             log_cluster_id=self._log_cluster_id,
         )
+        audit_change("make join token", f"{newcomer.member_id} at {newcomer.address}")
         return pb.CreateJoinTokenResponse(
             token=token, valid_until_unix_nano=until, cluster_id=cluster_id, log_cluster_id=self._log_cluster_id
         )
@@ -74,6 +76,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
     async def AddSupernode(self, request: pb.AddSupernodeRequest, context: Context) -> pb.AddSupernodeResponse:
         member, ticket = self._newcomer(request)
         index = await self._done(self._log.add_member(member, ticket=ticket, timeout=_seconds(context)))
+        audit_change("add supernode", f"{member.member_id} at {member.address}")
         records, _ = self._members.records()
         return pb.AddSupernodeResponse(supernodes=records, cluster_id=self._cluster_id(), index=index)
 
@@ -131,6 +134,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         if not request.supernode_id:
             raise InvalidArgument("supernode_id is empty; name the supernode to remove")
         index = await self._done(self._log.remove_member(request.supernode_id, timeout=_seconds(context)))
+        audit_change("remove supernode", request.supernode_id)
         records, _ = self._members.records()
         return pb.RemoveSupernodeResponse(supernodes=records, index=index)
 

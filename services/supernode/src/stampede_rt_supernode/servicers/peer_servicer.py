@@ -11,7 +11,7 @@ from stampede_rt.v1 import peer_pb2, peer_service_pb2_grpc
 from stampede_rt.v1 import peer_service_pb2 as pb
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt.wire.peers import clock_offset
-from stampede_rt_runtime.access.control import allowed_to, check_access, check_known, owner_name
+from stampede_rt_runtime.access.control import allowed_to, audit_change, check_access, check_known, owner_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
@@ -51,8 +51,10 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             check_access(AccessVerb.REGISTER, AccessKind.PEER, request.name)
         if request.mailbox.HasField("dead_letter_queue_id"):
             self._calls.check_thing(AccessVerb.SEND, AccessKind.QUEUE, request.mailbox.dead_letter_queue_id)
-        clock = _clock_told(request)
+        clock, former = _clock_told(request), self._calls.holder_of(request.name)
         entered = await self._calls.submit(context, _entering(request), PeerRegistered, request.request_id)
+        if former is not None and former.boot_incarnation != request.boot_incarnation:
+            audit_change("take over peer", request.name)
         self._leases.note_clock(entered.peer, clock)
         ttl_nanos = await self._calls.read(context, lambda directory: directory.lease_ttl_nanos, stale_ok=True)
         return pb.RegisterPeerResponse(
