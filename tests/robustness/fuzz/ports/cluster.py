@@ -50,14 +50,14 @@ class FuzzedCluster:
         return grpc.aio.secure_channel(address, grpc.ssl_channel_credentials(ca, key, certificate), options=OPTIONS)
 
     def connect(self) -> Any:
-        """The client that everybody uses."""
+        """The client that everybody uses, as one who may do everything: hostile operators make rules of access."""
         if self._tls:
-            return st.aio.connect(self.processes.address, tls=self.processes.tls_files("good"))
+            return st.aio.connect(self.processes.address, tls=self.processes.tls_files("good", Role.OPERATOR))
         return st.aio.connect(self.processes.address, secret=self.processes.secret.text)
 
     def environment(self) -> dict[str, str]:
         """For the command line."""
-        files = self.processes.tls_files("good")
+        files = self.processes.tls_files("good", Role.OPERATOR)
         if files is None:
             credentials = {"STAMPEDE_SECRET_FILE": str(self.processes.secret_file)}
         else:

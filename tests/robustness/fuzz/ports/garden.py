@@ -93,5 +93,5 @@ async def _put(place: Any) -> None:
 
 
 async def _asked(cluster: FuzzedCluster, service: Any, method: str, request: Any) -> Any:
-    async with cluster.channel(cluster.processes.supernodes[0].address, Role.CLIENT) as channel:
+    async with cluster.channel(cluster.processes.supernodes[0].address, Role.OPERATOR) as channel:
         return await getattr(service(channel), method)(request, metadata=cluster.metadata)

@@ -14,7 +14,7 @@ from stampede_rt import v1
 PORTS = ("host", "supernode", "frontend")
 _HOST = ("ChannelService", "GatekeeperService", "GroupService", "QueueService", "MigrationService", "ReplicaService")
 _FRONTEND = ("FrontendService",)
-_SELDOM = ("/Delete", "/Drop", "/Deregister", "/Remove", "Migration", ".ReplicaService")
+_SELDOM = ("/Delete", "/Drop", "/Deregister", "/Remove", "/AddAccessRule", "Migration", ".ReplicaService")
 
 
 @dataclass(frozen=True, kw_only=True)
