@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE
+from stampede_rt_supernode.replication.threads.tick_thread import EXIT_DISK
 from tests.robustness.replication.ext4 import Ext4
 from tests.robustness.replication.member_process import REFUSED, UNKNOWN_OUTCOME
 from tests.robustness.replication.test_killed_processes import IDS, MemberProcess, write
@@ -119,7 +119,7 @@ async def test_a_member_whose_disk_fails_says_so_and_ends_and_the_others_go_on(m
     witness = next(machine for machine in machines if machine is not leader)
     while not (await witness.ask("propose after")).isdigit():
         pass
-    assert await leader.ended() == EXIT_CODE
+    assert await leader.ended() == EXIT_DISK
     assert "after" in (await witness.ask("entries")).split()
     await leader.come_back()
     assert (await leader.ask("entries")).split()[0] == "before"

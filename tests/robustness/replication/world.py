@@ -8,8 +8,8 @@ import random
 from collections.abc import Callable, Sequence
 
 from stampede_rt.v1 import raft_service_pb2 as pb
-from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member
-from stampede_rt_supernode.replication.network.hello import TOO_OLD, introduction, newly_met
+from stampede_rt_supernode.replication.interface import TOO_OLD, Ambiguous, LogUnavailable, Member
+from stampede_rt_supernode.replication.network.hello import introduction, newly_met
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections

@@ -180,7 +180,10 @@ async def host_gone(supernode: Supernode, number: int) -> None:
         (("--members", "s1=localhost:1,s2=localhost:1", "--id", "s1"), "names an address twice"),
         (("--members", "s1=localhost:1,s2=localhost:2"), "--id is ''"),
         (("--members", "s1"), "ID=HOST:PORT"),
-        (("--members", "s1=localhost:1", "--id", "s1", "--listen", "localhost:0"), "a port that the others know"),
+        (
+            ("--members", "s1=localhost:1", "--id", "s1", "--listen", "localhost:0"),
+            "name the port that the list has",
+        ),
         (("--lease-ttl", "1ms"), "--lease-ttl: '1ms' cannot be used; allowed: 1 s to"),
         (("--listen", "0.0.0.0:0"), "--allow-insecure-anywhere"),
         (("--members", ",".join(f"s{n}=localhost:{n}" for n in range(1, 11)), "--id", "s1"), "9 at most"),

@@ -14,7 +14,7 @@ from stampede_rt_supernode.core.channels.commands import DeleteChannel
 from stampede_rt_supernode.core.cluster.commands import BeginTenure
 from stampede_rt_supernode.core.commands import Command, Operation
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.network.hello import TOO_OLD
+from stampede_rt_supernode.replication.interface import TOO_OLD
 from tests.support.supernode.node import Node, running_node
 from tests.support.supernode.operations import TTL_NANOS, id_of
 

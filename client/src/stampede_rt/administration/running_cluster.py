@@ -13,7 +13,7 @@ import grpc
 
 from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.cluster.connecting import parse_target
-from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable
+from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable, WrongCluster
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports.grpc_sync import ServerEndpoint
@@ -40,6 +40,11 @@ class Cluster:
         self._addresses = addresses
 
     @property
+    def cluster_id(self) -> str:
+        """Which cluster it is; empty: nobody has said so. Every call names it."""
+        return self._endpoints.metadata.cluster_id
+
+    @property
     def is_secured(self) -> bool:
         """Whether the caller has a certificate."""
         return self._endpoints.credentials.tls is not None
@@ -53,11 +58,7 @@ class Cluster:
 
     def ping(self, address: str) -> Any:
         """What a supernode says of itself; None if it says nothing."""
-        endpoint = self._endpoints.to(address)
-        try:
-            return endpoint.call(endpoint.directory.Ping, directory_pb.DirectoryServicePingRequest(), CALL_SECONDS)
-        except StampedeError:
-            return None
+        return _ping(self._endpoints, address)
 
     def make_token(self, supernode_id: str, address: str, *, valid_nanos: int) -> pb.CreateJoinTokenResponse:
         """A token that lets that supernode in, at that address."""
@@ -144,6 +145,14 @@ def _first(endpoints: EndpointPool, addresses: Sequence[str], ask: Callable[[Ser
     raise failure
 
 
+def _ping(endpoints: EndpointPool, address: str) -> Any:
+    endpoint = endpoints.to(address)
+    try:
+        return endpoint.call(endpoint.directory.Ping, directory_pb.DirectoryServicePingRequest(), CALL_SECONDS)
+    except StampedeError:
+        return None
+
+
 def is_there(record: SupernodeRecord, pong: Any) -> bool:
     """Whether that member has answered, and not another one at its address."""
     return pong is not None and pong.supernode_id == record.supernode_id
@@ -169,7 +178,7 @@ def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
     target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=None, zone=None)
     endpoints = EndpointPool(target.credentials)
     try:
-        addresses = list(target.frontends) if member else _bound(endpoints, target.frontends)
+        addresses = _same_cluster(endpoints, target.frontends) if member else _bound(endpoints, target.frontends)
         yield Cluster(endpoints, addresses)
     finally:
         endpoints.close()
@@ -178,7 +187,26 @@ def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
 def _bound(endpoints: EndpointPool, frontends: Sequence[str]) -> list[str]:
     request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
     bound = _first(endpoints, frontends, lambda endpoint: endpoint.call(endpoint.frontend.Bind, request, CALL_SECONDS))
+    endpoints.metadata.cluster_id = bound.cluster_id
     return [one.endpoint.target for one in bound.supernodes]
+
+
+def _same_cluster(endpoints: EndpointPool, members: Sequence[str]) -> list[str]:
+    """The addresses of `members`. Raises WrongCluster if two of them say that they are of different clusters."""
+    told = ""
+    for address in members:
+        pong = _ping(endpoints, address)
+        if pong is not None:
+            own = endpoints.metadata.cluster_id
+            if own and pong.cluster_id not in ("", own):
+                raise WrongCluster(
+                    f"the supernodes {told} and {address} are of different clusters, {own} and {pong.cluster_id}; name "
+                    "those of one cluster",
+                    metadata={"cluster_id": pong.cluster_id},
+                )
+            endpoints.metadata.cluster_id = own or pong.cluster_id
+            told = told or address
+    return list(members)
 
 
 def _access(endpoint: ServerEndpoint) -> Any:

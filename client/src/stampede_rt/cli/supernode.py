@@ -16,6 +16,7 @@ from stampede_rt.cli.backup_file import write_backup
 from stampede_rt.cli.diagnosis import IN_DOUBT, gathered, level_finding, refusal
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.cli.terminal import TerminalParser
+from stampede_rt.cluster.cluster_ids import IN_MEMORY
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
 from stampede_rt.values.timeline import format_duration, format_instant
@@ -23,6 +24,10 @@ from stampede_rt.values.timeline import format_duration, format_instant
 FAILED = 1
 LEADER, FOLLOWER = SERVING = ("leader", "follower")
 TOKEN_HOURS_MAX = 24
+IN_MEMORY_ADVICE = (
+    "This cluster is kept in memory alone, and ends with its processes. If {names} should be of another cluster, start "
+    "it again with its --data-dir."
+)
 ID_BYTES = 4
 
 
@@ -85,17 +90,25 @@ def _verb(verbs: Any, name: str, text: str, run: Callable[[argparse.Namespace], 
 def _run_status(arguments: argparse.Namespace) -> int:
     with reached(arguments.url, arguments.member) as cluster:
         listed = cluster.members()
+        own_id = cluster.cluster_id
         pongs = {record.supernode_id: _ping(cluster, record) for record in listed.supernodes}
     # Without the answer of a copy of a member at another one's address.
     heard = (pong for name, (pong, _) in pongs.items() if pong and pong.supernode_id == name)
+    heard = (pong for pong in heard if pong.cluster_id in ("", own_id))
     refused = gathered(pong.refused_supernodes for pong in heard)
-    rows = [_row(record, *pongs[record.supernode_id], refused, arguments.output) for record in listed.supernodes]
+    rows = [
+        _row(record, *pongs[record.supernode_id], refused, own_id, arguments.output) for record in listed.supernodes
+    ]
     print_rows(rows, arguments.output, none="no supernode")
     serving = sum(row["state"] in (*SERVING, IN_DOUBT) for row in rows)
     enough = 2 * serving > len(rows)
     if arguments.output == "table":
         verdict = "a majority serves" if enough else f"no majority: start supernodes until {len(rows) // 2 + 1} serve"
-        print(f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}.")
+        print(
+            f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}. Cluster {own_id or 'not founded yet'}."
+        )
+        if own_id.startswith(IN_MEMORY):
+            print(IN_MEMORY_ADVICE.format(names=", ".join(sorted(pongs))))
         levels = {row["supernode"]: row["highest_feature_level"] for row in rows}
         print(_level_line(max(_cluster_levels(pongs), default=listed.feature_level), levels))
         for name, why in sorted(refused.items()):
@@ -127,12 +140,13 @@ def _ping(cluster: Cluster, record: SupernodeRecord) -> tuple[Any, int | None]:
 
 
 def _row(
-    record: SupernodeRecord, pong: Any, nanos: int | None, refused: Mapping[str, str], form: str
+    record: SupernodeRecord, pong: Any, nanos: int | None, refused: Mapping[str, str], own_id: str, form: str
 ) -> dict[str, Any]:
+    why = refused.get(record.supernode_id)
     return {
         "supernode": record.supernode_id,
         "address": record.endpoint.target,
-        "state": refusal(refused[record.supernode_id])[0] if record.supernode_id in refused else _state(record, pong),
+        "state": refusal(why)[0] if why else _state(record, pong, own_id),
         "round_trip": format_duration(nanos) if nanos is not None and form == "table" else nanos,
         "version": pong.version if pong is not None else None,
         "highest_feature_level": _highest_level(record, pong),
@@ -145,11 +159,17 @@ def _highest_level(record: SupernodeRecord, pong: Any) -> int | None:
     return said or record.highest_feature_level or None
 
 
-def _state(record: SupernodeRecord, pong: Any) -> str:
+def _is_stranger(pong: Any, own_id: str) -> bool:
+    return bool(own_id) and pong.cluster_id not in ("", own_id)
+
+
+def _state(record: SupernodeRecord, pong: Any, own_id: str) -> str:
     if pong is None:
         return "down"
     if not is_there(record, pong):
         return f"{pong.supernode_id} is there"
+    if _is_stranger(pong, own_id):
+        return "of another cluster"
     if not pong.ready:
         return "no leader"
     return LEADER if record.is_leader else FOLLOWER

@@ -14,7 +14,7 @@ class DirectoryServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class DirectoryServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids", "feature_level", "highest_feature_level", "token_keys")
+    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids", "feature_level", "highest_feature_level", "token_keys", "boot_incarnation")
     class RefusedSupernodesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -32,6 +32,7 @@ class DirectoryServicePingResponse(_message.Message):
     FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     HIGHEST_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     TOKEN_KEYS_FIELD_NUMBER: _ClassVar[int]
+    BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     supernode_id: str
     ready: bool
@@ -42,7 +43,8 @@ class DirectoryServicePingResponse(_message.Message):
     feature_level: int
     highest_feature_level: int
     token_keys: _containers.RepeatedScalarFieldContainer[bytes]
-    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., feature_level: _Optional[int] = ..., highest_feature_level: _Optional[int] = ..., token_keys: _Optional[_Iterable[bytes]] = ...) -> None: ...
+    boot_incarnation: int
+    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., feature_level: _Optional[int] = ..., highest_feature_level: _Optional[int] = ..., token_keys: _Optional[_Iterable[bytes]] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
 
 class OpenChannelRequest(_message.Message):
     __slots__ = ("request_id", "name", "spec", "create", "host_name")

@@ -24,11 +24,12 @@ from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
 from stampede_rt_supernode.core.access.queries import access_state
+from stampede_rt_supernode.joining.copies import OwnAddress
 from stampede_rt_supernode.joining.founding import Founding, misplaced, note_started, read_founding
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.joining.preparing import PREPARING, prepare
 from stampede_rt_supernode.joining.probe import Probe
-from stampede_rt_supernode.joining.volunteering import volunteer
+from stampede_rt_supernode.joining.volunteering import NEWER_RELEASE, volunteer
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import (
     LibraryMismatch,
@@ -78,6 +79,7 @@ async def serve(settings: SupernodeSettings) -> None:
     own_cluster.learn(founding.log_cluster_id)
     if wrong := misplaced(founding, address, settings.advertise):
         logger.warning(wrong)
+        await OwnAddress(founding.supernode_id, founding.address, 0, credentials).check()
     if settings.data_dir is None and not settings.members:
         logger.info("alone, and keeps everything in memory; a supernode of `init` or `join` needs its --data-dir")
     async with _open_log(settings, founding, server, credentials, replica) as log:
@@ -96,8 +98,12 @@ async def serve(settings: SupernodeSettings) -> None:
             _watch_removal(server, log, keeps=settings.data_dir is not None),
             _watch_founding(server, parts, founding),
         ]
+        if settings.data_dir is not None:
+            boot = parts.members.boot_incarnation
+            own_address = OwnAddress(founding.supernode_id, founding.address, boot, credentials)
+            work.append(_for_good(own_address.watch(own_cluster.id)))
         if founding.token and settings.data_dir is not None:
-            work.append(_enter(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
+            work.append(_for_good(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
         async with _background(server, *work):
             # Said once `run` has set up the stop signals: whoever waits for this line may send one at once.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
@@ -210,9 +216,9 @@ async def _open_log(
         await log.close()
 
 
-async def _enter(volunteering: Coroutine[Any, Any, None]) -> None:
-    """Volunteer, and go on waiting once it is done: work that ends would end the service."""
-    await volunteering
+async def _for_good(work: Coroutine[Any, Any, None]) -> None:
+    """Do the work, and go on waiting once it is done: work that ends would end the service."""
+    await work
     await asyncio.Event().wait()
 
 
@@ -237,10 +243,7 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
                 f"with --data-dir and that one, or, if it is lost, {anew}"
             )
         if status.too_old:
-            raise StampedeError(
-                f"supernode {status.too_old}; start it with the release of the others and the same data folder, and it "
-                "goes on"
-            )
+            raise StampedeError(f"supernode {status.too_old}; {NEWER_RELEASE}")
         if status.has_old_store:
             raise StampedeError(
                 f"supernode {status.self_id} has promised more than its data folder holds, which is an older copy, "

@@ -95,15 +95,18 @@ class SupernodeSettings(ServiceSettings):
         for name in {*ids, self.id} - {""}:
             parse_name(name, "supernode")
         if len(set(ids)) != len(ids):
-            raise ValueError(f"--members names an id twice: {', '.join(ids)}; every member has an id of its own")
+            raise ValueError(f"--members names an id twice: {', '.join(ids)}; give every member an id of its own")
         addresses = [member.partition("=")[2] for member in self.members]
         if len(set(addresses)) != len(addresses):
             text = f"--members names an address twice: {', '.join(addresses)}"
-            raise ValueError(f"{text}; every member has an address of its own")
+            raise ValueError(f"{text}; give every member an address of its own")
         if len(ids) > MEMBERS_MAX:
             raise ValueError(f"--members names {len(ids)} members; {MEMBERS_MAX} at most")
         if self.members and self.id not in ids:
-            raise ValueError(f"--id is {self.id!r}; with --members it must be one of them: {', '.join(ids)}")
+            raise ValueError(
+                f"--id is {self.id!r}, and --members names {', '.join(ids)}: say with --id which of them this one is, "
+                "or, if it is to enter a running cluster, use `stampede supernode join` instead"
+            )
         here = [member for member in self.members if is_loopback(member.partition("=")[2])]
         if here and len(here) < len(self.members):
             raise ValueError(
@@ -111,7 +114,7 @@ class SupernodeSettings(ServiceSettings):
                 "machines; give each the address at which the others reach it"
             )
         if self.members and parse_address(self.listen).port == 0:
-            raise ValueError(f"--listen is {self.listen}; with --members it must be a port that the others know, not 0")
+            raise ValueError(f"--listen is {self.listen}; with --members name the port that the list has for this one")
 
     def founding(self, listening_at: str) -> Founding:
         """How this supernode begins: by the list of members, by what its folder was prepared for, or alone.
@@ -135,8 +138,9 @@ class SupernodeSettings(ServiceSettings):
         name, address = self.id or DEFAULT_ID, self.advertise or listening_at
         if self.data_dir is not None and not holds_store(self.data_dir):
             raise StampedeError(
-                f"{self.data_dir} holds no supernode yet: found a cluster there with `stampede supernode init`, enter "
-                "one with `stampede supernode join`, or start the founders of one with --members"
+                f"{self.data_dir} holds no supernode yet: if this one was a member, name its own folder, or let it "
+                "join under a new id; to enter a cluster, use `stampede supernode join`; to found one, `stampede "
+                "supernode init`, or --members for all its founders"
             )
         return self._listed(name, address, {name: address})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Mapping
 
 from stampede_rt.v1 import directory_pb2
@@ -37,6 +38,8 @@ class Members:
         self._probe = probe
         self._advertise = advertise
         self._zone = zone
+        # Of this start of the process.
+        self.boot_incarnation = secrets.randbits(63) | 1
 
     @property
     def self_id(self) -> str:

@@ -25,7 +25,8 @@ logger = logging.getLogger(__name__)
 ATTEMPT_SECONDS = 30.0
 PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
 REFUSED_SECONDS_MAX = 300
-_HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
+_HOPELESS = (PermissionDenied, InvalidArgument)
+NEWER_RELEASE = "start it with the release of the others and the same data folder, and it goes on"
 
 
 async def volunteer(
@@ -53,6 +54,8 @@ async def volunteer(
         except NotLeader as error:
             leader, pause_seconds = error.metadata.get("leader_endpoint", ""), PAUSE_SECONDS
             addresses = [leader, *(one for one in addresses if one != leader)] if leader else _next(addresses)
+        except VersionMismatch as error:
+            raise StampedeError(f"this supernode cannot join: {error.message}; {NEWER_RELEASE}") from error
         except _HOPELESS as error:
             _note_refusal(data_dir, founding, error.message)
             raise StampedeError(

@@ -117,6 +117,14 @@ class TakenSnapshot:
     record: bytes
 
 
+TOO_OLD = "is of a release that is too old"
+
+
+def too_old(member_id: str, highest_level: int, level: int) -> str:
+    """In one sentence, about a member or newcomer whose release does not know the level of the cluster."""
+    return f"{member_id!r} {TOO_OLD}: it knows feature level {highest_level}, and the cluster is at level {level}"
+
+
 class ReleaseTooOld(Exception):
     """The cluster is at a feature level that this release does not know: the member goes no further."""
 

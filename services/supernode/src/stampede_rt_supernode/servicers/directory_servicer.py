@@ -81,6 +81,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             supernode_id=self._members.self_id,
             ready=self._members.ready(),
             cluster_id=self._own_cluster.id(),
+            boot_incarnation=self._members.boot_incarnation,
             former_cluster_ids=self._replica.read(lambda directory: directory.former_cluster_ids),
             version=software_version(),
             refused_supernodes=self._members.refused(),

@@ -25,6 +25,7 @@ from stampede_rt_supernode.joining.join_tokens import JoinTokens, valid_until
 from stampede_rt_supernode.joining.members import Members, why_diverged
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import Member, ReplicatedLog
+from stampede_rt_supernode.replication.interface import too_old
 from stampede_rt_supernode.servicers.lease_keeper import not_leader
 
 PROTOCOL_VERSION = 1
@@ -144,8 +145,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             raise VersionMismatch(f"{text} {PROTOCOL_VERSION}; install the same release on both")
         highest, level = max(1, request.highest_feature_level), self._replica.feature_level
         if highest < level:
-            text = f"the supernode's release knows feature level {highest}, and the cluster is at level {level}"
-            raise VersionMismatch(f"{text}; install the release of the other supernodes")
+            raise VersionMismatch(too_old(request.supernode_id, highest, level))
         member = _member("supernode_id", request.supernode_id, "endpoint.target", request.endpoint.target)
         ticket = self._tokens().check(request.token, member, now_unix_nano=self._clock.time_unix_nano())
         return member, ticket

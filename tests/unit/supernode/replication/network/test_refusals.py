@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from stampede_rt_supernode.replication.interface import TOO_OLD
 from stampede_rt_supernode.replication.network.hello import (
     ANOTHER_STORE,
     NO_STORE,
     OLDER_STORE,
     OTHER_CLUSTER,
     REMOVED,
-    TOO_OLD,
     UNKNOWN,
 )
 from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import pytest
 
-from stampede_rt_supernode.replication.interface import Member, ReleaseOutdated
+from stampede_rt_supernode.replication.interface import Member, ReleaseOutdated, too_old
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.wire.buffered_transport import Connected, StreamOpened
 from tests.robustness.replication.machine import ListMachine
@@ -77,9 +77,7 @@ def test_a_newcomer_must_know_the_clusters_level_and_the_one_to_which_it_is_abou
         assert is_member
     else:
         assert isinstance(outcome, ReleaseOutdated)
-        assert f"new is of a release that knows feature level {newcomer or 0}, and the members know {needed}" in str(
-            outcome
-        )
+        assert str(outcome) == too_old(NEWCOMER.member_id, newcomer or 0, needed)
         assert not is_member
         assert leader.node.learner is None
         assert leader.changes.is_idle, "others can come"

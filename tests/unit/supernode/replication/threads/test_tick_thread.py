@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from stampede_rt_supernode.replication.threads import tick_thread
-from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE, TickThread
+from stampede_rt_supernode.replication.threads.tick_thread import EXIT_CODE, EXIT_DISK, TickThread
 
 
 class Stepping:
@@ -89,7 +89,7 @@ def test_a_full_disk_ends_the_process_with_a_sentence_and_no_traceback() -> None
         "end_process(sqlite3.OperationalError('database or disk is full'))\n"
     )
     ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=False)
-    assert (ended.returncode, ended.stderr.count("\n")) == (EXIT_CODE, 1)
+    assert (ended.returncode, ended.stderr.count("\n")) == (EXIT_DISK, 1)
     assert "its data folder cannot be written (database or disk is full)" in ended.stderr
     assert "nothing that was acknowledged is lost" in ended.stderr
 

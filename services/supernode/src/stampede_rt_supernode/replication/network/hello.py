@@ -7,7 +7,7 @@ from typing import NamedTuple
 import grpc
 
 from stampede_rt.v1 import raft_service_pb2 as pb
-from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.interface import Member, too_old
 from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import STORE_ID_BYTES_MAX, KnownStores
@@ -24,8 +24,6 @@ OLDER_STORE = "comes with an older copy of its store"
 NO_STORE = "keeps nothing, and the others do"
 # In the refusal of one that is of another cluster.
 OTHER_CLUSTER = "is of another cluster"
-# In the refusal of one whose release does not know the cluster's feature level: its folder is as good as before.
-TOO_OLD = "is of a release that is too old"
 # In the refusal of one that is not known, as who just joins is not for a moment.
 UNKNOWN = "is no other member of this cluster"
 
@@ -90,8 +88,7 @@ def refusal_of(
     if caller in roster.removed:
         return HelloRefusal(denied, f"{caller!r} {REMOVED}")
     if hello.highest_feature_level < feature_level:
-        known = f"it knows feature level {hello.highest_feature_level}, and the cluster is at level {feature_level}"
-        return HelloRefusal(failed, f"{caller!r} {TOO_OLD}: {known}")
+        return HelloRefusal(failed, too_old(caller, hello.highest_feature_level, feature_level))
     if not stores.admits(caller, hello.store_id):
         return HelloRefusal(denied, f"{caller!r} {ANOTHER_STORE}{'' if hello.store_id else ', and has none now'}")
     if stores.own and not hello.store_id:

@@ -29,6 +29,8 @@ logger = logging.getLogger(__name__)
 
 # How often the others are asked for their word at most, so that none can keep this member's streams from standing.
 ASK_OTHERS_SECONDS = 5.0
+OUTDATED_FOLLOWS = "Meanwhile it goes on. It ends"
+REFUSED_FOLLOWS = "Meanwhile it follows the leader, and does not vote. It ends for good"
 # A snapshot is fed to a link only while less than this waits in it.
 ROOM_BYTES = 4 << 20
 
@@ -121,12 +123,12 @@ class PeerLinks:
             self.other_cluster = why
         grounds, why = grounds_of(why), _STATUS.sub("", why)
         if grounds is Grounds.TOO_OLD:
-            self._count(self.outdated, member_id, why, "and ends")
+            self._count(self.outdated, member_id, why, OUTDATED_FOLLOWS)
         elif grounds is not None:
             self.outdated.accepted(member_id)
             if member_id not in self.refusals.by:
                 deliver(Disputed(member_id, why))
-            if self._count(self.refusals, member_id, why, "without a vote, and ends for good"):
+            if self._count(self.refusals, member_id, why, REFUSED_FOLLOWS):
                 self.on_refusal_confirmed(self.refusals.why)
 
     def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
@@ -136,9 +138,9 @@ class PeerLinks:
         is_confirmed = refusals.refused(member_id, why, others=others, leader_id=leader_id)
         if is_new and not is_confirmed:
             logger.warning(
-                "%s refuses this member; it goes on %s once the leader or most of the others say the same (if %s is "
-                "mistaken, stop that one and start this one again): %s",
-                *(member_id, what_follows, member_id, why),
+                "%s refuses this member: %s. %s once the leader or most of the others refuse it, too. If %s is "
+                "mistaken, stop %s and start this member again",
+                *(member_id, why, what_follows, member_id, member_id),
             )
             self._ask_the_others(refusals)
         return is_confirmed and not was_confirmed

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Collection
 from enum import Enum
 
+from stampede_rt_supernode.replication.interface import TOO_OLD
 from stampede_rt_supernode.replication.network.hello import (
     ANOTHER_STORE,
     NO_STORE,
     OLDER_STORE,
     REMOVED,
-    TOO_OLD,
 )
 
 

@@ -20,6 +20,7 @@ from stampede_rt_supernode.replication.interface import (
     NotLeading,
     ReleaseOutdated,
     TicketSpent,
+    too_old,
 )
 from stampede_rt_supernode.replication.rules.membership import Membership
 
@@ -230,13 +231,9 @@ class MemberChanges:
         highest = self._node.known_levels().get(newcomer, 0)
         if highest >= needed:
             return False
-        text = (
-            f"{newcomer} is of a release that knows feature level {highest}, and the members know {needed}; install "
-            "their release there"
-        )
         self._addition = None
         self._node.set_learner(None)
-        self._finish(addition.callers, ReleaseOutdated(text))
+        self._finish(addition.callers, ReleaseOutdated(too_old(newcomer, highest, needed)))
         return True
 
     def _gives_way(self, addition: _Addition) -> bool:

@@ -127,8 +127,8 @@ class SqliteStore:
         existed = holds_store(data_dir)
         if not existed and not create:
             raise StoreRefused(
-                f"{data_dir} holds no replicated log: initialise a new cluster there, or, if this member lost its "
-                "disk, let it join again under a new id"
+                f"{data_dir} holds no replicated log: if this member lost its disk, let it join again under a new id "
+                "(stampede supernode remove, then join); if it has another folder, name that one"
             )
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         self._watermark = Watermark(data_dir / WATERMARK_NAME)

@@ -19,6 +19,8 @@ from stampede_rt_supernode.replication.interface import ReleaseTooOld
 logger = logging.getLogger(__name__)
 
 EXIT_CODE = 70
+# As of sysexits(3), EX_IOERR: the data folder cannot be written.
+EXIT_DISK = 74
 # As of a service that cannot go on for a reason that its user can mend.
 EXIT_TOO_OLD = 1
 # A step that takes longer waits for a disk that hangs: the others have a new leader by then.
@@ -28,9 +30,11 @@ LOOK_SECONDS = 0.5
 
 def end_process(error: BaseException) -> NoReturn:
     """Say why and end the process at once: a replica that failed half-way must not answer anybody any more."""
+    code = EXIT_CODE
     if isinstance(error, ReleaseTooOld):
-        why = str(error)
+        why, code = str(error), EXIT_TOO_OLD
     elif isinstance(error, sqlite3.OperationalError):  # of the disk, not of the program
+        code = EXIT_DISK
         why = (
             f"its data folder cannot be written ({error}), so it ends at once; make room there, or mend the disk, and "
             "start it again with that folder: nothing that was acknowledged is lost"
@@ -40,7 +44,7 @@ def end_process(error: BaseException) -> NoReturn:
         why = f"the replicated log failed and the process ends: {error!r}"
     print(f"stampede supernode: {why}", file=sys.stderr)  # noqa: T201
     sys.stderr.flush()
-    os._exit(EXIT_TOO_OLD if isinstance(error, ReleaseTooOld) else EXIT_CODE)
+    os._exit(code)
 
 
 class Ticked(Protocol):

@@ -1,0 +1,82 @@
+"""A copy of a supernode's data folder is started beside the supernode, before it, or after it."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.support.supernode.commands import command, prepared
+from tests.support.supernode.processes import Supernode, free_ports, register
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def copied(original: Supernode, folder: Path, port: int) -> Supernode:
+    """A process at another port, of a copy of the folder as it is now."""
+    shutil.copytree(folder / original.name, folder / "copy")
+    address = f"127.0.0.1:{port}"
+    return Supernode(original.name, address, ["--listen", address, "--data-dir", str(folder / "copy")])
+
+
+async def test_a_copy_that_is_started_beside_the_supernode_ends_and_says_so(tmp_path: Path) -> None:
+    ports = free_ports(2)
+    original = await prepared("init", "a", ports[0], tmp_path)
+    running = [original]
+    try:
+        await original.start()
+        running.append(copied(original, tmp_path, ports[1]))
+        code, said = await running[1].refused()
+        assert (code, f"supernode a runs at {original.address} already" in said) == (1, True), said
+        await register(original, 1)
+    finally:
+        for one in running:
+            await one.close()
+
+
+async def test_a_copy_that_was_started_first_ends_once_the_supernode_comes(tmp_path: Path) -> None:
+    ports = free_ports(2)
+    original = await prepared("init", "a", ports[0], tmp_path)
+    running = [original]
+    try:
+        await original.start()
+        await original.end(signal.SIGTERM)
+        copy = copied(original, tmp_path, ports[1])
+        running.append(copy)
+        await copy.start()
+        await original.start()
+        assert await copy.ended() == 1
+        await register(original, 1)
+    finally:
+        for one in running:
+            await one.close()
+
+
+async def test_status_says_that_a_supernode_without_its_folder_is_a_cluster_of_its_own(tmp_path: Path) -> None:
+    (port,) = free_ports(1)
+    address = f"127.0.0.1:{port}"
+    alone = Supernode("supernode-1", address, ["--listen", address])
+    try:
+        await alone.start()
+        await register(alone, 1)
+        code, printed = await command("status", "--member", address)
+        assert (code, "1 of 1 serve" in printed) == (0, True), printed
+        assert "Cluster memory-" in printed
+        assert "should be of another cluster, start it again with its --data-dir" in printed
+    finally:
+        await alone.close()
+
+
+async def test_supernodes_of_two_clusters_in_one_address_are_refused_with_both_names(tmp_path: Path) -> None:
+    ports = free_ports(2)
+    pair = [await prepared("init", name, port, tmp_path) for name, port in zip("ab", ports, strict=True)]
+    try:
+        for one in pair:
+            await one.start()
+        code, printed = await command("status", "--member", f"{pair[0].address},{pair[1].address}")
+        assert (code, f"{pair[0].address} and {pair[1].address} are of different clusters" in printed) == (1, True)
+    finally:
+        for one in pair:
+            await one.close()
