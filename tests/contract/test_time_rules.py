@@ -18,7 +18,7 @@ SOON_S = 20  # what must be answered at once is answered by then on any machine;
 LONG_S = 3_600
 
 
-async def at_once(get: Any) -> Any:
+async def run_to_end(get: Any) -> Any:
     """The answer of what must not wait for its own timeout."""
     async with asyncio.timeout(SOON_S):
         return await get
@@ -140,7 +140,7 @@ async def waiting(channel: Any, count: int = 1) -> None:
 async def test_a_future_lower_bound_is_looked_at_again_when_it_comes(surface: Surface) -> None:
     channel = await surface.channel(max_age="60s")
     await channel.put(b"holds")
-    items = await at_once(channel.get(st.NOW + "60ms", st.NOW + "1h", timeout=LONG_S))
+    items = await run_to_end(channel.get(st.NOW + "60ms", st.NOW + "1h", timeout=LONG_S))
     assert shown(items) == ["holds"]
 
 
@@ -179,7 +179,7 @@ async def test_an_inclusive_end_is_complete_only_strictly_behind_it(surface: Sur
 async def test_what_is_collected_as_a_whole_is_answered_at_once_however_long_the_timeout(surface: Surface) -> None:
     channel, base = await filled(surface, 0, 10, 20, 30, max_items=2, max_age=None)
     get = channel.get(base, base + 5 * MS, match="start", complete=True, timeout=LONG_S)
-    items = await at_once(get)
+    items = await run_to_end(get)
     assert (len(items), items.reason, items.complete) == (0, st.Reason.COLLECTED, True)
 
 
@@ -283,7 +283,7 @@ async def test_a_handle_opened_before_puts_came_to_wait_lets_them_wait(surface: 
     channel = await surface.channel(max_items=1, max_age="2500ms", on_full="reject")
     await channel.put(b"first")
     await channel.configure(on_full="block")
-    assert (await at_once(channel.put(b"second"))).payload == b"second"
+    assert (await run_to_end(channel.put(b"second"))).payload == b"second"
 
 
 async def test_a_handle_opened_before_puts_came_to_be_refused_refuses_them(surface: Surface) -> None:
@@ -291,7 +291,7 @@ async def test_a_handle_opened_before_puts_came_to_be_refused_refuses_them(surfa
     await channel.put(b"first")
     await channel.configure(on_full="reject")
     with pytest.raises(st.ChannelFull):
-        await at_once(channel.put(b"second"))
+        await run_to_end(channel.put(b"second"))
 
 
 async def test_limits_change_while_the_channel_runs_and_hold_at_once(surface: Surface) -> None:

@@ -35,7 +35,7 @@ class Served:
             HostIdentity(host_id=b"the-host-id-here", name="here", boot_incarnation=7),
             frontends=[cluster.address],
             dial=dialer,
-            dial_apart=dialer.apart,
+            dial_for_lease=dialer.dial_from_any_loop,
             clock=SystemClock(),
             memory_bytes_max=2**30,
             on_serving=self._hear,

@@ -38,7 +38,7 @@ class Call:
         (outcome,) = self._outcomes
         return outcome if isinstance(outcome, st.StampedeError) else self._convert(outcome)
 
-    def at_once(self) -> Any:
+    def run_to_end(self) -> Any:
         """The outcome of a call that has no time to wait, or none left."""
         if not self.is_done():
             self._give_up()

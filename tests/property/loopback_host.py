@@ -17,7 +17,7 @@ from typing import Any
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
-from stampede_rt_runtime.dial import dial, dial_apart
+from stampede_rt_runtime.dial import dial, dial_from_any_loop
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.channel_host.fake_directory import FakeDirectory
 from tests.support.clock import ManualClock
@@ -113,7 +113,7 @@ async def serve() -> None:
             HostIdentity(host_id=HOST_ID, name="loopback", boot_incarnation=1),
             frontends=[directory.target],
             dial=lambda target: dial(target, secret=None),
-            dial_apart=lambda target: dial_apart(target, secret=None),
+            dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
             clock=clock,
             memory_bytes_max=2**30,
             on_serving=lambda serving: None,

@@ -25,9 +25,9 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
     Unfinished,
     WakeAt,
-    at_once,
     first_of,
     pieces,
+    run_to_end,
     tally,
 )
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel, polling
@@ -91,7 +91,7 @@ class Busy:
                     return end.value
                 yield
 
-        return at_once(between())
+        return run_to_end(between())
 
 
 def _seal(first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
@@ -141,7 +141,7 @@ def test_an_answer_through_a_group_in_pieces_is_that_of_the_moment_when_it_was_b
 
 def polled(where: ChannelCore | Moment, query: Query, horizon: Horizon | None, now: int) -> ReadAnswer | WakeAt:
     pending = Pending(query, None)
-    return at_once(where.polling(pending, now) if horizon is None else polling(where, pending, horizon, now))
+    return run_to_end(where.polling(pending, now) if horizon is None else polling(where, pending, horizon, now))
 
 
 @pytest.mark.parametrize("through_group", [False, True])

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.host_lease import HostLease
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.core.channel import Pieces, at_once
+from stampede_rt_channel_host.core.channel import Pieces, run_to_end
 from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import Clock, DirectoryWorld
@@ -156,7 +156,7 @@ class SimHost:
         entered = await ask(self.world, "RegisterHost", request, 4.0, caller=self)
         self.epoch.note_registered()
         channels = map(recorded_channel, entered.channels)
-        at_once(self.store.registering(channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX))
+        run_to_end(self.store.registering(channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX))
         self._granted(sent, entered.lease_ttl_nanos)
 
     async def _renew(self) -> None:

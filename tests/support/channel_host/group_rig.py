@@ -30,7 +30,7 @@ from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.clock import HostClock, SystemClock
-from stampede_rt_runtime.dial import dial, dial_apart
+from stampede_rt_runtime.dial import dial, dial_from_any_loop
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.channel_host.fake_directory import FakeDirectory
@@ -306,7 +306,7 @@ class Cluster:
             HostIdentity(host_id=host_id, name=name, boot_incarnation=boot),
             frontends=[self.directory.target],
             dial=lambda target: dial(target, secret=None),
-            dial_apart=lambda target: dial_apart(target, secret=None),
+            dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
             clock=self.clock,
             memory_bytes_max=2**30,
             on_serving=lambda serving: None,

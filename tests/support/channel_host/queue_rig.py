@@ -16,7 +16,7 @@ from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.clock import HostClock, SystemClock
-from stampede_rt_runtime.dial import dial, dial_apart
+from stampede_rt_runtime.dial import dial, dial_from_any_loop
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.channel_host.fake_queue_directory import FakeQueueDirectory
@@ -229,7 +229,7 @@ async def host_of(
         HostIdentity(host_id=host_id, name=name, boot_incarnation=7),
         frontends=[directory.target],
         dial=lambda target: dial(target, secret=None),
-        dial_apart=lambda target: dial_apart(target, secret=None),
+        dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
         clock=clock or SystemClock(),
         memory_bytes_max=memory_bytes_max,
         on_serving=lambda serving: None,

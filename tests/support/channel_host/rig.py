@@ -17,7 +17,7 @@ from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.clock import HostClock, SystemClock
-from stampede_rt_runtime.dial import dial, dial_apart
+from stampede_rt_runtime.dial import dial, dial_from_any_loop
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.channel_host.fake_directory import FakeDirectory
@@ -175,7 +175,7 @@ async def running_host(
             HostIdentity(host_id=HOST_ID, name="h1", boot_incarnation=7),
             frontends=[directory.target],
             dial=lambda target: dial(target, secret=None),
-            dial_apart=lambda target: dial_apart(target, secret=None),
+            dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
             clock=clock or SystemClock(),
             memory_bytes_max=memory_bytes_max,
             on_serving=lambda serving: None,

@@ -86,7 +86,7 @@ class _Service:
             identity,
             frontends=settings.frontend,
             dial=self._credentials,
-            dial_apart=self._credentials.apart,
+            dial_for_lease=self._credentials.dial_from_any_loop,
             explain=self._credentials.explain,
             clock=SystemClock(),
             memory_bytes_max=settings.memory_bytes_max,

@@ -49,7 +49,7 @@ CHANNELS_TOLD_MAX = QUEUES_TOLD_MAX = 1000  # how many a registration's answer n
 class ChannelHost:
     """Order of use, on one event loop: make, `add_to` a server, `enter` once that listens, `leave`.
 
-    `dial` opens connections for that loop; `dial_apart` opens those of the lease, which has a thread of its own.
+    `dial` opens connections for that loop; `dial_for_lease` opens those of the lease, which has a thread of its own.
     `access` judges the callers of the server that the host is added to; it is told here what the directory holds.
     `refused_calls` are those of the same server.
     `on_serving` hears whether the host may serve, each time that changes; `on_defect` that a task of the host died,
@@ -62,7 +62,7 @@ class ChannelHost:
         *,
         frontends: Sequence[str],
         dial: Callable[[str], grpc.aio.Channel],
-        dial_apart: Callable[[str], grpc.aio.Channel],
+        dial_for_lease: Callable[[str], grpc.aio.Channel],
         clock: HostClock,
         memory_bytes_max: int,
         on_serving: Callable[[bool], None],
@@ -74,12 +74,12 @@ class ChannelHost:
     ) -> None:
         self.identity = identity
         self._home = home or HomeCluster()
-        self._dial = dial = naming_cluster(dial, lambda: self._home.cluster_id or apart.cluster_id)
-        dial_apart = naming_cluster(dial_apart, lambda: self._home.cluster_id or apart.cluster_id)
+        self._dial = dial = naming_cluster(dial, lambda: self._home.cluster_id or of_lease.cluster_id)
+        dial_for_lease = naming_cluster(dial_for_lease, lambda: self._home.cluster_id or of_lease.cluster_id)
         self._supernodes = Supernodes(frontends, dial, peer_name=identity.name, zone=identity.zone, explain=explain)
-        apart = Supernodes(frontends, dial_apart, peer_name=identity.name, zone=identity.zone, explain=explain)
-        self._known_by_lease = apart.known
-        self._lease = LeaseThread(lambda serving: self._make_registration(apart, clock, serving))
+        of_lease = Supernodes(frontends, dial_for_lease, peer_name=identity.name, zone=identity.zone, explain=explain)
+        self._known_by_lease = of_lease.known
+        self._lease = LeaseThread(lambda serving: self._make_registration(of_lease, clock, serving))
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim())
         self.store = ChannelStore(
             identity,
@@ -90,7 +90,8 @@ class ChannelHost:
             refused_calls=refused_calls,
         )
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
-        self.groups = GroupStore(identity, self.store, GroupDirectory(self._supernodes), dial, lambda: apart.cluster_id)
+        groups = GroupDirectory(self._supernodes)
+        self.groups = GroupStore(identity, self.store, groups, dial, lambda: of_lease.cluster_id)
         self._access = AccessWatch(self._supernodes, access or AccessControl())
         self._gatekeeper = GatekeeperServicer(self.store, identity)
         self._streams = OpenStreams()

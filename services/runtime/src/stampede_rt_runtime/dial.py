@@ -15,7 +15,7 @@ from stampede_rt.security.credentials import call_metadata
 from stampede_rt.security.tls import TlsMaterial, TlsReader
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.transports.grpc_credentials import channel_credentials
-from stampede_rt_runtime.apart import ApartChannel
+from stampede_rt_runtime.any_loop_channel import AnyLoopChannel
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits, Option
 from stampede_rt_runtime.renewing import RenewingChannel
@@ -40,10 +40,10 @@ def dial(
     return _AnnotatedChannel(channel, lambda: metadata) if metadata else channel
 
 
-def dial_apart(
+def dial_from_any_loop(
     target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
 ) -> grpc.aio.Channel:
-    """As `dial`, for single calls on an event loop of another thread, which no other loop can hold up."""
+    """As `dial`, for single calls that any event loop may make. No other loop can hold them up."""
     options = (limits or Limits()).channel_options()
 
     def connect(material: TlsMaterial | None) -> grpc.Channel:
@@ -51,7 +51,7 @@ def dial_apart(
             return grpc.insecure_channel(target, options=options)
         return grpc.secure_channel(target, channel_credentials(material), options=options)
 
-    return ApartChannel(connect, call_metadata(secret.text if secret else None), tls)
+    return AnyLoopChannel(connect, call_metadata(secret.text if secret else None), tls)
 
 
 def naming_cluster(dial: Dial, cluster_id: Callable[[], str]) -> Dial:
@@ -88,9 +88,9 @@ class Dialer:
         """A channel to `target`; the caller closes it."""
         return dial(target, secret=self.secret, tls=self._reader())
 
-    def apart(self, target: str) -> grpc.aio.Channel:
-        """As `dial_apart` does."""
-        return dial_apart(target, secret=self.secret, tls=self._reader())
+    def dial_from_any_loop(self, target: str) -> grpc.aio.Channel:
+        """As `dial_from_any_loop` does."""
+        return dial_from_any_loop(target, secret=self.secret, tls=self._reader())
 
     async def explain(self, target: str) -> StampedeError | None:
         """Why `target` cannot be talked to, if that is for certificates. Takes 3 s at most."""

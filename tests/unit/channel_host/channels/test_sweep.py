@@ -18,7 +18,7 @@ from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.core.channel.pieces import at_once
+from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from stampede_rt_channel_host.core.dedup import KEPT_NANOS
 from tests.support.clock import ManualClock
 
@@ -133,7 +133,7 @@ async def test_a_channel_that_goes_gives_its_memory_back() -> None:
     host = Host()
     channel = host.open(Policy(max_items=10))
     host.put(channel, b"x")
-    at_once(channel.leaving(Unavailable("gone")))
+    run_to_end(channel.leaving(Unavailable("gone")))
     host.sweep.forget(channel)
     assert host.memory.used_bytes == 0
     await host.sweep.sweep()

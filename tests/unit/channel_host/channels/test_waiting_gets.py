@@ -34,7 +34,7 @@ from stampede_rt_channel_host.core.channel import (
     ReadAnswer,
     WakeAt,
 )
-from stampede_rt_channel_host.core.channel.pieces import at_once
+from stampede_rt_channel_host.core.channel.pieces import run_to_end
 
 START = 1_700_000_000_000_000_000
 S = 10**9
@@ -138,7 +138,7 @@ async def test_gets_for_what_is_still_to_come_cost_a_put_nothing() -> None:
     blocked.put(START + 3 * S + 1)
     assert blocked.released == [0, 1, 2], "the first by an open item that reaches on, the complete one by its end"
     assert blocked.channel.polls == 3
-    at_once(blocked.gets.ending(Unavailable("gone")))
+    run_to_end(blocked.gets.ending(Unavailable("gone")))
     assert blocked.released == list(range(10_000))
 
 

@@ -13,7 +13,7 @@ from stampede_rt_channel_host.channels.observers import ChannelObserver, Observe
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces, at_once
+from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces, run_to_end
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 SUBSCRIPTIONS_MAX = 4096
@@ -30,7 +30,7 @@ class HostedChannel:
         now: Callable[[], int],
         on_touched: Callable[[HostedChannel], None] = lambda hosted: None,
         may_serve: Callable[[], bool] = lambda: True,
-        begin: Callable[[Pieces[None]], None] = at_once,
+        begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
     ) -> None:
         """`on_touched` hears of every change; `may_serve` says whether the host has its lease; `begin` does long work

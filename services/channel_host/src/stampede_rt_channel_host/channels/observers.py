@@ -7,7 +7,7 @@ from itertools import islice
 from typing import Generic, Protocol, TypeVar
 
 from stampede_rt.errors import StampedeError
-from stampede_rt_channel_host.core.channel import Pieces, at_once, batched
+from stampede_rt_channel_host.core.channel import Pieces, batched, run_to_end
 
 OBSERVERS_PER_PIECE = 16
 """Each of them may have a message to send in the turn of the event loop behind the one that wakes it."""
@@ -71,7 +71,7 @@ class Backlog(Generic[Thing]):
 class Observers:
     """They hear of changes in the order in which they came. One that still waits to be woken hears of several once."""
 
-    def __init__(self, begin: Callable[[Pieces[None]], None] = at_once) -> None:
+    def __init__(self, begin: Callable[[Pieces[None]], None] = run_to_end) -> None:
         """`begin`: as that of a `Backlog`."""
         self._observers: dict[ChannelObserver, None] = {}
         self._to_wake: Backlog[ChannelObserver] = Backlog(_wake, begin)

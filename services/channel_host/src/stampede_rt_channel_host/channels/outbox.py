@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from stampede_rt_channel_host.channels.frames import EncodedMessage
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.core.channel import Pieces, Slice, at_once, emptying
+from stampede_rt_channel_host.core.channel import Pieces, Slice, emptying, run_to_end
 from stampede_rt_runtime.rpc import Context
 
 ANSWERS_QUEUED_MAX = 256
@@ -46,7 +46,7 @@ class Outbox:
         stream: OpenStream,
         on_end: Callable[[int], None],
         on_room: Callable[[], None] = lambda: None,
-        begin: Callable[[Pieces[None]], None] = at_once,
+        begin: Callable[[Pieces[None]], None] = run_to_end,
     ) -> None:
         """`begin` does long work that nobody waits for (`PieceScheduler.begin`)."""
         self._context = context

@@ -9,7 +9,7 @@ from typing import Any
 
 from sortedcontainers import SortedList
 
-from stampede_rt_channel_host.core.channel import Pieces, at_once
+from stampede_rt_channel_host.core.channel import Pieces, run_to_end
 
 LIMITS_PER_PIECE = 32
 
@@ -20,7 +20,7 @@ TimeLimit = tuple[float, int, Callable[[], None]]
 class TimeLimits:
     """Of all blocked gets of a host. `begin` does long work that nobody waits for (`PieceScheduler.begin`)."""
 
-    def __init__(self, begin: Callable[[Pieces[None]], None] = at_once) -> None:
+    def __init__(self, begin: Callable[[Pieces[None]], None] = run_to_end) -> None:
         self._begin = begin
         self._limits: Any = SortedList()
         self._orders = itertools.count()

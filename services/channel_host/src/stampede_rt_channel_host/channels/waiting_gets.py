@@ -30,8 +30,8 @@ from stampede_rt_channel_host.core.channel import (
     ReadAnswer,
     Unfinished,
     WakeAt,
-    at_once,
     first_of,
+    run_to_end,
 )
 
 Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] | StampedeError
@@ -151,7 +151,7 @@ class WaitingGets:
         coming: Coming,
         now: Callable[[], int],
         cut: Callable[[], int] = lambda: AFTER_ALL,
-        begin: Callable[[Pieces[None]], None] = at_once,
+        begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
     ) -> None:
         """`begin` does long work that nobody waits for (`PieceScheduler.begin`); `limits` are those of all gets of the

@@ -26,7 +26,7 @@ from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.core.queue import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, Departure
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
-from stampede_rt_channel_host.queues.refusals import shown
+from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
 
@@ -89,7 +89,7 @@ class DeadLetterMover:
                 await self._attempt(hosted, refusals)
                 pause_s = _PAUSE_SECONDS_MIN
             except StampedeError as error:
-                extra = {"queue": shown(hosted.record), "why": str(error)}
+                extra = {"queue": display_name(hosted.record), "why": str(error)}
                 logger.warning("dead letters cannot be moved yet; trying again", extra=extra)
                 await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
                 pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
@@ -98,7 +98,7 @@ class DeadLetterMover:
         """Move some. Raises what kept any of them. `refusals` counts by seq."""
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:
-            raise Unavailable(f"the dead-letter queue {shown(found.queue)} has no live host at present")
+            raise Unavailable(f"the dead-letter queue {display_name(found.queue)} has no live host at present")
         items = hosted.queue.departing(ITEMS_PER_ATTEMPT_MAX)
         connection = self._dial(target)
         try:

@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.queue import (
     TakerState,
 )
 from stampede_rt_channel_host.core.records import RecordedQueue
-from stampede_rt_channel_host.queues.refusals import shown
+from stampede_rt_channel_host.queues.refusals import display_name
 
 TAKERS_MAX = 4096
 STREAMS_PER_PIECE = 256
@@ -69,7 +69,7 @@ class HostedQueue:
         self.queue = QueueCore(
             QueueLimits.of(record.policy),
             incarnation=record.incarnation,
-            name=shown(record),
+            name=display_name(record),
             first_delivery_id=random.choice(FIRST_DELIVERY_IDS),
             may_serve=may_serve,
         )
@@ -107,7 +107,7 @@ class HostedQueue:
                 done = self._waiting[run] = asyncio.get_running_loop().create_future()
         except Overloaded as error:
             self.queue.reject_overloaded(len(run.lengths))
-            self._memory.refused(shown(self.record), len(run.lengths), error)
+            self._memory.refused(display_name(self.record), len(run.lengths), error)
             raise
         finally:
             self._follow_up()  # what was due is looked after, even if the run is refused
@@ -131,7 +131,7 @@ class HostedQueue:
     def attach(self, taker: TakerState, stream: TakerStream) -> None:
         """A stream begins to take; `leave` must follow. Raises Overloaded."""
         if len(self._streams) >= TAKERS_MAX:
-            raise Overloaded(f"queue {shown(self.record)} has {TAKERS_MAX} takers, the limit; close some")
+            raise Overloaded(f"queue {display_name(self.record)} has {TAKERS_MAX} takers, the limit; close some")
         self._streams[taker] = stream
 
     def grant(self, taker: TakerState, credit: int) -> None:

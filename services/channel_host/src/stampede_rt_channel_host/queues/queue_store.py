@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.records import RecordedChange, RecordedQueue
 from stampede_rt_channel_host.queues import refusals
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
-from stampede_rt_channel_host.queues.refusals import shown
+from stampede_rt_channel_host.queues.refusals import display_name
 
 logger = logging.getLogger(__name__)
 
@@ -108,7 +108,7 @@ class QueueStore:
         if record is not None:
             self._adopt(record)
         elif all_told:
-            logger.warning("queue went elsewhere", extra={"queue": shown(hosted.record)})
+            logger.warning("queue went elsewhere", extra={"queue": display_name(hosted.record)})
             self._forget(hosted.record.queue_id, refusals.not_here(self._identity.name, hosted.record.queue_id))
         else:
             hosted.epoch = 0  # no request can name it: the next use asks the directory

@@ -10,8 +10,8 @@ SHUTTING_DOWN = error_for(
 )
 
 
-def shown(record: RecordedQueue) -> str:
-    """A queue as people know it; a mailbox, which has no name, by its id."""
+def display_name(record: RecordedQueue) -> str:
+    """The name of a queue for people; for a mailbox, which has no name, its id."""
     return record.name or record.queue_id.hex()
 
 
@@ -34,16 +34,17 @@ def not_here(host: str, queue_id: bytes) -> StampedeError:
 def moved(record: RecordedQueue) -> StampedeError:
     """The directory names another owner."""
     host_id = record.host_id.hex()
-    text = f"queue {shown(record)} is at host {host_id} now; resolve it again"
-    return error_for("MOVED", text, {"queue": shown(record), "host_id": host_id})
+    text = f"queue {display_name(record)} is at host {host_id} now; resolve it again"
+    return error_for("MOVED", text, {"queue": display_name(record), "host_id": host_id})
 
 
 def wrong_epoch(record: RecordedQueue, stated: int) -> StampedeError:
     """The caller believes in another epoch."""
-    text = f"queue {shown(record)} is at epoch {record.epoch} and the request names {stated}; resolve the queue again"
-    return error_for("WRONG_EPOCH", text, {"queue": shown(record), "epoch": str(record.epoch)})
+    name, epoch = display_name(record), record.epoch
+    text = f"queue {name} is at epoch {epoch} and the request names {stated}; resolve the queue again"
+    return error_for("WRONG_EPOCH", text, {"queue": name, "epoch": str(epoch)})
 
 
 def deleted(record: RecordedQueue) -> StampedeError:
     """The queue was deleted while something was under way."""
-    return QueueNotFound(f"queue {shown(record)} was deleted", metadata={"queue": shown(record)})
+    return QueueNotFound(f"queue {display_name(record)} was deleted", metadata={"queue": display_name(record)})

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.queues.access import check_queue_access
 from stampede_rt_channel_host.queues.frames import take_response
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.queue_store import QueueStore
-from stampede_rt_channel_host.queues.refusals import shown
+from stampede_rt_channel_host.queues.refusals import display_name
 from stampede_rt_channel_host.queues.requests import (
     CREDIT_MAX,
     SETTLEMENTS_MAX,
@@ -162,6 +162,7 @@ class TakeStream:
                 await self._context.write(message)
         except TimeoutError:
             raise Overloaded(
-                f"the taker of queue {shown(hosted.record)} read nothing for {WRITE_SECONDS_MAX:g} s, and its stream "
-                "is ended; give less credit, or read faster, and open it again: what was sent can still be settled"
+                f"the taker of queue {display_name(hosted.record)} read nothing for {WRITE_SECONDS_MAX:g} s, and its "
+                "stream is ended; give less credit, or read faster, and open it again: what was sent can still be "
+                "settled"
             ) from None

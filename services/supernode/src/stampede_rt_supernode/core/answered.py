@@ -121,9 +121,9 @@ class Answered:
         self.marks = (*self.marks, index)[-MARKS_KEPT:]
         self.forget_some(FORGOTTEN_BY_MARK)
 
-    def forget_some(self, at_once: int = FORGOTTEN_AT_ONCE) -> None:
+    def forget_some(self, answers_max: int = FORGOTTEN_AT_ONCE) -> None:
         """Drop a few of those that need not be known any more; called with each command, so that none takes long."""
-        oldest = islice(self._answers.values(), at_once)
+        oldest = islice(self._answers.values(), answers_max)
         for answer in [answer for answer in oldest if answer.index <= self.known_since]:
             del self._answers[answer.op_id]
             self._size_bytes -= answer.size_bytes

@@ -95,7 +95,7 @@ def test_a_get_of_many_slices_comes_in_pieces_of_a_bounded_number(looked: Counte
             most = max(most, looked.slices - before)
             yield
 
-    assert sum(part.items for part in pieces.at_once(counting()).slices) == ITEMS
+    assert sum(part.items for part in pieces.run_to_end(counting()).slices) == ITEMS
     assert most <= pieces.STEPS_PER_PIECE + 10
 
 

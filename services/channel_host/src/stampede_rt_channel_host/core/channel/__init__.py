@@ -32,7 +32,7 @@ from stampede_rt_channel_host.core.channel.consumption import (
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import HeldThen, Moment
-from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, abandoning, at_once, batched, first_of
+from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, abandoning, batched, first_of, run_to_end
 from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, Slicer
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
@@ -94,9 +94,9 @@ __all__ = [
     "Unfinished",
     "WakeAt",
     "abandoning",
-    "at_once",
     "batched",
     "drained",
     "emptying",
     "first_of",
+    "run_to_end",
 ]

@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.channel.holdings import COUNT, Cut, Holdings
 from stampede_rt_channel_host.core.channel.index import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import Moment
-from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
+from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.channel.reading import Pending, Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.subscribing import (
@@ -129,7 +129,7 @@ class ChannelCore:
 
         Raises IncarnationLost if a position comes from another incarnation.
         """
-        return at_once(self.reading(query, now))
+        return run_to_end(self.reading(query, now))
 
     def reading(self, query: Query, now: int) -> Pieces[ReadAnswer]:
         """The same in pieces, all as of now."""
@@ -152,7 +152,7 @@ class ChannelCore:
         Released by the first matching item, with `complete` when the interval is finished, and in any case once
         nothing can come: the interval lies below the frontier, is empty, or is finished.
         """
-        return at_once(self.polling(pending, now))
+        return run_to_end(self.polling(pending, now))
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """The same in pieces, all as of now."""
@@ -162,7 +162,7 @@ class ChannelCore:
 
     def give_up(self, pending: Pending, now: int) -> ReadAnswer:
         """The answer when the time of the get is over, with its reason."""
-        return at_once(self.giving_up(pending, now))
+        return run_to_end(self.giving_up(pending, now))
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """The same in pieces, all as of now."""
@@ -178,7 +178,7 @@ class ChannelCore:
 
         None of them: only new ones. Several: InvalidArgument. `after` needs its seq. Raises IncarnationLost.
         """
-        return at_once(
+        return run_to_end(
             self.subscribing_all(now, start=start, start_exclusive=start_exclusive, after=after, saved=saved)
         )
 
@@ -253,7 +253,7 @@ class ChannelCore:
         Takes the consumer's place if it has none, and keeps it for `lease_nanos` from now (see `Consumers`); 0 gives it
         up. `seqs` may be none. Raises InvalidArgument, and ChannelFull if all places are taken.
         """
-        at_once(self.catching_up(now))
+        run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
         self.check_consumption(consumer_id, seqs, lease_nanos)
         consumers = self._retention.consumers
@@ -283,7 +283,7 @@ class ChannelCore:
 
     def consumers(self, now: int) -> list[ConsumerStanding]:
         """How the places stand that were taken."""
-        return at_once(self.counting_consumers(now))
+        return run_to_end(self.counting_consumers(now))
 
     def counting_consumers(self, now: int) -> Pieces[list[ConsumerStanding]]:
         """The same in pieces. What a consumer has waiting is as of when it was counted."""
@@ -294,14 +294,14 @@ class ChannelCore:
 
     def consumer_places(self, now: int) -> list[ConsumerPlace]:
         """The places that were taken, as values: what moves with the channel."""
-        at_once(self.catching_up(now))
+        run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else consumers.places(clock, self.next_seq)
 
     def restore_consumers(self, places: Iterable[ConsumerPlace], now: int) -> None:
         """Take over the places that `consumer_places` told elsewhere. Without consumers= nothing."""
-        at_once(self.catching_up(now))
+        run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
         if self._retention.consumers is not None:
             self._retention.consumers.restore(places, clock)

@@ -39,13 +39,13 @@ def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
         pieces.close()
 
 
-def batched(things: Sequence[Thing], most: int) -> Iterator[Sequence[Thing]]:
-    """The things in stretches of `most` at the most, for work that looks at each of them."""
-    return (things[at : at + most] for at in range(0, len(things), most))
+def batched(things: Sequence[Thing], size: int) -> Iterator[Sequence[Thing]]:
+    """The things in parts of `size`; the last part may be smaller."""
+    return (things[at : at + size] for at in range(0, len(things), size))
 
 
-def at_once(pieces: Pieces[Result]) -> Result:
-    """All pieces, one after the other."""
+def run_to_end(pieces: Pieces[Result]) -> Result:
+    """Do all pieces, one after the other, and give the result."""
     while True:  # ends with the pieces
         try:
             next(pieces)

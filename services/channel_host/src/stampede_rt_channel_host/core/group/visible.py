@@ -24,7 +24,7 @@ from stampede_rt_channel_host.core.channel import (
 )
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, ItemKey
-from stampede_rt_channel_host.core.channel.pieces import Pieces, at_once
+from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.channel.reading import Reading
 from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.selection import behind, select
@@ -157,7 +157,7 @@ class VisibleReading(Reading):
         if newest is None or (cut is not None and (newest < cut or within.end < cut)):
             return False
         full_now = max(clock, newest)
-        found = at_once(select(self._all, _latest_of(query), within, full_now)).slices
+        found = run_to_end(select(self._all, _latest_of(query), within, full_now)).slices
         return bool(found) and (cut is None or found[0].last_time >= cut)
 
     def _hidden(self) -> Reason:
@@ -183,7 +183,7 @@ class VisibleChannel:
 
     def read(self, query: Query, horizon: Horizon, now: int) -> ReadAnswer:
         """The visible items of the query, now. Raises IncarnationLost like `ChannelCore.read`."""
-        return at_once(self.reading(query, horizon, now))
+        return run_to_end(self.reading(query, horizon, now))
 
     def reading(self, query: Query, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
         """The same in pieces, all as of now."""
@@ -196,7 +196,7 @@ class VisibleChannel:
 
     def poll(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer | WakeAt:
         """Its answer, or when to poll again: also after each change of the channel and of the cut."""
-        return at_once(self.polling(pending, horizon, now))
+        return run_to_end(self.polling(pending, horizon, now))
 
     def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """The same in pieces, all as of now."""
@@ -204,7 +204,7 @@ class VisibleChannel:
 
     def give_up(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer:
         """The answer when the time of the get is over, with its reason."""
-        return at_once(self.giving_up(pending, horizon, now))
+        return run_to_end(self.giving_up(pending, horizon, now))
 
     def giving_up(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
         """The same in pieces, all as of now."""

@@ -18,7 +18,7 @@ from stampede_rt.security.tls import TlsMaterial, TlsReader
 Connect = Callable[[TlsMaterial | None], grpc.Channel]
 
 
-class ApartChannel(grpc.aio.Channel):
+class AnyLoopChannel(grpc.aio.Channel):
     """Unary calls that can be awaited on any event loop; each goes over a connection with the certificate of now.
 
     `metadata` goes with every call. Streams are not offered. One caller at a time: a renewed certificate ends the calls
@@ -32,7 +32,7 @@ class ApartChannel(grpc.aio.Channel):
         self._material = self._read()
         self._channel = connect(self._material)
 
-    async def __aenter__(self) -> ApartChannel:
+    async def __aenter__(self) -> AnyLoopChannel:
         return self
 
     async def __aexit__(self, *exc_info: Any) -> None:
@@ -84,7 +84,7 @@ class ApartChannel(grpc.aio.Channel):
 
 
 def _no_streams(*args: Any, **kwargs: Any) -> Any:
-    raise NotImplementedError("connections apart carry single calls")
+    raise NotImplementedError("this connection carries single calls only")
 
 
 async def _awaited(call: Any) -> Any:
