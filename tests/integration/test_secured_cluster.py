@@ -41,6 +41,7 @@ from stampede_rt.v1 import raft_service_pb2 as raft_pb
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
+from stampede_rt_runtime.certs_command import main as certs
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
@@ -471,3 +472,22 @@ async def test_hosts_alone_say_where_a_dead_letter_comes_from(
             assert f"{role} robot may not set the origin of a run" in ack.error.message
             assert "hosts alone forward dead letters; leave origin out" in ack.error.message
         assert (await queue.stats()).held == int(believed)
+
+
+def test_a_revoked_certificate_opens_nothing_and_its_open_streams_end(
+    cluster: LocalCluster, certificates: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, operator = certificates.issue(Role.CLIENT, "lost"), certificates.issue(Role.OPERATOR, "ops")
+    names = zip(("CA", "CERTIFICATE", "KEY"), (operator.ca, operator.certificate, operator.key), strict=True)
+    for variable, path in names:
+        monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
+    with st.connect(cluster.address, tls=files) as rt:
+        channel = rt.channel("revoked")
+        with channel.subscribe() as items:
+            channel.put(b"x")
+            assert next(items).payload == b"x"
+            assert certs(["revoke", str(files.certificate), "--url", cluster.address]) == 0
+            with pytest.raises(PermissionDenied, match="of client lost was revoked"):
+                next(items)
+        with pytest.raises(PermissionDenied, match="of client lost was revoked"):
+            rt.channel("revoked-too")

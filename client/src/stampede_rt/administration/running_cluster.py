@@ -80,6 +80,17 @@ class Cluster:
         made: access_pb.CreateClientTokenResponse = self.ask_access("CreateClientToken", request)
         return made
 
+    def revoke(self, serial: str) -> None:
+        """Have all services take that certificate or token no more. Raises what the supernodes refuse it with."""
+        self.ask_access(
+            "RevokeCredential", access_pb.RevokeCredentialRequest(request_id=secrets.token_bytes(16), serial=serial)
+        )
+
+    def revoked_serials(self) -> Sequence[str]:
+        """All that were revoked."""
+        listed = self.ask_access("ListRevokedCredentials", access_pb.ListRevokedCredentialsRequest())
+        return tuple(listed.serials)
+
     def ask_access(self, rpc: str, request: Any) -> Any:
         """What the first supernode that answers says to a call of AccessService. Raises what it refuses it with."""
         return self._first(lambda endpoint: endpoint.call(getattr(_access(endpoint), rpc), request, CALL_SECONDS))

@@ -1,4 +1,4 @@
-"""`stampede token issue`: tokens for clients that cannot hold certificates, or share a secret."""
+"""`stampede token issue|revoke`: tokens for clients that cannot hold certificates, or share a secret."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ def add_verbs(subparsers: Any) -> None:
     issue.add_argument(
         "--ttl", type=checked(parse_duration), default=TTL_DEFAULT, metavar="DURATION", help="how long it lasts; 1h"
     )
+    revoke = add_verb(verbs, "revoke", "have all services take a token no more, for good", run_revoke, output=False)
+    revoke.add_argument("serial", metavar="SERIAL", help="its serial number, which `token issue` told")
     issue.add_argument("--out", type=Path, metavar="FILE", help="write it there, for its user's eyes only")
 
 
@@ -48,6 +50,16 @@ def run_issue(arguments: argparse.Namespace) -> int:
     print_facts({**facts, "file": str(arguments.out)}, arguments.output)
     if arguments.output == "table":
         print(f"\nIts bearer sets STAMPEDE_SECRET_FILE={arguments.out}.")
+    return 0
+
+
+def run_revoke(arguments: argparse.Namespace) -> int:
+    """Revoke a token."""
+    from stampede_rt.administration.running_cluster import reached
+
+    with reached(arguments.url, None) as cluster:
+        cluster.revoke(arguments.serial)
+    print(f"{arguments.serial} is revoked: open streams of its bearers end now, and it opens nothing any more.")
     return 0
 
 

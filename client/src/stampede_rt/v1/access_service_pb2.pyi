@@ -36,16 +36,18 @@ class GetAccessStateRequest(_message.Message):
     def __init__(self, stale_ok: bool = ...) -> None: ...
 
 class GetAccessStateResponse(_message.Message):
-    __slots__ = ("version", "cluster_id", "rules", "token_keys")
+    __slots__ = ("version", "cluster_id", "rules", "token_keys", "revoked_serials")
     VERSION_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     RULES_FIELD_NUMBER: _ClassVar[int]
     TOKEN_KEYS_FIELD_NUMBER: _ClassVar[int]
+    REVOKED_SERIALS_FIELD_NUMBER: _ClassVar[int]
     version: int
     cluster_id: str
     rules: _containers.RepeatedCompositeFieldContainer[_access_pb2.AccessRule]
     token_keys: _containers.RepeatedScalarFieldContainer[bytes]
-    def __init__(self, version: _Optional[int] = ..., cluster_id: _Optional[str] = ..., rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., token_keys: _Optional[_Iterable[bytes]] = ...) -> None: ...
+    revoked_serials: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, version: _Optional[int] = ..., cluster_id: _Optional[str] = ..., rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., token_keys: _Optional[_Iterable[bytes]] = ..., revoked_serials: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class AddAccessRuleRequest(_message.Message):
     __slots__ = ("request_id", "rule", "dry_run")
@@ -134,3 +136,27 @@ class CheckAccessResponse(_message.Message):
     rule: _access_pb2.AccessRule
     rules: int
     def __init__(self, allowed: bool = ..., rule: _Optional[_Union[_access_pb2.AccessRule, _Mapping]] = ..., rules: _Optional[int] = ...) -> None: ...
+
+class RevokeCredentialRequest(_message.Message):
+    __slots__ = ("request_id", "serial")
+    REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
+    SERIAL_FIELD_NUMBER: _ClassVar[int]
+    request_id: bytes
+    serial: str
+    def __init__(self, request_id: _Optional[bytes] = ..., serial: _Optional[str] = ...) -> None: ...
+
+class RevokeCredentialResponse(_message.Message):
+    __slots__ = ("revoked",)
+    REVOKED_FIELD_NUMBER: _ClassVar[int]
+    revoked: bool
+    def __init__(self, revoked: bool = ...) -> None: ...
+
+class ListRevokedCredentialsRequest(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class ListRevokedCredentialsResponse(_message.Message):
+    __slots__ = ("serials",)
+    SERIALS_FIELD_NUMBER: _ClassVar[int]
+    serials: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, serials: _Optional[_Iterable[str]] = ...) -> None: ...

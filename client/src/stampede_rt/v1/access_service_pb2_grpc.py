@@ -62,6 +62,16 @@ class AccessServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessResponse.FromString,
                 _registered_method=True)
+        self.RevokeCredential = channel.unary_unary(
+                '/stampede_rt.v1.AccessService/RevokeCredential',
+                request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.RevokeCredentialRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.RevokeCredentialResponse.FromString,
+                _registered_method=True)
+        self.ListRevokedCredentials = channel.unary_unary(
+                '/stampede_rt.v1.AccessService/ListRevokedCredentials',
+                request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.ListRevokedCredentialsRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.ListRevokedCredentialsResponse.FromString,
+                _registered_method=True)
         self.GetAccessState = channel.unary_unary(
                 '/stampede_rt.v1.AccessService/GetAccessState',
                 request_serializer=stampede__rt_dot_v1_dot_access__service__pb2.GetAccessStateRequest.SerializeToString,
@@ -112,6 +122,21 @@ class AccessServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def RevokeCredential(self, request, context):
+        """Have no service take a certificate or client token any more. Open streams of its bearers end within 2 s. For good: issue
+        another one. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListRevokedCredentials(self, request, context):
+        """All that were revoked.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
     def GetAccessState(self, request, context):
         """What a port must know to judge its callers. For hosts and other members, which hear of changes by
         DirectoryService.Watch with include_access.
@@ -147,6 +172,16 @@ def add_AccessServiceServicer_to_server(servicer, server):
                     servicer.CheckAccess,
                     request_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessResponse.SerializeToString,
+            ),
+            'RevokeCredential': grpc.unary_unary_rpc_method_handler(
+                    servicer.RevokeCredential,
+                    request_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.RevokeCredentialRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_access__service__pb2.RevokeCredentialResponse.SerializeToString,
+            ),
+            'ListRevokedCredentials': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListRevokedCredentials,
+                    request_deserializer=stampede__rt_dot_v1_dot_access__service__pb2.ListRevokedCredentialsRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_access__service__pb2.ListRevokedCredentialsResponse.SerializeToString,
             ),
             'GetAccessState': grpc.unary_unary_rpc_method_handler(
                     servicer.GetAccessState,
@@ -292,6 +327,60 @@ class AccessService(object):
             '/stampede_rt.v1.AccessService/CheckAccess',
             stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessRequest.SerializeToString,
             stampede__rt_dot_v1_dot_access__service__pb2.CheckAccessResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def RevokeCredential(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.AccessService/RevokeCredential',
+            stampede__rt_dot_v1_dot_access__service__pb2.RevokeCredentialRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_access__service__pb2.RevokeCredentialResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListRevokedCredentials(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.AccessService/ListRevokedCredentials',
+            stampede__rt_dot_v1_dot_access__service__pb2.ListRevokedCredentialsRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_access__service__pb2.ListRevokedCredentialsResponse.FromString,
             options,
             channel_credentials,
             insecure,

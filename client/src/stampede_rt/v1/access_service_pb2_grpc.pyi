@@ -50,6 +50,12 @@ class AccessServiceStub:
     """All rules."""
     CheckAccess: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]
     """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
+    RevokeCredential: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.RevokeCredentialRequest, _access_service_pb2.RevokeCredentialResponse]
+    """Have no service take a certificate or client token any more. Open streams of its bearers end within 2 s. For good: issue
+    another one. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+    """
+    ListRevokedCredentials: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.ListRevokedCredentialsRequest, _access_service_pb2.ListRevokedCredentialsResponse]
+    """All that were revoked."""
     GetAccessState: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]
     """What a port must know to judge its callers. For hosts and other members, which hear of changes by
     DirectoryService.Watch with include_access.
@@ -77,6 +83,12 @@ class AccessServiceAsyncStub(AccessServiceStub):
     """All rules."""
     CheckAccess: _aio.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]  # type: ignore[assignment]
     """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
+    RevokeCredential: _aio.UnaryUnaryMultiCallable[_access_service_pb2.RevokeCredentialRequest, _access_service_pb2.RevokeCredentialResponse]  # type: ignore[assignment]
+    """Have no service take a certificate or client token any more. Open streams of its bearers end within 2 s. For good: issue
+    another one. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+    """
+    ListRevokedCredentials: _aio.UnaryUnaryMultiCallable[_access_service_pb2.ListRevokedCredentialsRequest, _access_service_pb2.ListRevokedCredentialsResponse]  # type: ignore[assignment]
+    """All that were revoked."""
     GetAccessState: _aio.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]  # type: ignore[assignment]
     """What a port must know to judge its callers. For hosts and other members, which hear of changes by
     DirectoryService.Watch with include_access.
@@ -131,6 +143,24 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.CheckAccessResponse, _abc.Awaitable[_access_service_pb2.CheckAccessResponse]]:
         """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
+
+    @_abc_1.abstractmethod
+    def RevokeCredential(
+        self,
+        request: _access_service_pb2.RevokeCredentialRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_access_service_pb2.RevokeCredentialResponse, _abc.Awaitable[_access_service_pb2.RevokeCredentialResponse]]:
+        """Have no service take a certificate or client token any more. Open streams of its bearers end within 2 s. For good: issue
+        another one. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+        """
+
+    @_abc_1.abstractmethod
+    def ListRevokedCredentials(
+        self,
+        request: _access_service_pb2.ListRevokedCredentialsRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_access_service_pb2.ListRevokedCredentialsResponse, _abc.Awaitable[_access_service_pb2.ListRevokedCredentialsResponse]]:
+        """All that were revoked."""
 
     @_abc_1.abstractmethod
     def GetAccessState(

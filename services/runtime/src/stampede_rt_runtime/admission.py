@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import lru_cache
 from typing import Any
 
 import grpc
 
 from stampede_rt.errors import PermissionDenied, StampedeError
 from stampede_rt.status import abort
-from stampede_rt_runtime.access.caller import Caller
+from stampede_rt_runtime.access.caller import Caller, Certified
 from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.access.proofs import Accepted, identify, of_certificate_alone
 from stampede_rt_runtime.handlers import guarded
@@ -18,6 +19,7 @@ from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import why_refused
 from stampede_rt_runtime.rpc import Context
 
+CERTIFICATES_KEPT_MAX = 4096
 _WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and containers ask it
 
 
@@ -76,6 +78,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         caller: Caller | None = None
         try:
             caller = self._caller(method, context)
+            self._control.check_not_revoked(caller)
             if refusal := why_refused(method, caller):
                 raise PermissionDenied(refusal)
         except PermissionDenied:
@@ -84,10 +87,23 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         return caller
 
     def _caller(self, method: str, context: Context) -> Caller:
-        certificate = caller_identity(context) if self._accepted.cluster else None
+        certificate = _certified(context) if self._accepted.cluster else None
         if method in _WITHOUT_SECRET:
             return of_certificate_alone(self._accepted, certificate)
         return identify(self._accepted, _authorization(context), certificate)
+
+
+def _certified(context: Context) -> Certified | None:
+    identity = caller_identity(context)
+    found = tuple(context.auth_context().get("x509_pem_cert", ()))
+    return None if identity is None else Certified(identity, *(_serial_and_end(found[0]) if found else ()))
+
+
+@lru_cache(CERTIFICATES_KEPT_MAX)
+def _serial_and_end(pem: bytes) -> tuple[str, int]:
+    from stampede_rt_runtime.certificates import serial_and_end  # not at the top: for clusters with certificates alone
+
+    return serial_and_end(pem)
 
 
 def _authorization(context: Context) -> bytes | None:

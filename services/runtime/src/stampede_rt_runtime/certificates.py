@@ -116,6 +116,20 @@ def describe(pem: bytes) -> list[Described]:
         raise CertificateError("it holds no certificate in PEM form; name a .pem file") from error
 
 
+def serial_and_end(pem: bytes) -> tuple[str, int]:
+    """The serial number of the first certificate in `pem`, in hexadecimal digits, and its end in Unix nanoseconds.
+
+    Raises CertificateError.
+    """
+    first = describe(pem)[0]
+    return serial_text(first.serial), int(first.not_after.timestamp()) * 10**9
+
+
+def serial_text(serial: int) -> str:
+    """A serial number as people write it."""
+    return f"{serial:x}"
+
+
 def cluster_of(authority: bytes) -> str:
     """The cluster whose authority this is. Raises CertificateError."""
     try:

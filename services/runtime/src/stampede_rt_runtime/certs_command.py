@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import secrets
 import socket
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+from stampede_rt.errors import StampedeError
 from stampede_rt_runtime.certificates import (
     CertificateError,
     Described,
@@ -19,6 +21,7 @@ from stampede_rt_runtime.certificates import (
     describe,
     issue,
     make_authority,
+    serial_text,
 )
 from stampede_rt_runtime.identity import SERVICES, Identity, Role
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
@@ -39,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         for line in arguments.run(arguments):
             sys.stdout.write(line + "\n")
-    except (CertificateError, ValueError) as error:
+    except (CertificateError, StampedeError, ValueError) as error:
         sys.stderr.write(f"stampede certs: {error}\n")
         return EXIT_BAD_SETTINGS if isinstance(error, ValueError) else EXIT_FAILED
     except OSError as error:
@@ -87,6 +90,12 @@ def _parser() -> argparse.ArgumentParser:
         help=f"it holds for N days; default: {CERTIFICATE_DAYS}",
     )
     one.set_defaults(run=_issue)
+    revoke = verbs.add_parser("revoke", help="have all services take certificates no more, for good")
+    revoke.add_argument(
+        "credentials", nargs="*", metavar="FILE|SERIAL", help="certificates, or serial numbers; left out: list them all"
+    )
+    revoke.add_argument("--url", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
+    revoke.set_defaults(run=_revoke)
     show = verbs.add_parser("show", help="print for whom certificates are, and until when they hold")
     show.add_argument("files", nargs="+", type=Path, metavar="FILE")
     show.set_defaults(run=_show)
@@ -173,11 +182,33 @@ def _show(arguments: argparse.Namespace) -> list[str]:
     return lines
 
 
+def _revoke(arguments: argparse.Namespace) -> list[str]:
+    """Operators may: with a certificate or token of that role, or the cluster's secret."""
+    from stampede_rt.administration.running_cluster import reached  # not at the top: the other verbs need no gRPC
+
+    serials = [_serial_of(text) for text in arguments.credentials]
+    with reached(arguments.url, None) as cluster:
+        if not serials:
+            return list(cluster.revoked_serials()) or ["nothing is revoked"]
+        for serial in serials:
+            cluster.revoke(serial)
+    return [f"{one} is revoked: open streams of its bearers end now, and it opens nothing any more" for one in serials]
+
+
+def _serial_of(text: str) -> str:
+    if Path(text).exists():
+        return serial_text(describe(Path(text).read_bytes())[0].serial)
+    if re.fullmatch(r"[0-9a-f]{1,64}", text) is None:
+        raise CertificateError(f"{text!r} is neither a file nor a serial number in hexadecimal digits (see certs show)")
+    return text
+
+
 def _told(one: Described, now: datetime) -> str:
     who = str(one.identity or one.subject)
     what = f"{who} (an authority)" if one.is_authority else who if one.identity else f"{who} (of no role)"
     where = f", called at {', '.join(one.addresses)}" if one.addresses else ""
-    return f"{what}{where}; {_validity(one, now)}; issued by {one.issuer}; SHA-256 {one.sha256}"
+    serial = serial_text(one.serial)
+    return f"{what}{where}; {_validity(one, now)}; issued by {one.issuer}; serial {serial}; SHA-256 {one.sha256}"
 
 
 def _validity(one: Described, now: datetime) -> str:

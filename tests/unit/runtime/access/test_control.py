@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,10 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt_runtime.access.control import allowed_to, check_access, check_known
 from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
+from stampede_rt_runtime.access.tokens import TokenClaims, make_token, public_key
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.server import ServiceServer, serving
 
 CLUSTER, CLIENTS = Secret(text="cluster", path=Path("a")), Secret(text="clients", path=Path("b"))
@@ -105,3 +109,25 @@ async def test_who_may_do_nothing_with_a_thing_is_told_so() -> None:
         call = begin(CLIENTS)
         await call.write(b"closed")
         assert "may do nothing with channel closed" in str(await ended(call))
+
+
+async def test_a_stream_ends_when_its_credential_is_revoked_or_over() -> None:
+    key, now = b"1" * 32, time.time_ns()
+    claims = TokenClaims(cluster_id="c", name="cam", roles=(Role.CLIENT,), serial="a1", ends_unix_nano=now + 10**15)
+    brief = replace(claims, serial="b2", ends_unix_nano=now + 2 * 10**9)
+    known = AccessState(version=1, cluster_id="c", token_keys=(public_key(key),))
+    async with port() as (server, _), dial(server.address, secret=None) as channel:
+        server.access.tell(known)
+        calls = []
+        for one in (claims, brief):
+            brought = (("authorization", f"Bearer {make_token(key, one)}"),)
+            calls.append(channel.stream_stream(READ)(timeout=20, metadata=brought))
+        for call in calls:
+            assert await said(call, "x") == b"1"
+        assert "client cam is over; connect again" in str(await ended(calls[1]))
+        server.access.tell(replace(known, version=2, revoked_serials=frozenset({"a1"})))
+        assert "the token a1 of client cam was revoked" in str(await ended(calls[0]))
+        again = channel.stream_stream(READ)(
+            timeout=20, metadata=(("authorization", f"Bearer {make_token(key, claims)}"),)
+        )
+        assert "was revoked" in str(await ended(again))

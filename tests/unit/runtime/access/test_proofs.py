@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt_runtime.access.caller import ALL_ROLES, ANYONE, Caller, CallerKind
+from stampede_rt_runtime.access.caller import ALL_ROLES, ANYONE, Caller, CallerKind, Certified
 from stampede_rt_runtime.access.proofs import Accepted, identify
 from stampede_rt_runtime.identity import Identity, Role
 
@@ -22,7 +22,7 @@ OPEN = Accepted(read_token=read_token)
 ONE = Accepted(secrets=("s",), read_token=read_token)
 TWO = Accepted(secrets=("s", "s-new"), client_secrets=("c", "c-new"), read_token=read_token)
 CERTIFIED = Accepted(cluster="lab", read_token=read_token)
-HOST = Identity("lab", Role.HOST, "h1")
+HOST = Certified(Identity("lab", Role.HOST, "h1"))
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ HOST = Identity("lab", Role.HOST, "h1")
     ],
 )
 def test_each_proof_gives_a_name_and_roles(
-    accepted: Accepted, brought: bytes | None, certificate: Identity | None, name: str, roles: set[Role]
+    accepted: Accepted, brought: bytes | None, certificate: Certified | None, name: str, roles: set[Role]
 ) -> None:
     caller = identify(accepted, brought, certificate)
     assert (caller.name, caller.roles) == (name, roles)
@@ -59,11 +59,11 @@ def test_each_proof_gives_a_name_and_roles(
         (ONE, b"Bearer c", None, "a secret that differs"),
         (ONE, b"Bearer token-that-is-over", None, "the token is over"),
         (CERTIFIED, b"Bearer token", None, "names no one role"),
-        (CERTIFIED, None, Identity("other", Role.HOST, "h1"), "cluster other, and this is lab"),
+        (CERTIFIED, None, Certified(Identity("other", Role.HOST, "h1")), "cluster other, and this is lab"),
     ],
 )
 def test_what_is_no_proof_is_refused_and_told_why(
-    accepted: Accepted, brought: bytes | None, certificate: Identity | None, told: str
+    accepted: Accepted, brought: bytes | None, certificate: Certified | None, told: str
 ) -> None:
     with pytest.raises(PermissionDenied, match=told):
         identify(accepted, brought, certificate)

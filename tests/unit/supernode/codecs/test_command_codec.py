@@ -20,7 +20,9 @@ from stampede_rt_supernode.core.access.commands import (
     AccessRuleRemoved,
     AddAccessRule,
     CreateTokenKey,
+    CredentialRevoked,
     RemoveAccessRule,
+    RevokeCredential,
     TokenKeyCreated,
 )
 from stampede_rt_supernode.core.answered import Answer
@@ -143,6 +145,7 @@ OPERATIONS: list[Operation] = [
     expire_peers((1, 2), (3, 2**64 - 1), boot=9, tenure=8),
     expire_peers(),
     CreateTokenKey(new_token_key=bytes(32)),
+    RevokeCredential(serial="a1b2"),
     AddAccessRule(rule=RULE),
     RemoveAccessRule(rule=AccessRule("@clients", (), None, "*")),
 ]
@@ -237,6 +240,7 @@ RESULTS: list[Result] = [
     PeerDeregistered(),
     PeersExpired(expired=3),
     TokenKeyCreated(version=7),
+    CredentialRevoked(revoked=True, version=9),
     AccessRuleAdded(added=True, version=2**64 - 1),
     AccessRuleRemoved(removed=True, version=8),
 ]

@@ -69,6 +69,7 @@ class AccessWatch:
             cluster_id=told.cluster_id,
             rules=AccessRules(map(rule_from, told.rules)),
             token_keys=tuple(told.token_keys),
+            revoked_serials=frozenset(told.revoked_serials),
         )
 
 

@@ -62,6 +62,22 @@ def by_secret(*, of_cluster: bool) -> Caller:
     return Caller(kind=CallerKind.CLIENT_SECRET, roles=frozenset({Role.CLIENT}), name="@clients")
 
 
-def by_certificate(identity: Identity, serial: str = "") -> Caller:
-    """The caller that brings this certificate."""
-    return Caller(kind=CallerKind.CERTIFICATE, roles=frozenset({identity.role}), name=identity.name, serial=serial)
+@dataclass(frozen=True, slots=True)
+class Certified:
+    """What a caller's certificate says: who, and until when. `serial`: its number, in hexadecimal digits."""
+
+    identity: Identity
+    serial: str = ""
+    ends_unix_nano: int = 0
+
+
+def by_certificate(certified: Certified) -> Caller:
+    """Who brings that certificate."""
+    identity = certified.identity
+    return Caller(
+        kind=CallerKind.CERTIFICATE,
+        roles=frozenset({identity.role}),
+        name=identity.name,
+        serial=certified.serial,
+        ends_unix_nano=certified.ends_unix_nano,
+    )

@@ -24,6 +24,7 @@ logger = logging.getLogger(__name__)
 TOKENS_KEPT_MAX = 4096
 GRANTS_KEPT_MAX = 1024
 CALLS_PER_TURN = 8
+SWEEP_SECONDS = 1.0
 Grant = tuple[AccessVerb, AccessKind, str]
 
 
@@ -46,6 +47,7 @@ class AccessControl:
         self._tokens: OrderedDict[str, TokenClaims] = OrderedDict()
         self._open: set[OpenCall] = set()
         self._judging: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
+        self._sweep: asyncio.TimerHandle | None = None
         self.audit = AuditLog()
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
@@ -57,7 +59,7 @@ class AccessControl:
         former, self._state = self._state, state
         if former is not None and former.token_keys != state.token_keys:
             self._tokens.clear()
-        if self._open and (former is None or former.rules is not state.rules):
+        if self._open and (former is None or former.version != state.version):
             self._judging = asyncio.create_task(self._judge_again(state))  # one of an earlier state gives up
 
     async def _judge_again(self, state: AccessState) -> None:
@@ -65,7 +67,10 @@ class AccessControl:
         for number, call in enumerate(tuple(self._open), start=1):
             if state is not self._state:
                 return
-            call.judge_again(state.rules)
+            if call.caller.serial in state.revoked_serials:
+                call.end(_revoked(call.caller))
+            else:
+                call.judge_again(state.rules)
             if number % CALLS_PER_TURN == 0:
                 await asyncio.sleep(0)
 
@@ -97,6 +102,13 @@ class AccessControl:
         check_not_over(claims, now_unix_nano=self._time_unix_nano())
         return claims.caller()
 
+    def check_not_revoked(self, caller: Caller) -> None:
+        """Raises PermissionDenied with reason UNAUTHENTICATED."""
+        if caller.serial:
+            state = self.refresh()
+            if state is not None and caller.serial in state.revoked_serials:
+                raise _revoked(caller)
+
     def _known(self) -> AccessState:
         state = self.refresh()
         if state is None:
@@ -108,11 +120,11 @@ class AccessControl:
         """Run a call of `caller`. It ends when what it rests on does."""
         call = OpenCall(self, caller, context)
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
-        if not caller.is_judged and not caller.ends_unix_nano:
+        if not (caller.is_judged or caller.serial or caller.ends_unix_nano):
             yield
             return
         self._open.add(call)
-        timer = self._end_with_credential(call)
+        self._sweep_soon()
         try:
             yield
         except asyncio.CancelledError:
@@ -122,18 +134,19 @@ class AccessControl:
             await abort(context, call.error)
         finally:
             self._open.discard(call)
-            if timer is not None:
-                timer.cancel()
 
-    def _end_with_credential(self, call: OpenCall) -> asyncio.TimerHandle | None:
-        ends = call.caller.ends_unix_nano
-        if not ends:
-            return None
-        left_s = max(0.0, (ends - self._time_unix_nano()) / 1e9)
-        over = PermissionDenied(
-            f"the {call.caller.kind} of {call.caller} is over; connect again with a new one", reason="UNAUTHENTICATED"
-        )
-        return asyncio.get_running_loop().call_later(left_s, call.end, over)
+    def _sweep_soon(self) -> None:
+        if self._sweep is None:
+            self._sweep = asyncio.get_running_loop().call_later(SWEEP_SECONDS, self._end_what_is_over)
+
+    def _end_what_is_over(self) -> None:
+        """One timer for all calls: most of them end long before their credential does."""
+        self._sweep, now = None, self._time_unix_nano()
+        for call in self._open:
+            if 0 < call.caller.ends_unix_nano <= now:
+                call.end(_over(call.caller))
+        if self._open:
+            self._sweep_soon()
 
 
 class OpenCall:
@@ -243,3 +256,13 @@ def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> Per
         f"{name})",
         metadata={"verb": verb, kind: name},
     )
+
+
+def _over(caller: Caller) -> PermissionDenied:
+    text = f"the {caller.kind} of {caller} is over; connect again with a new one"
+    return PermissionDenied(text, reason="UNAUTHENTICATED")
+
+
+def _revoked(caller: Caller) -> PermissionDenied:
+    text = f"the {caller.kind} {caller.serial} of {caller} was revoked; ask an operator for another one"
+    return PermissionDenied(text, reason="UNAUTHENTICATED")

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt_runtime.access.caller import ANYONE, Caller, by_certificate, by_secret
-from stampede_rt_runtime.identity import Identity
+from stampede_rt_runtime.access.caller import ANYONE, Caller, Certified, by_certificate, by_secret
 
 SCHEME = b"Bearer "
 _SEARCHED_FILES = (
@@ -31,7 +30,7 @@ class Accepted:
     read_token: Callable[[str], Caller | None] = lambda text: None
 
 
-def identify(accepted: Accepted, authorization: bytes | None, certificate: Identity | None) -> Caller:
+def identify(accepted: Accepted, authorization: bytes | None, certificate: Certified | None) -> Caller:
     """The caller that brings this metadata and this certificate. Raises PermissionDenied, and the errors of
     `read_token`."""
     certified = _certified(accepted, certificate) if accepted.cluster else None
@@ -43,7 +42,7 @@ def identify(accepted: Accepted, authorization: bytes | None, certificate: Ident
     return certified or secret or ANYONE
 
 
-def of_certificate_alone(accepted: Accepted, certificate: Identity | None) -> Caller:
+def of_certificate_alone(accepted: Accepted, certificate: Certified | None) -> Caller:
     """For calls that need no secret: who the certificate says, if certificates are asked for."""
     return _certified(accepted, certificate) if accepted.cluster else ANYONE
 
@@ -55,15 +54,15 @@ def _brought(authorization: bytes | None) -> bytes | None:
     return authorization[len(SCHEME) :] if authorization.startswith(SCHEME) else b""
 
 
-def _certified(accepted: Accepted, certificate: Identity | None) -> Caller:
+def _certified(accepted: Accepted, certificate: Certified | None) -> Caller:
     if certificate is None:
         raise PermissionDenied(
             "the caller's certificate names no one role of a cluster (one URI stampede://CLUSTER/ROLE/NAME); "
             "issue it with `stampede certs issue`"
         )
-    if certificate.cluster != accepted.cluster:
+    if certificate.identity.cluster != accepted.cluster:
         raise PermissionDenied(
-            f"the certificate is one of cluster {certificate.cluster}, and this is {accepted.cluster}; "
+            f"the certificate is one of cluster {certificate.identity.cluster}, and this is {accepted.cluster}; "
             "use one of this cluster"
         )
     return by_certificate(certificate)

@@ -18,3 +18,4 @@ class AccessState:
     cluster_id: str = ""
     rules: AccessRules = field(default=NO_RULES)
     token_keys: tuple[bytes, ...] = ()
+    revoked_serials: frozenset[str] = frozenset()

@@ -12,7 +12,9 @@ from stampede_rt_supernode.core.access.commands import (
     AccessRuleRemoved,
     AddAccessRule,
     CreateTokenKey,
+    CredentialRevoked,
     RemoveAccessRule,
+    RevokeCredential,
     TokenKeyCreated,
 )
 
@@ -26,6 +28,16 @@ CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
         read=lambda message: CreateTokenKey(new_token_key=message.new_token_key),
         write_result=lambda one: pb.TokenKeyCreatedResult(version=one.version),
         read_result=lambda message: TokenKeyCreated(version=message.version),
+    ),
+    KindCodec(
+        kind="revoke_credential",
+        outcome="credential_revoked",
+        operation=RevokeCredential,
+        result=CredentialRevoked,
+        write=lambda one: pb.RevokeCredentialCommand(serial=one.serial),
+        read=lambda message: RevokeCredential(serial=message.serial),
+        write_result=lambda one: pb.CredentialRevokedResult(revoked=one.revoked, version=one.version),
+        read_result=lambda message: CredentialRevoked(revoked=message.revoked, version=message.version),
     ),
     KindCodec(
         kind="add_access_rule",

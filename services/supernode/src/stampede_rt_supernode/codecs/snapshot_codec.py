@@ -151,6 +151,7 @@ def _head(directory: Directory) -> bytes:
         access_rules=map(rule_message, directory.access.rules.rules),
         token_key=directory.access.token_key,
         access_version=directory.access.version,
+        revoked_serials=directory.access.revoked_serials,
     ).SerializeToString()
 
 
@@ -209,6 +210,7 @@ def _directory(message: pb.DirectorySnapshot) -> Directory:
             version=message.access_version,
             rules=AccessRules(map(rule_from, message.access_rules)),
             token_key=message.token_key,
+            revoked_serials=tuple(message.revoked_serials),
         ),
     )
 

@@ -132,6 +132,22 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         )
 
     @errors_as_status
+    async def RevokeCredential(
+        self, request: pb.RevokeCredentialRequest, context: Context
+    ) -> pb.RevokeCredentialResponse:
+        operation = commands.RevokeCredential(serial=request.serial)
+        done = await self._calls.submit(context, operation, commands.CredentialRevoked, request.request_id)
+        audit_change("revoke", request.serial)
+        return pb.RevokeCredentialResponse(revoked=done.revoked)
+
+    @errors_as_status
+    async def ListRevokedCredentials(
+        self, request: pb.ListRevokedCredentialsRequest, context: Context
+    ) -> pb.ListRevokedCredentialsResponse:
+        serials = await self._calls.read(context, lambda directory: directory.access.revoked_serials)
+        return pb.ListRevokedCredentialsResponse(serials=serials)
+
+    @errors_as_status
     async def GetAccessState(self, request: pb.GetAccessStateRequest, context: Context) -> pb.GetAccessStateResponse:
         state = await self._calls.read(context, access_state, stale_ok=request.stale_ok)
         return pb.GetAccessStateResponse(
@@ -139,6 +155,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
             cluster_id=state.cluster_id,
             rules=map(rule_message, state.rules.rules),
             token_keys=state.token_keys,
+            revoked_serials=sorted(state.revoked_serials),
         )
 
 

@@ -14,11 +14,14 @@ from stampede_rt_supernode.core.access.commands import (
     AccessRuleRemoved,
     AddAccessRule,
     CreateTokenKey,
+    CredentialRevoked,
     RemoveAccessRule,
+    RevokeCredential,
     TokenKeyCreated,
 )
 from stampede_rt_supernode.core.access.effects import AccessEffect, effects_on, with_rule, without_rule
 from stampede_rt_supernode.core.access.queries import access_state
+from stampede_rt_supernode.core.access.transitions import REVOKED_MAX
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, RaiseFeatureLevel
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
 from stampede_rt_supernode.core.peers.commands import PeerRegistered, RegisterPeer
@@ -151,3 +154,17 @@ def test_what_a_rule_would_do_is_told_for_the_things_there_are() -> None:
         AccessEffect(AccessVerb.PUT, AccessKind.CHANNEL, name, allowed=True) for name in ("video/1", "video/2")
     ]
     assert effects_on(log.directory.tables, before, without_rule(before, PUT), PUT) == []
+
+
+def test_what_is_revoked_stays_so_also_in_snapshots_and_there_are_so_many_and_no_more() -> None:
+    log = Log()
+    first = log.apply(RevokeCredential(serial="a1"))
+    assert isinstance(first, CredentialRevoked)
+    assert first.revoked
+    assert log.apply(RevokeCredential(serial="a1")) == CredentialRevoked(revoked=False, version=first.version)
+    assert access_state(decode_snapshot(encode_snapshot(log.directory))).revoked_serials == {"a1"}
+    for number in range(1, REVOKED_MAX):
+        log.apply(RevokeCredential(serial=f"{number:x}a1"))
+    refused = log.apply(RevokeCredential(serial="b2"))
+    assert isinstance(refused, Refused)
+    assert len(log.directory.access.revoked_serials) == REVOKED_MAX

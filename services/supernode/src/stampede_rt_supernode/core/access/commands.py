@@ -30,6 +30,21 @@ class RemoveAccessRule(Operation):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class RevokeCredential(Operation):
+    """A certificate or token is good no more, for good."""
+
+    serial: str
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class CredentialRevoked(Success):
+    """The credential is good no more; whether it was this command that revoked it."""
+
+    revoked: bool
+    version: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class TokenKeyCreated(Success):
     """Client tokens have a key. `version`: the log position of the last change of access."""
 

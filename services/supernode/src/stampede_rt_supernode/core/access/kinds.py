@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
@@ -12,10 +13,17 @@ from stampede_rt_supernode.core.access.commands import (
     AccessRuleRemoved,
     AddAccessRule,
     CreateTokenKey,
+    CredentialRevoked,
     RemoveAccessRule,
+    RevokeCredential,
     TokenKeyCreated,
 )
-from stampede_rt_supernode.core.access.transitions import add_access_rule, create_token_key, remove_access_rule
+from stampede_rt_supernode.core.access.transitions import (
+    add_access_rule,
+    create_token_key,
+    remove_access_rule,
+    revoke_credential,
+)
 from stampede_rt_supernode.core.command_kinds import CommandKind
 
 
@@ -23,6 +31,14 @@ def _check_key(operation: CreateTokenKey) -> None:
     if len(operation.new_token_key) != KEY_BYTES:
         raise InvalidArgument(
             f"the key of client tokens has {len(operation.new_token_key)} bytes; it needs {KEY_BYTES}"
+        )
+
+
+def _check_serial(operation: RevokeCredential) -> None:
+    if re.fullmatch(r"[0-9a-f]{1,64}", operation.serial) is None:
+        raise InvalidArgument(
+            f"serial is {operation.serial[:80]!r}; it has 1 to 64 hexadecimal digits in lower case, as `stampede certs "
+            "show` and `stampede token issue` tell them"
         )
 
 
@@ -34,6 +50,14 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         subject=lambda one: "",
         check=_check_key,
         apply=create_token_key,
+    ),
+    CommandKind(
+        operation=RevokeCredential,
+        result=CredentialRevoked,
+        feature_level=2,
+        subject=lambda one: one.serial,
+        check=_check_serial,
+        apply=revoke_credential,
     ),
     CommandKind(
         operation=AddAccessRule,

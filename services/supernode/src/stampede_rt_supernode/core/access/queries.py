@@ -24,6 +24,7 @@ def access_state(directory: DirectoryState) -> AccessState:
         cluster_id=directory.cluster_id,
         rules=access.rules,
         token_keys=(_public_key(access.token_key),) if access.token_key else (),
+        revoked_serials=_set_of(access.revoked_serials),
     )
 
 
@@ -60,6 +61,11 @@ def right_to_open(tables: Tables, operation: OpenChannel | OpenQueue | OpenGroup
         case OpenGroup():
             return AccessVerb.CREATE if tables.groups.named(operation.name) is None else None
     return AccessVerb.CONFIGURE if changes else None
+
+
+@lru_cache(4)
+def _set_of(serials: tuple[str, ...]) -> frozenset[str]:
+    return frozenset(serials)
 
 
 @lru_cache(4)

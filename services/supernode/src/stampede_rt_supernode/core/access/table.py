@@ -17,3 +17,4 @@ class AccessTable:
     version: int = 0
     rules: AccessRules = field(default=NO_RULES)
     token_key: bytes = field(default=b"", repr=False)
+    revoked_serials: tuple[str, ...] = ()

@@ -11,13 +11,17 @@ from stampede_rt_supernode.core.access.commands import (
     AccessRuleRemoved,
     AddAccessRule,
     CreateTokenKey,
+    CredentialRevoked,
     RemoveAccessRule,
+    RevokeCredential,
     TokenKeyCreated,
 )
 from stampede_rt_supernode.core.access.effects import with_rule, without_rule
 from stampede_rt_supernode.core.access.table import AccessTable
 from stampede_rt_supernode.core.records import AccessChange, ChangeKind
 from stampede_rt_supernode.core.state import DirectoryState
+
+REVOKED_MAX = 1000
 
 
 def create_token_key(state: DirectoryState, operation: CreateTokenKey, time_unix_nano: int) -> TokenKeyCreated:
@@ -47,6 +51,19 @@ def remove_access_rule(state: DirectoryState, operation: RemoveAccessRule, time_
         return AccessRuleRemoved(removed=False, version=state.access.version)
     change_access(state, replace(state.access, rules=without_rule(state.access.rules, operation.rule)))
     return AccessRuleRemoved(removed=True, version=state.access.version)
+
+
+def revoke_credential(state: DirectoryState, operation: RevokeCredential, time_unix_nano: int) -> CredentialRevoked:
+    """For good. Raises InvalidArgument if there are too many."""
+    revoked = state.access.revoked_serials
+    if operation.serial in revoked:
+        return CredentialRevoked(revoked=False, version=state.access.version)
+    if len(revoked) >= REVOKED_MAX:
+        raise InvalidArgument(
+            f"{REVOKED_MAX} certificates and tokens are revoked, the most; go over to a new authority (stampede certs)"
+        )
+    change_access(state, replace(state.access, revoked_serials=(*revoked, operation.serial)))
+    return CredentialRevoked(revoked=True, version=state.access.version)
 
 
 def change_access(state: DirectoryState, access: AccessTable) -> None:
