@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest_asyncio
 from stampede_rt.v1 import directory_pb2
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.core import change_ring
-from stampede_rt_supernode.servicers import watch
+from stampede_rt_supernode.servicers import calls, watch
 from tests.support.supernode.node import Node, reason_of, running_node, spec
 
 
@@ -123,9 +124,10 @@ async def test_a_bad_pattern_is_refused(node: Node) -> None:
     assert (await reason_of(begin(node, name_glob="a b").read())).reason == "INVALID_ARGUMENT"
 
 
-async def test_a_supernode_without_a_majority_begins_no_watch(node: Node) -> None:
+async def test_a_supernode_without_a_majority_begins_no_watch(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(calls, "ANSWER_SECONDS", 60.0)  # half of the time is for the answer, on a busy machine, too
     node.log.quorum = False
-    stream = node.stub.Watch(pb.WatchRequest(), timeout=0.4)
+    stream = node.stub.Watch(pb.WatchRequest(), timeout=2.0)
     assert (await reason_of(stream.read())).reason == "NO_QUORUM"
 
 
@@ -151,3 +153,58 @@ async def test_signs_of_life_come_until_no_leader_is_known() -> None:
 async def _until_it_ends(stream: Any) -> None:
     while response := await stream.read():
         assert not response.changes
+
+
+async def until_idle(counted: list[int]) -> list[int]:
+    """How much is added to `counted` in each turn of the event loop, until nothing is for a hundred turns."""
+    added, idle = [], 0
+    while idle < 100:
+        before = len(counted)
+        await asyncio.sleep(0)
+        idle = 0 if len(counted) > before else idle + 1
+        added.append(len(counted) - before)
+    return added
+
+
+async def test_a_change_is_told_to_a_few_watches_in_each_turn_and_to_all_of_them(node: Node) -> None:
+    """4096 watches were all woken in one turn, which took 52 ms."""
+    heard: list[int] = []
+
+    async def follow(number: int) -> None:
+        async for batch in node.watches.follow("", 0, include_hosts=False):
+            heard.extend(number for _ in batch.changes)
+
+    watching = [asyncio.create_task(follow(number)) for number in range(100)]
+    await until_idle(heard)
+    await node.open("cam")
+    per_turn = await until_idle(heard)
+    await node.open("mic")
+    assert max(per_turn + await until_idle(heard)) <= watch.WATCHES_PER_TURN
+    assert sorted(heard) == sorted([*range(100)] * 2)
+    for task in watching:
+        task.cancel()
+    await asyncio.gather(*watching, return_exceptions=True)
+
+
+async def test_a_watch_that_is_far_behind_looks_at_one_page_of_changes_in_a_turn(
+    node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watch, "CHANGES_PER_RESPONSE_MAX", 2)
+    start = node.log.index
+    for number in range(20):
+        await node.open(f"cam/{number}")
+    pages: list[int] = []
+    read = change_ring.ChangeRing.read
+
+    def counted(ring: change_ring.ChangeRing, position: int, changes_max: int) -> change_ring.ChangePage | None:
+        pages.append(position)
+        return read(ring, position, changes_max)
+
+    monkeypatch.setattr(change_ring.ChangeRing, "read", counted)
+    stream = begin(node, after_index=start, name_glob="mic")
+    await stream.read()
+    per_turn = await until_idle(pages)
+    assert (len(pages), max(per_turn)) == (11, 1)
+    await node.open("mic")
+    assert await changes(stream, 1) == [(ADDED, "mic")]
+    stream.cancel()

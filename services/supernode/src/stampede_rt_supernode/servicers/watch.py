@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 
 from stampede_rt.errors import Unavailable, WatchRestart
 from stampede_rt_supernode.core.change_ring import ChangePage, ChangeRing
@@ -28,7 +30,9 @@ from stampede_rt_supernode.replication.interface import ReplicatedLog
 
 logger = logging.getLogger(__name__)
 
-CHANGES_PER_RESPONSE_MAX = 256
+CHANGES_PER_RESPONSE_MAX = 64
+"""So many changes one watch looks at in one turn of the event loop."""
+WATCHES_PER_TURN = 8
 SIGN_OF_LIFE_SECONDS = 5.0
 
 
@@ -86,19 +90,21 @@ class Watches:
         """
         position, index, life = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
         yield WatchBatch((), index)
-        while True:
-            ring = self._bell.next_ring()
-            page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, life))  # type: ignore[misc]
-            position = page.position
-            changes = tuple(change for change in page.changes if wanted(change))
-            if changes:
-                yield WatchBatch(changes, page.index)
-            if page.changes:
-                continue  # there may be more already
-            self._check_open()
-            if not await _happens(ring, self._sign_of_life_seconds):
-                self._check_leader()
-                yield WatchBatch((), page.index)
+        with self._bell.listening() as rung:
+            while True:
+                rung.clear()  # before looking at what the next ring announces
+                page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, life))  # type: ignore[misc]
+                position = page.position
+                changes = tuple(change for change in page.changes if wanted(change))
+                if changes:
+                    yield WatchBatch(changes, page.index)
+                if page.changes:
+                    await asyncio.sleep(0)
+                    continue  # there may be more already
+                self._check_open()
+                if not await _happens(rung, self._sign_of_life_seconds):
+                    self._check_leader()
+                    yield WatchBatch((), page.index)
 
     def _begin(
         self, directory: Directory, ring_of: Callable[[Directory], ChangeRing], after_index: int
@@ -177,16 +183,25 @@ async def _happens(event: asyncio.Event, seconds: float) -> bool:
 
 
 class _Bell:
-    """Wakes whoever waits on the event loop; rung from any thread, many rings before the waking being one."""
+    """Wakes whoever waits on the event loop, a few in each turn, however many there are. Rung from any thread; many
+    rings before the waking are one. One that still waits to be woken keeps its place."""
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
-        self._event = asyncio.Event()
+        self._listening: dict[asyncio.Event, None] = {}
+        self._to_wake: dict[asyncio.Event, None] = {}
         self._rung = False
 
-    def next_ring(self) -> asyncio.Event:
-        """Set by the next ring; take it before looking at what the ring announces."""
-        return self._event
+    @contextmanager
+    def listening(self) -> Iterator[asyncio.Event]:
+        """An event that is set after each ring."""
+        event = asyncio.Event()
+        self._listening[event] = None
+        try:
+            yield event
+        finally:
+            del self._listening[event]
+            self._to_wake.pop(event, None)
 
     def ring(self) -> None:
         """From any thread. After the loop has closed nobody waits any more."""
@@ -201,5 +216,14 @@ class _Bell:
     def wake(self) -> None:
         """On the loop."""
         self._rung = False
-        self._event.set()
-        self._event = asyncio.Event()
+        is_waking = bool(self._to_wake)
+        self._to_wake.update(self._listening)
+        if not is_waking:
+            self._wake_some()
+
+    def _wake_some(self) -> None:
+        for event in [*islice(self._to_wake, WATCHES_PER_TURN)]:
+            del self._to_wake[event]
+            event.set()
+        if self._to_wake:
+            self._loop.call_soon(self._wake_some)
