@@ -21,6 +21,8 @@ async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, 
         if not isinstance(outcome, (StampedeError, type(None))):
             world.last_answered[caller] = member
             return outcome
+        if world.last_answered.get(caller) is member:
+            del world.last_answered[caller]  # another one is asked first from now on
         if isinstance(outcome, StampedeError) and not outcome.retryable:
             raise outcome
         await world.sleep(0.02 + world.random_source.random() * 0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -115,24 +116,40 @@ class _Log:
     """What the lease keeper asks of the log."""
 
     def __init__(self, member: DirectoryMember) -> None:
-        self._member = member
+        self.member = member
 
     def status(self) -> ReplicationStatus:
-        assert self._member.replica is not None
-        status = self._member.replica.status()
-        if self._member.stuck_seconds > STUCK_SECONDS:  # as PySyncObjLog says it
+        assert self.member.replica is not None
+        status = self.member.replica.status()
+        if self.member.stuck_seconds > STUCK_SECONDS:  # as PySyncObjLog says it
             return replace(status, leader_id=None, is_leader=False, tenure=0)
         return status
 
 
 class _Leases(LeaseKeeper):
-    """The production one; only what needs an event loop is done one after the other."""
+    """The production one; only the ends of several leases are awaited without an event loop."""
+
+    _log: _Log  # type: ignore[assignment]
 
     async def _end_due_leases(self) -> None:
         now = self._clock.boottime_nanos()
         self._hosts.follow(self._replica.read(lambda directory: list(directory.tables.live_hosts())), now)
-        for lease in self._hosts.due(now):
-            await self._end(*lease)
+        if due := self._hosts.due(now):
+            await wait(lambda resume: self._end_all(due, resume))
+
+    def _end_all(self, due: list[tuple[bytes, int, int]], resume: Resume) -> None:
+        left = len(due)
+
+        async def end(lease: tuple[bytes, int, int]) -> None:
+            nonlocal left
+            with contextlib.suppress(errors.StampedeError):
+                await self._end(*lease)
+            left -= 1
+            if not left:
+                resume(None)
+
+        for lease in due:
+            self._log.member.run(lambda lease=lease: end(lease))
 
 
 # A process of a host or peer: the holder of the lease, and its boot incarnation.
@@ -204,7 +221,7 @@ class DirectoryMember(SimMember):
 
     def _when_awake(self, call: Callable[[], None]) -> None:
         if self.frozen_until > self.world.now:
-            self.world.at(self.frozen_until, call)
+            self.world.at(self.frozen_until + self.world.random_source.random() * 0.001, call)
         else:
             call()
 

@@ -175,7 +175,7 @@ MUTANTS = (
         name="expire_any_tenure",
         file=f"{SUPERNODE}/core/hosts/transitions.py",
         edits=(("not host.alive or operation.tenure != tenure:", "not host.alive:"),),
-        noticed_by="tests/unit/supernode/core/hosts/test_transitions.py",
+        noticed_by="directory",
     ),
     Mutant(
         name="late_registration_is_done",

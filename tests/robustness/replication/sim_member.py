@@ -189,9 +189,8 @@ class SimMember:
         return began, self.now
 
     def _plan(self, delay: float) -> None:
-        at = max(
-            self.world.now + delay + self.world.random_source.random() * 0.001, self.frozen_until, self._busy_until
-        )
+        at = max(self.world.now + delay, self.frozen_until, self._busy_until)
+        at += self.world.random_source.random() * 0.001
         if at < self._next_step:
             self._next_step = at
             replica = self.replica
