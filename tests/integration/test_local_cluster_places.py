@@ -37,3 +37,13 @@ def test_a_client_in_a_namespace_reads_from_a_host_in_another() -> None:
 def test_hosts_in_namespaces_cannot_have_certificates_of_one_address() -> None:
     with pytest.raises(ValueError, match="leave out one of the two"):
         LocalCluster(tls=True, host_namespaces=NamespaceNetwork(1).namespaces)
+
+
+@pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
+def test_two_networks_have_names_and_addresses_of_their_own() -> None:
+    """They were those of the process id modulo 4096: two processes could have the same ones."""
+    with NamespaceNetwork(1) as one, NamespaceNetwork(1) as other:
+        assert one.address != other.address
+        assert one.namespaces[0].name != other.namespaces[0].name
+    with NamespaceNetwork(1) as again:
+        assert again.address == one.address, "nothing was left behind"

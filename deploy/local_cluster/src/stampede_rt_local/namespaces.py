@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import secrets
 import shutil
 import subprocess
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import Self
 CLONE_NEWNET = 0x40000000  # sched.h
 NETWORKS = IPv4Network("198.18.0.0/15")  # kept for tests (RFC 2544): no machine beside this one has such an address
 PREFIX_BITS, NAMESPACES_MAX = 27, 29
+NETWORKS_MAX = 1 << PREFIX_BITS - NETWORKS.prefixlen
 
 
 def unavailable_because() -> str | None:
@@ -22,7 +24,7 @@ def unavailable_because() -> str | None:
         return "network namespaces need root"
     if shutil.which("ip") is None:
         return "network namespaces need the command `ip` (package iproute2)"
-    tried = subprocess.run(["ip", "netns", "add", name := f"rt{os.getpid()}"], capture_output=True, text=True)
+    tried = subprocess.run(["ip", "netns", "add", name := f"rt{secrets.token_hex(4)}"], capture_output=True, text=True)
     if tried.returncode != 0:
         return f"this machine allows no network namespaces: {tried.stderr.strip()}"
     ip("netns", "del", name)
@@ -54,26 +56,43 @@ class NetworkNamespace:
 class NamespaceNetwork:
     """`size` namespaces that reach each other and this process. Use as a context manager; leaves nothing behind.
 
-    `address` is this process's own on the bridge. There may be NAMESPACES_MAX namespaces, and one network in a process
-    at a time.
+    `address` is this process's own on the bridge. There may be NAMESPACES_MAX namespaces. Which names and addresses they
+    have is certain once it is entered: the kernel lets only one bridge have a name, so no two networks share one.
     """
 
     def __init__(self, size: int) -> None:
         if size > NAMESPACES_MAX:
             raise ValueError(f"a network has at most {NAMESPACES_MAX} namespaces, and not {size}")
-        tag = f"{os.getpid() % 100_000}"
-        self._bridge = f"rtb{tag}"
-        networks = 1 << PREFIX_BITS - NETWORKS.prefixlen
-        first = NETWORKS[os.getpid() % networks << 32 - PREFIX_BITS] + 1
+        self._size, self._is_made = size, False
+        self._choose(os.getpid() % NETWORKS_MAX)
+
+    def _choose(self, network: int) -> None:
+        self._bridge = f"rtb{network}"
+        first = NETWORKS[network << 32 - PREFIX_BITS] + 1
         self.address = str(first)
         self.namespaces = [
-            NetworkNamespace(f"rt{tag}-{number}", f"rtv{tag}-{number}", str(first + 1 + number))
-            for number in range(size)
+            NetworkNamespace(f"rt{network}-{number}", f"rtv{network}-{number}", str(first + 1 + number))
+            for number in range(self._size)
         ]
 
+    def _claim(self) -> None:
+        """Make the bridge of the first network that nobody has. Raises OSError."""
+        for step in range(NETWORKS_MAX):
+            self._choose((os.getpid() + step) % NETWORKS_MAX)
+            command = ["ip", "link", "add", self._bridge, "type", "bridge"]
+            tried = subprocess.run(command, capture_output=True, text=True, check=False)
+            self._is_made = tried.returncode == 0
+            if self._is_made:
+                return
+            if "exists" not in tried.stderr:
+                raise OSError(f"{' '.join(command)} failed: {tried.stderr.strip()}")
+        raise OSError(
+            f"all {NETWORKS_MAX} networks are taken; remove the bridges that killed processes left, rtb0 and on"
+        )
+
     def __enter__(self) -> Self:
+        self._claim()
         try:
-            ip("link", "add", self._bridge, "type", "bridge")
             ip("addr", "add", f"{self.address}/{PREFIX_BITS}", "dev", self._bridge)
             ip("link", "set", self._bridge, "up")
             for namespace in self.namespaces:
@@ -90,6 +109,8 @@ class NamespaceNetwork:
 
     def close(self) -> None:
         """Take everything down; what was not made yet is passed over."""
+        if not self._is_made:
+            return
         for namespace in self.namespaces:
             subprocess.run(["ip", "netns", "del", namespace.name], capture_output=True, check=False)
             subprocess.run(["ip", "link", "del", namespace.outer_link], capture_output=True, check=False)

@@ -30,6 +30,8 @@ ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | 
 STALLED_SECONDS = 30.0
 # One that makes none for so long makes room for another newcomer that waits; one that was given up before, at once.
 GIVES_WAY_SECONDS = 5.0
+# One that has not caught up in all this time is given up, whatever progress it makes, and makes room for others at once.
+JOIN_SECONDS_MAX = 600.0
 HAND_OVER_SECONDS = 1.0
 
 
@@ -59,6 +61,7 @@ class _Addition:
     round_end: int
     round_began: float
     progress_at: float
+    began: float
     # How far it has acknowledged the log, and how much of a snapshot it was sent.
     progress: tuple[int, int] = (0, 0)
 
@@ -104,8 +107,10 @@ class MemberChanges:
         self._round_seconds = round_seconds
         self._alive_seconds = alive_seconds
         self._addition: _Addition | None = None
-        # The newcomer that was given up last; empty once that one makes progress.
+        # The newcomer that was given up last, for want of progress; empty once that one makes some.
         self._given_up_id = ""
+        # The newcomer that took too long in all; empty once another one has begun to catch up.
+        self._slow_id = ""
         self._committing: _Committing | None = None
         self._leaving: _Leaving | None = None
 
@@ -199,7 +204,9 @@ class MemberChanges:
             return
         self._node.set_learner(member)
         now = self._clock()
-        self._addition = _Addition(member, [change], self._node.log.last_index, now, now)
+        if member.member_id != self._slow_id:
+            self._slow_id = ""
+        self._addition = _Addition(member, [change], self._node.log.last_index, now, now, now)
 
     def _catch_up(self, addition: _Addition) -> None:
         now, held = self._clock(), self._node.held_by(addition.member.member_id)
@@ -210,6 +217,9 @@ class MemberChanges:
                 self._given_up_id = ""
         elif now - addition.progress_at > STALLED_SECONDS:
             self._give_up(addition)
+            return
+        if now - addition.began > JOIN_SECONDS_MAX:
+            self._give_up_slow(addition)
             return
         if held < addition.round_end or self._committing is not None:
             return
@@ -237,18 +247,31 @@ class MemberChanges:
         return True
 
     def _gives_way(self, addition: _Addition) -> bool:
-        """Whether a newcomer is stuck, so that another one may come first."""
+        """Whether a newcomer is stuck, or too slow, so that another one may come first."""
         stuck_seconds = self._clock() - addition.progress_at
-        return stuck_seconds > GIVES_WAY_SECONDS or addition.member.member_id == self._given_up_id
+        return stuck_seconds > GIVES_WAY_SECONDS or addition.member.member_id in (self._given_up_id, self._slow_id)
 
     def _give_up(self, addition: _Addition) -> None:
         """It may try again, and has spent no token."""
-        self._addition, self._given_up_id = None, addition.member.member_id
-        self._node.set_learner(None)
+        self._given_up_id = addition.member.member_id
         text = (
             f"{addition.member.member_id} at {addition.member.address} took nothing of the log for "
             f"{self._clock() - addition.progress_at:.0f} s; see that it runs, and that this address leads to it"
         )
+        self._end_addition(addition, text)
+
+    def _give_up_slow(self, addition: _Addition) -> None:
+        """As `_give_up`, for one that makes progress, and too little."""
+        self._slow_id = addition.member.member_id
+        text = (
+            f"{addition.member.member_id} at {addition.member.address} has not caught up with the log within "
+            f"{JOIN_SECONDS_MAX:.0f} s; give it a faster link or disk, or let it join while less is written"
+        )
+        self._end_addition(addition, text)
+
+    def _end_addition(self, addition: _Addition, text: str) -> None:
+        self._addition = None
+        self._node.set_learner(None)
         self._finish(addition.callers, ChangeUnderWay(text))
 
     def _remove(self, change: MemberChange) -> None:
