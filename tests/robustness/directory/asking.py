@@ -12,12 +12,12 @@ from tests.robustness.directory.world import DirectoryWorld
 
 async def ask(world: DirectoryWorld, method: str, request: Any, seconds: float, *, caller: object) -> Any:
     """The answer. Raises what the directory refuses, or the last failure."""
-    deadline = world.now + seconds
+    began, deadline = world.now, world.now + seconds
     for member in _members(world, caller):
         left = deadline - world.now
         if left <= 0:
             break
-        outcome = await world.call(member, method, request, min(left, 1.5), caller=caller)
+        outcome = await world.call(member, method, request, min(left, 1.5), caller=caller, age_s=world.now - began)
         if not isinstance(outcome, (StampedeError, type(None))):
             world.last_answered[caller] = member
             return outcome

@@ -43,8 +43,8 @@ from tests.robustness.report import Simulated
 
 STORM_SECONDS, HEAL_SECONDS = 30.0, 12.0
 CALLERS, QUEUE_CALLERS, HOSTS, PEERS, NAMES = 8, 2, 3, 3, 4
-# Long enough that hosts renew at the successor of a leader whose disk hangs; short enough that the hanging one finds them
-# late while it still takes itself for the leader.
+# Long enough that hosts renew at the successor of a leader whose disk hangs; short enough that the hanging one finds
+# them late while it still takes itself for the leader.
 LONG_TTL_NANOS = 36 * 10**8
 NOT_DONE_REASONS = ("NO_QUORUM", "NO_HOST", "NOT_LEADER")
 
@@ -106,11 +106,13 @@ class Caller:
         return shown(name, outcome)
 
     async def _persist(self, method: str, request: Any) -> Any:
-        deadline, unknown = self._world.now + self._world.random_source.uniform(1, 6), False
+        began, unknown = self._world.now, False
+        deadline = began + self._world.random_source.uniform(1, 6)
         outcome: Any = None
         while (left := deadline - self._world.now) > 0:
             member = self._world.random_source.choice(list(self._world.members.values()))
-            outcome = await self._world.call(member, method, request, min(left, 1.5))
+            age_s = self._world.now - began
+            outcome = await self._world.call(member, method, request, min(left, 1.5), age_s=age_s)
             if outcome is None:
                 unknown = True
             elif not isinstance(outcome, StampedeError) or outcome.reason in FINAL:
@@ -211,8 +213,8 @@ class DirectoryStorm:
     def _hang_leader(self) -> None:
         """The disk of whoever leads hangs. It goes on to talk to callers, and takes itself for the leader for a while.
 
-        Two hosts or peers reach nobody else meanwhile, so that its successor takes them for lost. If leases are long, all
-        reach its successor, and the hanging one takes them for lost.
+        Two hosts or peers reach nobody else meanwhile, so that its successor takes them for lost. If leases are long,
+        all reach its successor, and the hanging one takes them for lost.
         """
         random_source, world = self.world.random_source, self.world
         leaders, long = self._leaders(), world.lease_ttl_nanos == LONG_TTL_NANOS

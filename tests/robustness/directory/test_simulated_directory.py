@@ -21,6 +21,9 @@ from tests.robustness.histories.channel_model import acknowledged_writes
 from tests.robustness.histories.linearizability import NotLinearizable
 from tests.robustness.replication.machine import PromiseBroken
 
+# Only so that it ends some time: simulated time takes as long as the machine is busy.
+pytestmark = pytest.mark.timeout(600)
+
 SEEDS_IN_SUITE, BLOCKS = 16, 4
 TWO_LEADERS_AT_ONCE = (26, 27)
 
@@ -37,9 +40,10 @@ def test_histories_are_linearizable_and_nothing_has_two_owners_in_bad_weather(bl
         writes += acknowledged_writes(storm.recorder.operations)
         puts += storm.ownership.puts
         grants += storm.name_ownership.grants
-    assert writes > 20, "the weather was so bad that nothing was tested"
-    assert puts > 10, "the weather was so bad that no host served"
-    assert grants > 20, "the weather was so bad that no peer was in"
+    # Simulated time passes alike on every machine, so these are the same numbers however busy it is.
+    assert writes > 60, "the weather was so bad that nothing was tested"
+    assert puts > 50, "the weather was so bad that no host served"
+    assert grants > 30, "the weather was so bad that no peer was in"
 
 
 def test_a_seed_gives_the_same_run_in_every_process() -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from stampede_rt import errors
+from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Success
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -293,11 +294,21 @@ class DirectoryWorld(World):
     # -- calls -------------------------------------------------------------------------------------------------
 
     async def call(
-        self, member: DirectoryMember, method: str, request: Any, timeout: float, *, caller: object = None
+        self,
+        member: DirectoryMember,
+        method: str,
+        request: Any,
+        timeout: float,
+        *,
+        caller: object = None,
+        age_s: float = 0.0,
     ) -> Any:
-        """One RPC over a bad network: the response, the StampedeError, or None if nothing was heard in time."""
+        """One RPC over a bad network: the response, the StampedeError, or None if nothing was heard in time.
+
+        `age_s`: since when the caller repeats it.
+        """
         way = (caller, member.member.member_id)
-        return await wait(lambda resume: self._call(member, method, request, timeout, way, resume))
+        return await wait(lambda resume: self._call(member, method, request, timeout, way, age_s, resume))
 
     def _call(
         self,
@@ -306,6 +317,7 @@ class DirectoryWorld(World):
         request: Any,
         timeout: float,
         way: tuple[object, str],
+        age_s: float,
         resume: Resume,
     ) -> None:
         self.after(timeout, lambda: resume(None))
@@ -318,7 +330,7 @@ class DirectoryWorld(World):
             if member.replica is not None:
                 service = next(one for one in member.services if hasattr(one, method))
                 # As in gRPC: the caller sends how long it waits, and the server counts from the arrival.
-                context = _Context(self, self.now + timeout)
+                context = _Context(self, self.now + timeout, age_s)
                 member.run(lambda: _served(service, method, request, context, answer))
 
         if way not in self.unreachable and (delay := self.trip()) is not None:
@@ -338,14 +350,14 @@ class DirectoryWorld(World):
 class _Context:
     """What a servicer asks of gRPC."""
 
-    def __init__(self, world: DirectoryWorld, deadline: float) -> None:
-        self._world, self._deadline = world, deadline
+    def __init__(self, world: DirectoryWorld, deadline: float, age_s: float) -> None:
+        self._world, self._deadline, self._age_s = world, deadline, age_s
 
     def time_remaining(self) -> float:
         return max(0.0, self._deadline - self._world.now)
 
     def invocation_metadata(self) -> tuple[tuple[str, str], ...]:
-        return ()
+        return age_metadata(self._age_s)
 
     def auth_context(self) -> dict[str, Any]:
         return {}

@@ -9,11 +9,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from typing import Any
 
 import pytest
 import pytest_asyncio
 
+from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt.v1 import group_directory_service_pb2 as groups_pb
+from stampede_rt.v1 import group_pb2
+from stampede_rt.v1 import queue_directory_service_pb2 as queues_pb
 from stampede_rt_supernode.codecs.command_codec import decode_result
 from stampede_rt_supernode.core.answered import MARKS_KEPT
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
@@ -82,6 +87,51 @@ async def test_a_request_that_stood_still_at_a_supernode_does_not_bring_a_delete
     assert (await first).reason == "AMBIGUOUS"
     assert not await is_there(node)
     assert (await node.stub.OpenChannel(request)).created, "who is still there asks again, and means it"
+
+
+@pytest.mark.parametrize("kind", ["channel", "group", "queue"])
+async def test_a_request_that_the_network_held_opens_nothing_once_its_repetition_was_answered(
+    node: Node, kind: str
+) -> None:
+    """Its repetition was answered without an entry, and the held request made the thing again after it was deleted."""
+    member = (await node.open("member")).channel.channel_id
+    spec = group_pb2.GroupSpec(channel_ids=[member])
+    held: dict[str, tuple[Any, Any]] = {
+        "channel": (node.stub.OpenChannel, pb.OpenChannelRequest(request_id=id_of(5), name="x", create=True)),
+        "group": (
+            node.groups.OpenGroup,
+            groups_pb.OpenGroupRequest(request_id=id_of(5), name="x", spec=spec, create=True),
+        ),
+        "queue": (node.queues.OpenQueue, queues_pb.OpenQueueRequest(request_id=id_of(5), name="x", create=True)),
+    }
+    opening, request = held[kind]
+    other = type(request)()
+    other.CopyFrom(request)
+    other.request_id = id_of(6)
+    made = await opening(other)
+    assert made.created
+    answer = await opening(request, metadata=age_metadata(0.5))
+    await delete_made(node, made)
+    assert await opening(request) == answer
+    assert not answer.created
+    tables = node.replica.read(lambda directory: directory.tables)
+    assert "x" not in {"channel": tables.channel_ids, "group": tables.groups.ids, "queue": tables.queues.ids}[kind]
+
+
+async def delete_made(node: Node, made: Any) -> None:
+    match made:
+        case pb.OpenChannelResponse():
+            await node.stub.DeleteChannel(
+                pb.DeleteChannelRequest(request_id=id_of(7), channel_id=made.channel.channel_id)
+            )
+        case groups_pb.OpenGroupResponse():
+            await node.groups.DeleteGroup(
+                groups_pb.DeleteGroupRequest(request_id=id_of(7), group_id=made.group.group_id)
+            )
+        case queues_pb.OpenQueueResponse():
+            await node.queues.DeleteQueue(
+                queues_pb.DeleteQueueRequest(request_id=id_of(7), queue_id=made.queue.queue_id)
+            )
 
 
 @pytest.fixture

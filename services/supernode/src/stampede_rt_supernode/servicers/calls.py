@@ -16,12 +16,13 @@ from stampede_rt_supernode.core.access.queries import name_of, right_to_open
 from stampede_rt_supernode.core.answered import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.callers import check_host_caller
 from stampede_rt_supernode.core.channels.commands import OpenChannel
-from stampede_rt_supernode.core.command_table import check_operation
+from stampede_rt_supernode.core.command_table import check_operation, subject_of
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import OpenGroup
 from stampede_rt_supernode.core.peers.checks import check_owner
 from stampede_rt_supernode.core.queues.commands import OpenQueue
 from stampede_rt_supernode.core.records import PeerRecord
+from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.submission import Submission
@@ -31,6 +32,7 @@ ANSWER_SECONDS = 0.1  # kept back from the caller's deadline, so that it hears t
 
 T = TypeVar("T")
 S = TypeVar("S", bound=commands.Success)
+Op = TypeVar("Op", bound=commands.Operation)
 
 
 def seconds_left(context: Context) -> float:
@@ -87,6 +89,38 @@ class DirectoryCalls:
             operation, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
         )
 
+    async def open(
+        self,
+        context: Context,
+        operation: Op,
+        kind: type[S],
+        op_id: bytes,
+        *,
+        as_of_index: int,
+        unchanged: Callable[[Tables, Op], S | None],
+        check: Callable[[Op], object],
+    ) -> S:
+        """As `submit`. A first request that changes nothing is answered from a confirmed read, without a log entry.
+
+        A repeated one gets its entry all the same: the network may hold the request before it. That one then finds the
+        answer, and opens nothing after somebody has deleted the thing. `unchanged`: what opening gives if the thing is
+        there as it should be. `check` is called before the entry, and raises what the caller may not do.
+        """
+        check_id(op_id, "request_id")
+        is_repeated = request_age_nanos(context.invocation_metadata()) > 0
+
+        def find(directory: Directory) -> S | None:
+            found = directory.answered.find(op_id, subject_of(operation))
+            if isinstance(found, kind):
+                return found
+            return None if is_repeated else unchanged(directory.tables, operation)
+
+        opened = await self.read(context, find)
+        if opened is not None:
+            return opened
+        check(operation)
+        return await self.submit(context, operation, kind, op_id, as_of_index)
+
     async def confirm(self, context: Context) -> None:
         """After it, the local state holds every update acknowledged before. Raises Unavailable with NO_QUORUM."""
         await self._submission.confirm(seconds=seconds_left(context))
@@ -95,11 +129,15 @@ class DirectoryCalls:
         """How far this replica's state reaches, at least 1: taken when a request comes in, see `core.answered`."""
         return max(1, self._replica.read(lambda directory: directory.applied_index))
 
-    def check_opening(self, kind: AccessKind, operation: OpenChannel | OpenQueue | OpenGroup) -> None:
-        """Whether the caller may make the thing, or state more of it, if that is what opening it does."""
+    def check_opening(self, kind: AccessKind, operation: OpenChannel | OpenQueue | OpenGroup) -> bool:
+        """Whether the caller may make the thing, or state more of it, if that is what opening it does; whether it is.
+
+        Raises PermissionDenied.
+        """
         verb = self._replica.read(lambda directory: right_to_open(directory.tables, operation))
         if verb is not None:
             check_access(verb, kind, operation.name)
+        return verb is not None
 
     def check_thing(self, verb: AccessVerb, kind: AccessKind, thing_id: bytes) -> None:
         """As `check_access`, for what has that id. What is not there is left to whoever looks for it."""

@@ -32,14 +32,12 @@ from stampede_rt_supernode.core.channels.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.core.channels.transitions import open_unchanged
-from stampede_rt_supernode.core.command_table import subject_of
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregistered, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
 from stampede_rt_supernode.core.queries import ChannelPage, HostPage, channel_page, channels_of, host_page
 from stampede_rt_supernode.core.queues.queries import queues_of
 from stampede_rt_supernode.core.records import ID_BYTES, ChannelRecord, HostRecord, QueueRecord
-from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
@@ -103,13 +101,15 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             new_channel_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=_random_incarnation(),
         )
-        check_id(request.request_id, "request_id")
-        opened = await self._calls.read(
-            context, lambda directory: _open_again(directory, request.request_id, operation)
+        opened = await self._calls.open(
+            context,
+            operation,
+            ChannelOpened,
+            request.request_id,
+            as_of_index=as_of,
+            unchanged=open_unchanged,
+            check=lambda one: self._calls.check_opening(AccessKind.CHANNEL, one),
         )
-        if opened is None:
-            self._calls.check_opening(AccessKind.CHANNEL, operation)
-            opened = await self._calls.submit(context, operation, ChannelOpened, request.request_id, as_of)
         return pb.OpenChannelResponse(
             channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
         )
@@ -257,12 +257,6 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
                 changes=[change_message(change) for change in batch.changes if shown(change)],
                 applied_index=batch.applied_index,
             )
-
-
-def _open_again(directory: Directory, op_id: bytes, operation: OpenChannel) -> ChannelOpened | None:
-    """The answer that this very request got before, or the one it gets because nothing needs to change."""
-    found = directory.answered.find(op_id, subject_of(operation))
-    return found if isinstance(found, ChannelOpened) else open_unchanged(directory.tables, operation)
 
 
 def _owned(directory: Directory, host_id: bytes) -> tuple[int, tuple[ChannelRecord, ...], tuple[QueueRecord, ...]]:

@@ -15,7 +15,7 @@ from stampede_rt_supernode.codecs.group_codec import group_record, group_spec_fr
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.record_codec import channel_record
 from stampede_rt_supernode.core import page_tokens
-from stampede_rt_supernode.core.command_table import check_operation, subject_of
+from stampede_rt_supernode.core.command_table import check_operation
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
@@ -29,7 +29,6 @@ from stampede_rt_supernode.core.groups.queries import GroupPage, GroupView, grou
 from stampede_rt_supernode.core.groups.transitions import open_group_unchanged
 from stampede_rt_supernode.core.lookups import group_by_id, group_by_name
 from stampede_rt_supernode.core.records import ID_BYTES
-from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
 
@@ -51,15 +50,21 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             new_group_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=secrets.randbits(64) or 1,
         )
-        check_id(request.request_id, "request_id")
         check_operation(operation)
-        opened = await self._calls.read(
-            context, lambda directory: _open_again(directory, request.request_id, operation)
+
+        def check(operation: OpenGroup) -> None:
+            if self._calls.check_opening(AccessKind.GROUP, operation):
+                self._check_members(request.spec.channel_ids)
+
+        opened = await self._calls.open(
+            context,
+            operation,
+            GroupOpened,
+            request.request_id,
+            as_of_index=as_of,
+            unchanged=open_group_unchanged,
+            check=check,
         )
-        if opened is None:
-            self._calls.check_opening(AccessKind.GROUP, operation)
-            self._check_members(request.spec.channel_ids)
-            opened = await self._calls.submit(context, operation, GroupOpened, request.request_id, as_of)
         group = opened.group
         view = await self._calls.read(context, lambda directory: group_view(directory.tables, group), stale_ok=True)
         return pb.OpenGroupResponse(
@@ -129,9 +134,3 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
         """A group tells the times of its channels."""
         for channel_id in channel_ids:
             self._calls.check_thing(AccessVerb.READ, AccessKind.CHANNEL, channel_id)
-
-
-def _open_again(directory: Directory, op_id: bytes, operation: OpenGroup) -> GroupOpened | None:
-    """The answer that this very request got before, or the one it gets because the group is there."""
-    found = directory.answered.find(op_id, subject_of(operation))
-    return found if isinstance(found, GroupOpened) else open_group_unchanged(directory.tables, operation)

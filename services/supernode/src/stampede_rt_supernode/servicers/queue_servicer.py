@@ -14,7 +14,6 @@ from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
 from stampede_rt_supernode.core import page_tokens
-from stampede_rt_supernode.core.command_table import subject_of
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.lookups import mailbox_of, queue_by_id, queue_by_name
 from stampede_rt_supernode.core.queues.commands import (
@@ -29,7 +28,6 @@ from stampede_rt_supernode.core.queues.queries import QueuePage, queue_page
 from stampede_rt_supernode.core.queues.transitions import open_queue_unchanged
 from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
-from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
 
@@ -52,14 +50,20 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             new_queue_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=secrets.randbits(64) or 1,
         )
-        check_id(request.request_id, "request_id")
-        opened = await self._calls.read(
-            context, lambda directory: _open_again(directory, request.request_id, operation)
+
+        def check(operation: OpenQueue) -> None:
+            if self._calls.check_opening(AccessKind.QUEUE, operation):
+                self._check_dead_letter(request.spec)
+
+        opened = await self._calls.open(
+            context,
+            operation,
+            QueueOpened,
+            request.request_id,
+            as_of_index=as_of,
+            unchanged=open_queue_unchanged,
+            check=check,
         )
-        if opened is None:
-            self._calls.check_opening(AccessKind.QUEUE, operation)
-            self._check_dead_letter(request.spec)
-            opened = await self._calls.submit(context, operation, QueueOpened, request.request_id, as_of)
         return pb.OpenQueueResponse(
             queue=queue_record(opened.queue), host=host_record(opened.host), created=opened.created
         )
@@ -131,12 +135,6 @@ def _check_known(queue: QueueRecord) -> None:
         check_known(AccessKind.QUEUE, queue.name)
     elif queue.mailbox_owner is None or queue.mailbox_owner != owner_name():
         check_known(AccessKind.PEER, queue.mailbox_peer_name)
-
-
-def _open_again(directory: Directory, op_id: bytes, operation: OpenQueue) -> QueueOpened | None:
-    """The answer that this very request got before, or the one it gets because nothing needs to change."""
-    found = directory.answered.find(op_id, subject_of(operation))
-    return found if isinstance(found, QueueOpened) else open_queue_unchanged(directory.tables, operation)
 
 
 def _resolved(tables: Tables, request: pb.ResolveQueueRequest) -> QueueRecord:

@@ -30,7 +30,7 @@ ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | 
 STALLED_SECONDS = 30.0
 # One that makes none for so long makes room for another newcomer that waits; one that was given up before, at once.
 GIVES_WAY_SECONDS = 5.0
-# One that has not caught up in all this time is given up, whatever progress it makes, and makes room for others at once.
+# One that has not caught up in all this time is given up, whatever progress it makes, and then makes room at once.
 JOIN_SECONDS_MAX = 600.0
 HAND_OVER_SECONDS = 1.0
 
