@@ -56,8 +56,8 @@ class NetworkNamespace:
 class NamespaceNetwork:
     """`size` namespaces that reach each other and this process. Use as a context manager; leaves nothing behind.
 
-    `address` is this process's own on the bridge. There may be NAMESPACES_MAX namespaces. Which names and addresses they
-    have is certain once it is entered: the kernel lets only one bridge have a name, so no two networks share one.
+    `address` is this process's own on the bridge. There may be NAMESPACES_MAX namespaces. Their names and addresses are
+    certain once it is entered: the kernel lets only one bridge have a name, so no two networks share one.
     """
 
     def __init__(self, size: int) -> None:
