@@ -7,6 +7,9 @@ import pytest
 from tests.robustness.mutants.planted import MUTANTS, Mutant
 from tests.robustness.mutants.planting import ROOT, judge
 
+# `judge` ends what takes more than 10 minutes.
+pytestmark = pytest.mark.timeout(660)
+
 
 def shown(mutant: Mutant) -> str:
     return mutant.name

@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.rules.member_changes import (
     MemberChanges,
 )
 from stampede_rt_supernode.replication.wire.buffered_transport import Connected
-from tests.unit.supernode.replication.lone_node import LoneNode, acknowledgement, command
+from tests.support.supernode.lone_node import LoneNode, acknowledgement, command
 
 SLOW, OTHER, THIRD = (Member(member_id=name, address=f"{name}:1") for name in ("slow", "other", "third"))
 
