@@ -71,11 +71,11 @@ def test_one_that_was_too_slow_makes_room_at_once_when_it_tries_again_and_anothe
     leader.add(SLOW)
     leader.let_pass(2 * GIVES_WAY_SECONDS, progress_of=SLOW)
     [refused] = leader.add(OTHER)
-    assert "slow is just coming" in str(refused), "it makes progress, and has time left"
+    assert "slow is joining" in str(refused), "it makes progress, and has time left"
     leader.let_pass(JOIN_SECONDS_MAX, progress_of=SLOW)
     again = leader.add(SLOW)
     leader.let_pass(3, progress_of=SLOW)
     assert not leader.add(OTHER)
     assert len(again) == 1
     [refused] = leader.add(THIRD)
-    assert "other is just coming" in str(refused), "the other one has all the time that anybody has"
+    assert "other is joining" in str(refused), "the other one has all the time that anybody has"
