@@ -100,7 +100,7 @@ class PrefetchBuffer:
         try:
             extended = await self._settler.extend(messages, min(message.lease_left for message in messages))
         except StampedeError as error:
-            _log.info("the leases of %d messages of %s were not extended: %s", len(messages), self._name, error)
+            _log.info("the leases of %d messages of %s could not be extended: %s", len(messages), self._name, error)
         lost = [one for one in messages if one not in extended]
         with self._mutex:
             self._waiting = deque(one for one in self._waiting if one not in lost)

@@ -1,4 +1,4 @@
-"""Reads by time and subscriptions, of a channel or of what a group shows of it (paper, sections 3.2 and 3.3)."""
+"""Reads by time and subscriptions: of a channel, or of a channel as a group shows it (paper, sections 3.2 and 3.3)."""
 
 from __future__ import annotations
 
@@ -167,10 +167,10 @@ class Reader(Reference):
         """Subscribe to items as the host accepts them. Returns an iterator that is also a context manager.
 
         `mode` "all": the held items from `start` on (None: only new ones), then every later one, each once. "newest":
-        always the latest item, never an earlier one again. `after` resumes behind an item, also in another process.
-        The subscription begins when the program enters the context, or with the first step. After its connection
-        broke, it tries to come back for the duration `reconnect` (None: without a limit), and goes on where it was.
-        If it cannot, it raises Unavailable.
+        always the latest item, never an earlier one again. `after` resumes behind an item, also in another process. The
+        subscription begins when the program enters the context, or with the first step. After a broken connection it
+        tries to come back for the duration `reconnect` (None: without a limit), and continues where it was. If it
+        cannot, it raises Unavailable. Raises InvalidArgument.
         """
         reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
         return self._subscribe(start, mode, after, payloads, reconnecting)
@@ -206,13 +206,13 @@ class Reader(Reference):
         payloads: bool = True,
         reconnect: DurationLike | None = None,
     ) -> Listener:
-        """Call `fn` for each item, one after the other, until the returned handle's `cancel`.
+        """Call `fn` for each item, one call after the other, until `cancel` of the returned handle.
 
-        The arguments behind `fn` are those of `subscribe`. `fn` runs in a thread (or task) of the library's own; what
-        it raises is logged and counted in the handle, and the next item is given to it. Items wait at the host while it
-        runs; those that retention collects meanwhile are counted as `dropped`. When the host is lost with what it
-        held, that is logged and counted, and it goes on with the channel's new incarnation; after an outage it goes on
-        where it was, for ever, unless `reconnect` bounds it.
+        The other arguments are those of `subscribe`. `fn` runs in a thread or task of the library. The handle logs and
+        counts an exception of `fn`, and gives it the next item. Items wait at the host while `fn` runs; `dropped`
+        counts those that retention collects meanwhile. If the host is lost with its items, the handle logs and counts
+        that, and continues with the channel's new incarnation. After an outage it continues where it was; `reconnect`
+        bounds the outage (None: without a limit). Raises InvalidArgument.
         """
 
         name = f"channel {self.name!r}"

@@ -73,7 +73,7 @@ class Presence:
         return mailbox
 
     def _register(self, timeout_s: float) -> QueueState:
-        """With a number above that of every other process of this participant. Raises PeerExists, Unavailable."""
+        """Register with a number above those of all other processes of this peer. Raises PeerExists, Unavailable."""
         deadline_s = time.monotonic() + timeout_s
         while True:  # once more for each process that registers meanwhile; ends with the deadline
             try:

@@ -72,7 +72,7 @@ class Reconnecting:
                 return True
             over = self._left_s() <= 0
             if over:
-                self._since_s = None  # a user who goes on has the whole time again
+                self._since_s = None  # a user who continues has the whole time again
             if over or not may_heal(error) or self._session.closed:
                 raise
             self._tell(error)

@@ -33,7 +33,7 @@ BACKOFF_SECONDS = 0.5
 
 
 class Cluster:
-    """The supernodes of a running cluster, reached by any of the addresses given."""
+    """The supernodes of a running cluster, reached at any of the given addresses."""
 
     def __init__(self, endpoints: EndpointPool, addresses: list[str]) -> None:
         self._endpoints = endpoints
@@ -57,11 +57,11 @@ class Cluster:
         return listed
 
     def ping(self, address: str) -> Any:
-        """What a supernode says of itself; None if it says nothing."""
+        """A supernode's own state; None if it does not answer."""
         return _ping(self._endpoints, address)
 
     def make_token(self, supernode_id: str, address: str, *, valid_nanos: int) -> pb.CreateJoinTokenResponse:
-        """A token that lets that supernode in, at that address."""
+        """Make a token with which that supernode can join at that address. Raises StampedeError."""
         request = pb.CreateJoinTokenRequest(
             request_id=secrets.token_bytes(16), valid_nanos=valid_nanos, supernode_id=supernode_id, target=address
         )
@@ -73,7 +73,7 @@ class Cluster:
     def issue_client_token(
         self, name: str, roles: Sequence[str], *, valid_nanos: int
     ) -> access_pb.CreateClientTokenResponse:
-        """A token for a client of that name. Raises what the supernodes refuse it with."""
+        """Make a token for a client of that name. Raises the supernodes' refusal."""
         request = access_pb.CreateClientTokenRequest(
             request_id=secrets.token_bytes(16), name=name, roles=roles, valid_nanos=valid_nanos
         )
@@ -92,11 +92,11 @@ class Cluster:
         return tuple(listed.serials)
 
     def ask_access(self, rpc: str, request: Any) -> Any:
-        """What the first supernode that answers says to a call of AccessService. Raises what it refuses it with."""
+        """Make a call of AccessService at the first supernode that answers. Raises its refusal."""
         return self._first(lambda endpoint: endpoint.call(getattr(_access(endpoint), rpc), request, CALL_SECONDS))
 
     def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
-        """Remove a member by whoever leads. Raises what the leader refuses it with, or Unavailable if none does."""
+        """Remove a member; the leader does it. Raises the leader's refusal, or Unavailable without a leader."""
         request, began = pb.RemoveSupernodeRequest(supernode_id=supernode_id), time.monotonic()
         known, patience = self.members().supernodes, LEADERLESS_SECONDS
         if supernode_id not in {one.supernode_id for one in known}:
@@ -127,7 +127,7 @@ class Cluster:
         return [one.endpoint.target for one in sorted(there, key=lambda one: not one.is_leader)]
 
     def snapshot(self, address: str, *, include_data: bool, stale_ok: bool) -> Iterator[pb.TakeSnapshotResponse]:
-        """What the supernode at `address` answers, part by part. Raises StampedeError."""
+        """Yield the answer of the supernode at `address`, part by part. Raises StampedeError."""
         endpoint = self._endpoints.to(address)
         request = pb.TakeSnapshotRequest(include_data=include_data, stale_ok=stale_ok)
         responses = endpoint.call(_membership(endpoint).TakeSnapshot, request, SNAPSHOT_SECONDS)
@@ -145,7 +145,7 @@ _LIST = directory_pb.ListSupernodesRequest()
 
 def _first(endpoints: EndpointPool, addresses: Sequence[str], ask: Callable[[ServerEndpoint], Any]) -> Any:
     """What the first of them that answers says. Raises why the last one does not, certificates among the reasons."""
-    failure: StampedeError = Unavailable("no supernode is known")
+    failure: StampedeError = Unavailable("no supernode is known; name one with --member, or a front-end with --url")
     for address in addresses:
         try:
             return ask(endpoints.to(address))
@@ -165,12 +165,12 @@ def _ping(endpoints: EndpointPool, address: str) -> Any:
 
 
 def is_there(record: SupernodeRecord, pong: Any) -> bool:
-    """Whether that member has answered, and not another one at its address."""
+    """Whether that member answered, and not another one at its address."""
     return pong is not None and pong.supernode_id == record.supernode_id
 
 
 def no_member(supernode_id: str, known: Sequence[SupernodeRecord]) -> StampedeError:
-    """What to raise for an id that no member has."""
+    """The error for an id that no member has."""
     names = ", ".join(one.supernode_id for one in known)
     return StampedeError(f"no supernode has the id {supernode_id}; the members are {names}")
 
@@ -185,7 +185,7 @@ def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
 
 @contextmanager
 def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
-    """The cluster behind front-ends or supernodes. Raises StampedeError."""
+    """Yield the cluster behind front-ends or supernodes. Raises StampedeError."""
     target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=None, zone=None)
     endpoints = EndpointPool(target.credentials)
     try:

@@ -1,4 +1,4 @@
-"""What every call of one connection brings along."""
+"""The metadata of every call of one connection."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Which cluster is which, how a call names its caller's, and who may go over from one to another. Pure.
+"""The ids of clusters: which one a call names, and when a part may change to another one. Pure.
 
-A caller that followed whatever directory answers would leave its cluster for a backup that somebody restored at one of
-its addresses. So clients, hosts and front-ends stay with the cluster that they have met first, and each of their calls
-names it. They go over to one that says it takes the place of theirs (`supernode init --restore --take-over`), and from
-one that was kept in memory alone to another one of this kind: the first one cannot come back.
+Somebody may restore a backup at one of a cluster's addresses. A caller that followed any directory would then leave its
+cluster for the backup. So clients, hosts and front-ends stay with the first cluster that they met, and each of their
+calls names it. They change in two cases. The other cluster says that it replaces theirs (`supernode init --restore
+--take-over`). Or theirs was kept in memory alone, and so is the other one: theirs cannot come back.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ _SHOWN_MAX = 64
 
 
 class ClusterSeen(NamedTuple):
-    """What a supernode or front-end says of its cluster: its id, and those of the clusters whose place it took."""
+    """A server's word about its cluster: its id, and the ids of the clusters that it replaces."""
 
     cluster_id: str
     former: tuple[str, ...] = ()
 
 
 def cluster_metadata(cluster_id: str) -> tuple[tuple[str, str], ...]:
-    """What a call brings along; nothing while the caller knows no cluster."""
+    """The metadata of a call that names the cluster; none while the caller knows no cluster."""
     return ((METADATA_KEY, cluster_id),) if cluster_id else ()
 
 
@@ -36,7 +36,7 @@ def told_cluster(metadata: Iterable[Any] | None) -> str:
 
 
 def may_go_over(own: str, to: str, to_former: Iterable[str]) -> bool:
-    """Whether a part of cluster `own` (empty: of none yet) may be one of `to`, which took the place of `to_former`."""
+    """Whether a part of cluster `own` (empty: of none yet) may change to `to`, which replaces `to_former`."""
     return (
         not own or not to or own == to or own in to_former or (own.startswith(IN_MEMORY) and to.startswith(IN_MEMORY))
     )
@@ -51,7 +51,7 @@ def cluster_among(own: str, seen: Iterable[ClusterSeen]) -> str:
 
 
 def wrong_cluster(who: str, own: str, callers: str) -> WrongCluster:
-    """`who`, such as "this supernode", is of cluster `own`, and refuses a caller of another one."""
+    """The error of `who`, such as "this supernode", of cluster `own`, for a caller of another cluster."""
     return WrongCluster(
         f"{who} is of cluster {own}, and the caller of cluster {callers[:_SHOWN_MAX]}, which may still serve; if that "
         "one is gone for good, start a client or front-end again; stop a host, remove the file cluster-id from its "

@@ -91,8 +91,8 @@ class GroupDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def UpdateGroup(self, request, context):
-        """Add and remove members. The cut stays where it is; what a new member holds below it is readable at once. Idempotent
-        by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
+        """Add and remove members. The cut stays. The items of a new member below the cut are readable at once. Idempotent by
+        request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
         go; more than 64 members).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -46,8 +46,8 @@ class GroupDirectoryServiceStub:
     ResolveGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.ResolveGroupRequest, _group_directory_service_pb2.ResolveGroupResponse]
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]
-    """Add and remove members. The cut stays where it is; what a new member holds below it is readable at once. Idempotent
-    by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
+    """Add and remove members. The cut stays. The items of a new member below the cut are readable at once. Idempotent by
+    request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
     go; more than 64 members).
     """
     DeleteGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]
@@ -75,8 +75,8 @@ class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
     ResolveGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.ResolveGroupRequest, _group_directory_service_pb2.ResolveGroupResponse]  # type: ignore[assignment]
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]  # type: ignore[assignment]
-    """Add and remove members. The cut stays where it is; what a new member holds below it is readable at once. Idempotent
-    by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
+    """Add and remove members. The cut stays. The items of a new member below the cut are readable at once. Idempotent by
+    request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
     go; more than 64 members).
     """
     DeleteGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]  # type: ignore[assignment]
@@ -119,8 +119,8 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _group_directory_service_pb2.UpdateGroupRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_group_directory_service_pb2.UpdateGroupResponse, _abc.Awaitable[_group_directory_service_pb2.UpdateGroupResponse]]:
-        """Add and remove members. The cut stays where it is; what a new member holds below it is readable at once. Idempotent
-        by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
+        """Add and remove members. The cut stays. The items of a new member below the cut are readable at once. Idempotent by
+        request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
         go; more than 64 members).
         """
 

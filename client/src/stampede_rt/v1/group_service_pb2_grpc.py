@@ -92,10 +92,10 @@ class GroupServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def SubscribeCuts(self, request_iterator, context):
-        """Be told in events what a group makes visible. One stream to each host that owns members: one of them, chosen by
-        the caller, decides when an event is due; the caller hands each decision to the others, and each answers with the
-        items of its own channels. Each item comes in exactly one event. An event comes when the caller asks for one by
-        credit: a slow reader gets larger events, not more of them.
+        """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
+        members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
+        others, and each answers with the items of its own channels. Each item comes in exactly one event. An event comes
+        when the caller asks for one by credit: a slow reader gets larger events, not more of them.
         Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -49,10 +49,10 @@ class GroupServiceStub:
     Errors: GROUP_NOT_FOUND, OVERLOADED.
     """
     SubscribeCuts: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeCutsRequest, _group_service_pb2.SubscribeCutsResponse]
-    """Be told in events what a group makes visible. One stream to each host that owns members: one of them, chosen by
-    the caller, decides when an event is due; the caller hands each decision to the others, and each answers with the
-    items of its own channels. Each item comes in exactly one event. An event comes when the caller asks for one by
-    credit: a slow reader gets larger events, not more of them.
+    """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
+    members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
+    others, and each answers with the items of its own channels. Each item comes in exactly one event. An event comes
+    when the caller asks for one by credit: a slow reader gets larger events, not more of them.
     Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
     """
     SubscribeMatches: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]
@@ -84,10 +84,10 @@ class GroupServiceAsyncStub(GroupServiceStub):
     Errors: GROUP_NOT_FOUND, OVERLOADED.
     """
     SubscribeCuts: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeCutsRequest, _group_service_pb2.SubscribeCutsResponse]  # type: ignore[assignment]
-    """Be told in events what a group makes visible. One stream to each host that owns members: one of them, chosen by
-    the caller, decides when an event is due; the caller hands each decision to the others, and each answers with the
-    items of its own channels. Each item comes in exactly one event. An event comes when the caller asks for one by
-    credit: a slow reader gets larger events, not more of them.
+    """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
+    members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
+    others, and each answers with the items of its own channels. Each item comes in exactly one event. An event comes
+    when the caller asks for one by credit: a slow reader gets larger events, not more of them.
     Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
     """
     SubscribeMatches: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]  # type: ignore[assignment]
@@ -134,10 +134,10 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_group_service_pb2.SubscribeCutsRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.SubscribeCutsResponse], _abc.AsyncIterator[_group_service_pb2.SubscribeCutsResponse]]:
-        """Be told in events what a group makes visible. One stream to each host that owns members: one of them, chosen by
-        the caller, decides when an event is due; the caller hands each decision to the others, and each answers with the
-        items of its own channels. Each item comes in exactly one event. An event comes when the caller asks for one by
-        credit: a slow reader gets larger events, not more of them.
+        """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
+        members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
+        others, and each answers with the items of its own channels. Each item comes in exactly one event. An event comes
+        when the caller asks for one by credit: a slow reader gets larger events, not more of them.
         Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
         """
 

@@ -27,8 +27,7 @@ if _version_not_supported:
 
 class MembershipServiceStub(object):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes.
+    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
     """
 
     def __init__(self, channel):
@@ -61,8 +60,7 @@ class MembershipServiceStub(object):
 
 class MembershipServiceServicer(object):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes.
+    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
     """
 
     def CreateJoinToken(self, request, context):
@@ -135,8 +133,7 @@ def add_MembershipServiceServicer_to_server(servicer, server):
  # This class is part of an EXPERIMENTAL API.
 class MembershipService(object):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes.
+    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
     """
 
     @staticmethod

@@ -28,8 +28,7 @@ GRPC_VERSION: str
 
 class MembershipServiceStub:
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes.
+    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
     """
 
     @_typing.overload
@@ -61,8 +60,7 @@ class MembershipServiceStub:
 @_typing.type_check_only
 class MembershipServiceAsyncStub(MembershipServiceStub):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes.
+    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -90,8 +88,7 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
 
 class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
     """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; who is a member is told by
-    DirectoryService.ListSupernodes.
+    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
     """
 
     @_abc_1.abstractmethod

@@ -81,11 +81,12 @@ class QueueServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Take(self, request_iterator, context):
-        """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker whose
-        lease ended, and of whom nothing was heard since it began, may be frozen: it is passed over until it says something,
-        and is sent a sign of life at once, to ask whether it lives. The stream's end gives nothing back: what was delivered
-        stays leased until it is settled or its lease ends, and a taker that comes back may settle it by its id. Errors that
-        end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+        """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker may be
+        frozen if a lease of it has ended and the host has heard nothing of it since that lease began. The host sends it a
+        sign of life at once, and gives it no items until it answers. The stream's end gives nothing back: delivered items
+        stay leased until they are settled or their leases end. A taker that comes back may settle them by their ids.
+        Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED,
+        SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -100,8 +101,8 @@ class QueueServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ListPending(self, request, context):
-        """What is leased to whom, since when and until when, page by page in the order of deliveries. Changes nothing. Errors:
-        NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+        """The leased items with their takers and the times of their leases, page by page in the order of deliveries. Changes
+        nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -43,19 +43,20 @@ class QueueServiceStub:
     MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
     """
     Take: _grpc.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]
-    """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker whose
-    lease ended, and of whom nothing was heard since it began, may be frozen: it is passed over until it says something,
-    and is sent a sign of life at once, to ask whether it lives. The stream's end gives nothing back: what was delivered
-    stays leased until it is settled or its lease ends, and a taker that comes back may settle it by its id. Errors that
-    end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+    """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker may be
+    frozen if a lease of it has ended and the host has heard nothing of it since that lease began. The host sends it a
+    sign of life at once, and gives it no items until it answers. The stream's end gives nothing back: delivered items
+    stay leased until they are settled or their leases end. A taker that comes back may settle them by their ids.
+    Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED,
+    SHUTTING_DOWN.
     """
     Settle: _grpc.UnaryUnaryMultiCallable[_queue_service_pb2.SettleRequest, _queue_service_pb2.SettleResponse]
     """Settle deliveries without a stream, such as those of one that broke. Idempotent for acknowledgements; each
     settlement has its own result. Errors: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
     """
     ListPending: _grpc.UnaryUnaryMultiCallable[_queue_service_pb2.ListPendingRequest, _queue_service_pb2.ListPendingResponse]
-    """What is leased to whom, since when and until when, page by page in the order of deliveries. Changes nothing. Errors:
-    NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+    """The leased items with their takers and the times of their leases, page by page in the order of deliveries. Changes
+    nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
     """
     GetQueueStatus: _grpc.UnaryUnaryMultiCallable[_queue_service_pb2.GetQueueStatusRequest, _queue_service_pb2.GetQueueStatusResponse]
     """Counters and waiters, taken atomically. Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND."""
@@ -75,19 +76,20 @@ class QueueServiceAsyncStub(QueueServiceStub):
     MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
     """
     Take: _aio.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]  # type: ignore[assignment]
-    """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker whose
-    lease ended, and of whom nothing was heard since it began, may be frozen: it is passed over until it says something,
-    and is sent a sign of life at once, to ask whether it lives. The stream's end gives nothing back: what was delivered
-    stays leased until it is settled or its lease ends, and a taker that comes back may settle it by its id. Errors that
-    end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+    """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker may be
+    frozen if a lease of it has ended and the host has heard nothing of it since that lease began. The host sends it a
+    sign of life at once, and gives it no items until it answers. The stream's end gives nothing back: delivered items
+    stay leased until they are settled or their leases end. A taker that comes back may settle them by their ids.
+    Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED,
+    SHUTTING_DOWN.
     """
     Settle: _aio.UnaryUnaryMultiCallable[_queue_service_pb2.SettleRequest, _queue_service_pb2.SettleResponse]  # type: ignore[assignment]
     """Settle deliveries without a stream, such as those of one that broke. Idempotent for acknowledgements; each
     settlement has its own result. Errors: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
     """
     ListPending: _aio.UnaryUnaryMultiCallable[_queue_service_pb2.ListPendingRequest, _queue_service_pb2.ListPendingResponse]  # type: ignore[assignment]
-    """What is leased to whom, since when and until when, page by page in the order of deliveries. Changes nothing. Errors:
-    NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+    """The leased items with their takers and the times of their leases, page by page in the order of deliveries. Changes
+    nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
     """
     GetQueueStatus: _aio.UnaryUnaryMultiCallable[_queue_service_pb2.GetQueueStatusRequest, _queue_service_pb2.GetQueueStatusResponse]  # type: ignore[assignment]
     """Counters and waiters, taken atomically. Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND."""
@@ -116,11 +118,12 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_queue_service_pb2.TakeRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_queue_service_pb2.TakeResponse], _abc.AsyncIterator[_queue_service_pb2.TakeResponse]]:
-        """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker whose
-        lease ended, and of whom nothing was heard since it began, may be frozen: it is passed over until it says something,
-        and is sent a sign of life at once, to ask whether it lives. The stream's end gives nothing back: what was delivered
-        stays leased until it is settled or its lease ends, and a taker that comes back may settle it by its id. Errors that
-        end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+        """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker may be
+        frozen if a lease of it has ended and the host has heard nothing of it since that lease began. The host sends it a
+        sign of life at once, and gives it no items until it answers. The stream's end gives nothing back: delivered items
+        stay leased until they are settled or their leases end. A taker that comes back may settle them by their ids.
+        Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED,
+        SHUTTING_DOWN.
         """
 
     @_abc_1.abstractmethod
@@ -139,8 +142,8 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_service_pb2.ListPendingRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_service_pb2.ListPendingResponse, _abc.Awaitable[_queue_service_pb2.ListPendingResponse]]:
-        """What is leased to whom, since when and until when, page by page in the order of deliveries. Changes nothing. Errors:
-        NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+        """The leased items with their takers and the times of their leases, page by page in the order of deliveries. Changes
+        nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
         """
 
     @_abc_1.abstractmethod

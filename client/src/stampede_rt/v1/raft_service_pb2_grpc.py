@@ -48,17 +48,16 @@ class RaftServiceServicer(object):
 
     def Exchange(self, request_iterator, context):
         """Carries one member's messages to another, in order and at most once, for as long as both live.
-        The first request holds `hello` and nothing else, and is answered at once. Every later request holds messages;
-        while they come, the receiver answers about twice a second, so that a caller whose messages stay unanswered for
-        3 s knows that they reach nobody. Each member opens one such stream to every other; a second stream from the
-        same member ends the first. Nothing is repeated after a break: the log itself catches up.
+        The first request holds `hello` and nothing else, and is answered at once. Every later request holds messages.
+        While they come, the receiver answers about twice a second. A caller without an answer for 3 s knows that its
+        messages do not arrive. Each member opens one such stream to every other; a second stream from the same member ends
+        the first. Nothing is repeated after a break: the log itself catches up.
         Not idempotent.
-        Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not
-        a member, is one no longer (then the message says "removed"), comes with another store than before ("another
-        store"), or with less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol version,
-        or a release that does not know the cluster's feature level ("too old");
-        RESOURCE_EXHAUSTED when the receiver is too far behind; UNAVAILABLE when it closes or the stream was
-        replaced by a newer one.
+        Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not a member, is
+        one no longer (then the message says "removed"), comes with another store than before ("another store"), or with
+        less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another
+        protocol version, or a release that does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when
+        the receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a newer one.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
