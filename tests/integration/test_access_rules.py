@@ -7,17 +7,22 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+import grpc
 import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt.cli.commands import run
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.security.credentials import call_metadata
+from stampede_rt.v1 import peer_service_pb2 as peer_pb
+from stampede_rt.v1 import peer_service_pb2_grpc as peer_grpc
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
 cluster = cluster_fixture(hosts=2)
 T = TypeVar("T")
+FRAMES: list[st.Item] = []  # the newest one that is there
 
 
 class Operator:
@@ -88,7 +93,11 @@ def operator(cluster: LocalCluster, tmp_path: Path) -> Iterator[Operator]:
 def things(cluster: LocalCluster) -> None:
     """What the tests ask for, made by somebody whom no rules judge."""
     with st.connect(cluster.address) as rt:
-        rt.channel("video/1", consumers=1).put(b"frame")
+        video = rt.channel("video/1", consumers=1)
+        video.put(b"frame")
+        frame = video.newest()
+        assert frame is not None
+        FRAMES.append(frame)
         rt.channel("video/2")
         rt.group("pair", [rt.channel("video/1"), rt.channel("video/2")])
         rt.queue("jobs").put(b"job")
@@ -97,6 +106,7 @@ def things(cluster: LocalCluster) -> None:
 VERBS: dict[str, tuple[str, Callable[[Any], Any]]] = {
     "read": ("video/1", lambda rt: rt.channel("video/1").newest()),
     "put": ("video/1", lambda rt: rt.channel("video/1").put(b"x")),
+    "consume": ("video/1", lambda rt: rt.channel("video/1").consume(FRAMES[-1])),
     "advance": ("video/2", lambda rt: rt.channel("video/2").advance(1)),
     "configure": ("video/2", lambda rt: rt.channel("video/2").configure(max_items=100)),
     "create": ("made", lambda rt: rt.channel("made")),
@@ -259,3 +269,17 @@ def test_denials_and_changes_are_told_in_the_logs_of_the_services(cluster: Local
 def audited(cluster: LocalCluster, *words: str) -> bool:
     lines = [line for process in cluster.processes() for line in process.last_lines]
     return any("logger=stampede_rt.audit" in line and all(word in line for word in words) for line in lines)
+
+
+def test_no_client_speaks_for_a_host(cluster: LocalCluster, operator: Operator) -> None:
+    things(cluster)
+    token = operator.token("forger")
+    with st.connect(cluster.address) as rt:
+        host_id = rt.hosts()[0].host_id
+    target = cluster.supernodes[0].address
+    request = peer_pb.RegisterPeerRequest(
+        request_id=bytes(16), peer_id=b"p" * 16, boot_incarnation=1, host_id=host_id, registration_epoch=1
+    )
+    with grpc.insecure_channel(target) as channel, pytest.raises(grpc.RpcError) as caught:
+        peer_grpc.PeerServiceStub(channel).RegisterPeer(request, timeout=10, metadata=call_metadata(token))
+    assert "client forger may not speak for a host" in str(caught.value)

@@ -20,6 +20,7 @@ from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.incoming import EnqueueRun, answer, check_forwards, check_number, enqueue_of
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
+from stampede_rt_runtime.access.control import check_not_judged
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
@@ -113,6 +114,7 @@ class EnqueueStream:
             hosted = self._store.find(self._queue_id, self._epoch)
             check_queue_access(AccessVerb.SEND, hosted.record)
             if message.origin:
+                check_not_judged("set the origin of a run, as of a dead letter")
                 check_forwards(caller_identity(self._context))
             run = enqueue_of(message, self._producer_id, came_s)
         except StampedeError as error:

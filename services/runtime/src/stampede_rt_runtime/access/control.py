@@ -236,6 +236,13 @@ def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:
     return lambda name: call.rules().judge(call.caller, verb, kind, name).allowed
 
 
+def check_not_judged(what: str) -> None:
+    """Raises PermissionDenied for a caller whom rules judge: `what` is for members, and no rule can give it."""
+    caller = current_caller()
+    if caller is not None and caller.is_judged:
+        raise PermissionDenied(f"{caller} may not {what}, which is for members of the cluster; leave it to them")
+
+
 def audit_change(what: str, name: str) -> None:
     """Have the audit log tell what the call that is being served has changed."""
     call = _CURRENT.get()

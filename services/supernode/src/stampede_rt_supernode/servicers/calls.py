@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from stampede_rt.cluster.request_age import request_age_nanos
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_runtime.access.control import check_access, owner_name
+from stampede_rt_runtime.access.control import check_access, check_not_judged, owner_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
@@ -156,7 +156,11 @@ class DirectoryCalls:
             check_owner(peer, owner_name())
 
     def check_host(self, context: Context, host_id: bytes, name: str | None = None) -> None:
-        """Raises PermissionDenied if the caller's certificate is that of another host. `name`: the one it wants."""
+        """Raises PermissionDenied if the caller's certificate is that of another host, and for clients.
+
+        `name`: the one that the host wants.
+        """
         caller = caller_identity(context)
         known = self._replica.read(lambda directory: directory.tables.hosts.get(host_id))
         check_host_caller(caller, known_as=known.name if known else None, name=name)
+        check_not_judged("speak for a host")
