@@ -215,6 +215,8 @@ class SimMember:
         commit_index, changed_at = log.commit_index, log.configurations.current_index
         if status.diverged_at and not self.forks:
             raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
+        if status.doubts and not any(one.forks for one in self.world.members.values()):
+            raise PromiseBroken(f"{self.member.member_id} holds states for doubtful: {dict(status.doubts)}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)
         # One that has heard nobody for too long commits, and leads no more, in one step.

@@ -6,6 +6,7 @@ Peers cannot be asked; the leader passes on what they told it.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -93,13 +94,14 @@ class Examination:
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
         """Ask the named supernodes and those that they list. Even a supernode without a majority knows the others."""
         first = self._ask(_supernode(name, address) for address, name in named.items())
-        ready_first = sorted(first, key=lambda one: not one.seen.ready)
+        own_id = _cluster_of_most(first)
+        ready_first = sorted((one for one in first if not _of_others(one, own_id)), key=lambda one: not one.seen.ready)
         listed = {record.endpoint.target: record.supernode_id for record in self._listed(ready_first)}
         found = {one.response.supernode_id for one in first if one.response is not None}
         rest = {address: name for address, name in listed.items() if address not in named and name not in found}
         more = self._ask(_supernode(name, address) for address, name in rest.items())
-        refused = gathered(_refused_by(one, listed) for one in (*first, *more))
-        answers = [_named(one, listed, refused) for one in (*first, *more)]
+        refused = gathered(_refused_by(one, listed) for one in (*first, *more) if not _of_others(one, own_id))
+        answers = [_named(_told_apart(one, own_id), listed, refused) for one in (*first, *more)]
         return sorted(answers, key=lambda one: one.seen.name)
 
     def _listed(self, answers: Iterable[_Answer]) -> Sequence[Any]:
@@ -277,6 +279,28 @@ def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
 
 def _gatekeeper(host: Any) -> str:
     return host.gatekeepers[0].target if host.gatekeepers else "-"
+
+
+def _cluster_of_most(answers: Iterable[_Answer]) -> str:
+    """The cluster of which most of these supernodes are; empty if none says."""
+    told = Counter(one.response.cluster_id for one in answers if one.response is not None and one.response.cluster_id)
+    return told.most_common(1)[0][0] if told else ""
+
+
+def _of_others(answer: _Answer, own_id: str) -> bool:
+    """Whether a supernode says that it is of another cluster than this one."""
+    return bool(own_id) and answer.response is not None and answer.response.cluster_id not in ("", own_id)
+
+
+def _told_apart(answer: _Answer, own_id: str) -> _Answer:
+    """The answer. That of a supernode of another cluster says so."""
+    if not _of_others(answer, own_id):
+        return answer
+    failure = (
+        f"a supernode of another cluster, {answer.response.cluster_id}, answers there, and not one of {own_id}: stop "
+        "it, and start the one that should be there, or remove that one"
+    )
+    return answer._replace(seen=replace(answer.seen, failure=failure))
 
 
 def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 import grpc
 import pytest
 
-from stampede_rt.errors import PermissionDenied, StampedeError
+from stampede_rt.errors import PermissionDenied, StampedeError, VersionMismatch
 from stampede_rt.status import abort
 from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt.v1 import membership_service_pb2_grpc
@@ -18,6 +18,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 from stampede_rt_supernode.joining.founding import Founding, read_founding, write_founding
 from stampede_rt_supernode.joining.volunteering import REFUSED_SECONDS_MAX, seconds_before_asking, volunteer
+from stampede_rt_supernode.replication.interface import too_old
 
 
 class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
@@ -25,6 +26,7 @@ class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
 
     def __init__(self) -> None:
         self.refuses, self.asked, self.has_let_in = True, 0, False
+        self.refusal: StampedeError = PermissionDenied("the token is over", reason="UNAUTHENTICATED")
         self.log: Any = SimpleNamespace(status=lambda: SimpleNamespace(self_id="new", members=self._members()))
 
     def _members(self) -> list[Any]:
@@ -35,7 +37,7 @@ class Leader(membership_service_pb2_grpc.MembershipServiceServicer):
     ) -> pb.AddSupernodeResponse:
         self.asked += 1
         if self.refuses:
-            await abort(context, PermissionDenied("the token is over", reason="UNAUTHENTICATED"))
+            await abort(context, self.refusal)
         self.has_let_in = True
         return pb.AddSupernodeResponse()
 
@@ -53,7 +55,11 @@ async def started(leader: Leader, address: str, folder: Path) -> list[float]:
     founding = read_founding(folder)
     assert founding is not None
     asked = leader.asked
-    with pytest.raises(StampedeError, match="cannot join: the token is over") if leader.refuses else nullcontext():
+    with (
+        pytest.raises(StampedeError, match=f"cannot join: {leader.refusal.message}")
+        if leader.refuses
+        else nullcontext()
+    ):
         await volunteer(founding, folder, leader.log, to, zone="", sleep=sleep)
     assert leader.asked == asked + 1
     return waited
@@ -74,6 +80,23 @@ async def test_a_refused_newcomer_notes_it_and_waits_longer_each_time_until_it_i
         joined = read_founding(tmp_path)
         assert joined is not None
         assert (joined.refusals, joined.refused, joined.token) == (0, "", "")
+
+
+async def test_a_newcomer_of_an_older_release_is_told_to_come_with_the_same_folder_and_is_let_in_with_it(
+    tmp_path: Path,
+) -> None:
+    leader = Leader()
+    leader.refusal = VersionMismatch(too_old("new", 1, 2))
+    register = membership_service_pb2_grpc.add_MembershipServiceServicer_to_server
+    async with serving(lambda server: register(leader, server)) as server:
+        founding = Founding(supernode_id="new", address="h:1", members={"a": server.address}, joining=True, token="t")
+        write_founding(tmp_path, founding)
+        with pytest.raises(
+            StampedeError, match="at level 2; start it with the release of the others and the same data"
+        ):
+            await volunteer(founding, tmp_path, leader.log, lambda target: dial(target, secret=None), zone="")
+        leader.refuses = False
+        await started(leader, server.address, tmp_path)
 
 
 @pytest.mark.parametrize(("refusals", "seconds"), [(0, 0), (1, 1), (5, 16), (9, 256), (10, 300), (10**6, 300)])

@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 ATTEMPT_SECONDS = 30.0
 PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
 REFUSED_SECONDS_MAX = 300
-_HOPELESS = (PermissionDenied, InvalidArgument)
+_HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
 NEWER_RELEASE = "start it with the release of the others and the same data folder, and it goes on"
 
 
@@ -54,13 +54,11 @@ async def volunteer(
         except NotLeader as error:
             leader, pause_seconds = error.metadata.get("leader_endpoint", ""), PAUSE_SECONDS
             addresses = [leader, *(one for one in addresses if one != leader)] if leader else _next(addresses)
-        except VersionMismatch as error:
-            raise StampedeError(f"this supernode cannot join: {error.message}; {NEWER_RELEASE}") from error
         except _HOPELESS as error:
             _note_refusal(data_dir, founding, error.message)
-            raise StampedeError(
-                f"this supernode cannot join: {error.message}; then empty {data_dir}, and join again"
-            ) from error
+            is_too_old = isinstance(error, VersionMismatch)
+            remedy = NEWER_RELEASE if is_too_old else f"then empty {data_dir}, and join again"
+            raise StampedeError(f"this supernode cannot join: {error.message}; {remedy}") from error
         except StampedeError as error:
             if told != error.message:
                 told = error.message

@@ -1,0 +1,41 @@
+"""What `doctor` says of a supernode of another cluster, such as a restored backup at the address of one of ours."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.cli.diagnosis import SUPERNODE, Observation
+from stampede_rt.cli.examining import _Answer, _cluster_of_most, _of_others, _told_apart
+from stampede_rt.v1 import directory_service_pb2 as pb
+
+
+def answer(name: str, cluster_id: str | None) -> _Answer:
+    """What a supernode said; None: nothing."""
+    seen = Observation(kind=SUPERNODE, address=f"{name}:1", name=name)
+    if cluster_id is None:
+        return _Answer(None, seen)
+    return _Answer(pb.DirectoryServicePingResponse(supernode_id=name, cluster_id=cluster_id, ready=True), seen)
+
+
+@pytest.mark.parametrize(
+    ("clusters", "strangers"),
+    [
+        (("c", "c", "c"), ""),
+        (("c", "d", "c"), "b"),
+        (("d", None, "c"), "c"),
+        (("", "c", None), ""),
+        ((None, None, None), ""),
+    ],
+)
+def test_the_cluster_of_most_supernodes_is_the_one_that_is_looked_at(
+    clusters: tuple[str | None, ...], strangers: str
+) -> None:
+    answers = [answer(name, cluster_id) for name, cluster_id in zip("abc", clusters, strict=True)]
+    own_id = _cluster_of_most(answers)
+    assert "".join(one.seen.name for one in answers if _of_others(one, own_id)) == strangers
+    for one in answers:
+        told = _told_apart(one, own_id)
+        if one.seen.name in strangers:
+            assert f"of another cluster, {one.response.cluster_id}, answers there" in told.seen.failure
+        else:
+            assert told is one
