@@ -80,3 +80,19 @@ async def test_supernodes_of_two_clusters_in_one_address_are_refused_with_both_n
     finally:
         for one in pair:
             await one.close()
+
+
+async def test_a_founder_that_is_started_without_its_list_is_told_what_to_name(tmp_path: Path) -> None:
+    (port,) = free_ports(1)
+    address, data_dir = f"127.0.0.1:{port}", str(tmp_path / "a")
+    place = ["--listen", address, "--data-dir", data_dir]
+    founder = Supernode("a", address, [*place, "--id", "a", "--members", f"a={address}"])
+    try:
+        await founder.start()
+        await register(founder, 1)
+        await founder.end(signal.SIGTERM)
+        code, printed = await command(*place)
+        assert (code, "start it with --id a and the same --members" in printed) == (1, True), printed
+        await founder.start()
+    finally:
+        await founder.close()

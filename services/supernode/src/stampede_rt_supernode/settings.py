@@ -142,7 +142,20 @@ class SupernodeSettings(ServiceSettings):
                 "join under a new id; to enter a cluster, use `stampede supernode join`; to found one, `stampede "
                 "supernode init`, or --members for all its founders"
             )
+        if self.data_dir is not None:
+            self._check_founder(self.data_dir, name)
         return self._listed(name, address, {name: address})
+
+    @staticmethod
+    def _check_founder(data_dir: Path, name: str) -> None:
+        """Raises StampedeError for the folder of a founder of a listed cluster that is started without the list."""
+        with contextlib.suppress(StoreDamaged, StoreRefused):  # the store itself tells
+            _, member_id = read_identity(data_dir)
+            if member_id != name:
+                raise StampedeError(
+                    f"{data_dir} is supernode {member_id}'s, which was started with --members before, and not {name}'s: "
+                    f"start it with --id {member_id} and the same --members"
+                )
 
     def _listed(self, name: str, address: str, members: dict[str, str]) -> Founding:
         """One of the founders in the list. The store knows best of which cluster it is: a list may change later."""
