@@ -153,8 +153,8 @@ class SupernodeSettings(ServiceSettings):
             _, member_id = read_identity(data_dir)
             if member_id != name:
                 raise StampedeError(
-                    f"{data_dir} is supernode {member_id}'s, which was started with --members before, and not {name}'s: "
-                    f"start it with --id {member_id} and the same --members"
+                    f"{data_dir} is supernode {member_id}'s, which was started with --members before: start it "
+                    f"with --id {member_id} and the same --members"
                 )
 
     def _listed(self, name: str, address: str, members: dict[str, str]) -> Founding:
