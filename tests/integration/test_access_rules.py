@@ -17,6 +17,11 @@ from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.credentials import call_metadata
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import peer_service_pb2_grpc as peer_grpc
+from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
+from stampede_rt.v1 import queue_directory_service_pb2_grpc as queue_directory_grpc
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.v1 import queue_service_pb2_grpc as queue_grpc
+from stampede_rt.v1.queue_pb2 import Acknowledge, Settlement
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
@@ -283,3 +288,27 @@ def test_no_client_speaks_for_a_host(cluster: LocalCluster, operator: Operator) 
     with grpc.insecure_channel(target) as channel, pytest.raises(grpc.RpcError) as caught:
         peer_grpc.PeerServiceStub(channel).RegisterPeer(request, timeout=10, metadata=call_metadata(token))
     assert "client forger may not speak for a host" in str(caught.value)
+
+
+def test_nobody_settles_what_another_caller_has_taken(cluster: LocalCluster, operator: Operator) -> None:
+    things(cluster)
+    operator.add("worker-*", "take", "jobs", "--kind", "queue")
+    thief = call_metadata(operator.token("worker-2"))
+    with st.connect(cluster.address, secret=operator.token("worker-1")) as rt:
+        message = granted(lambda: rt.queue("jobs")).get(timeout=10)
+        assert message is not None
+        with grpc.insecure_channel(cluster.supernodes[0].address) as channel:
+            resolve = queue_directory_grpc.QueueDirectoryServiceStub(channel).ResolveQueue
+            found = resolve(queue_directory_pb.ResolveQueueRequest(name="jobs"), timeout=10, metadata=thief)
+        with grpc.insecure_channel(found.host.gatekeepers[0].target) as channel:
+            stub, place = queue_grpc.QueueServiceStub(channel), {"queue_id": found.queue.queue_id}
+            pending = stub.ListPending(queue_pb.ListPendingRequest(**place), timeout=10, metadata=thief)
+            [taken] = [one for one in pending.deliveries if one.seq == message.seq]
+            settlement = Settlement(delivery_id=taken.delivery_id, acknowledge=Acknowledge())
+            request = queue_pb.SettleRequest(
+                **place, epoch=found.queue.epoch, taker_id=taken.taker_id, settlements=[settlement]
+            )
+            with pytest.raises(grpc.RpcError) as caught:
+                stub.Settle(request, timeout=10, metadata=thief)
+        assert "is one of worker-1, and worker-2 may not act for it" in str(caught.value)
+        message.ack()

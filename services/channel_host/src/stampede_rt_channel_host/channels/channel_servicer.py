@@ -75,6 +75,7 @@ class ChannelServicer:
         """ChannelService.Consume."""
         hosted = self._store.find(request.channel_id, request.epoch)
         check_access(AccessVerb.CONSUME, AccessKind.CHANNEL, hosted.record.name)
+        self._store.consumers.check(request.channel_id, request.consumer_id, "consumer")
         return await self._store.scheduler.do(consuming(self._store, request))
 
     @errors_as_status

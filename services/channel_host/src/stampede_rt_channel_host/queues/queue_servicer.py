@@ -68,6 +68,7 @@ class QueueServicer:
         settlements = settlements_of(request.settlements)
         hosted = await self._store.use(request.queue_id, request.epoch)
         check_queue_access(AccessVerb.TAKE, hosted.record)
+        self._store.takers.check(request.queue_id, request.taker_id, "taker")
         results = hosted.settle(request.taker_id, settlements)
         return pb.SettleResponse(results=map(result_message, results))
 

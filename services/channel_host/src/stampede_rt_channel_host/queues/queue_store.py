@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from itertools import islice
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
+from stampede_rt_channel_host.channels.holders import Holders
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.identity import HostIdentity
@@ -61,6 +62,7 @@ class QueueStore:
         self._registrations = 0
         self.deadlines: Deadlines[HostedQueue] = Deadlines()
         self.in_use = asyncio.Event()  # set once a queue is used here
+        self.takers = Holders()
 
     def find(self, queue_id: bytes, epoch: int) -> HostedQueue:
         """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH)."""

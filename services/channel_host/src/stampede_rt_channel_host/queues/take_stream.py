@@ -71,6 +71,7 @@ class TakeStream:
         taker = taker_of(request.open)
         hosted = await self._store.use(request.open.queue_id, request.open.epoch)
         check_queue_access(AccessVerb.TAKE, hosted.record)
+        self._store.takers.check(request.open.queue_id, taker.taker_id, "taker")
         hosted.attach(taker, self)
         try:
             await self._serve(hosted, taker, request)
