@@ -1,0 +1,89 @@
+"""How long a host's event loop stands still for one long piece of work: `python -m tests.benchmarks.longest_pause`.
+
+One host, whose channels are filled in its own process. What a client asks for comes from a process of its own; the rest
+is done as the host's shell does it. Meanwhile the loop is turned as fast as it goes. A pause is the CPU time of its
+thread from one turn to the next, so that a busy machine counts for nothing; told are the longest one, and the CPU time
+of the whole work. A pause of the garbage collector is one of the host, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import gc
+import json
+import sys
+from collections.abc import Awaitable, Callable, Sequence
+
+from stampede_rt_bench.tables import Table
+from tests.benchmarks.longest_pause.client import ask
+from tests.benchmarks.longest_pause.groups import group_readers, late_items
+from tests.benchmarks.longest_pause.queues import batches
+from tests.benchmarks.longest_pause.reads import given_up_get, large_get, listing, page, subscription
+from tests.benchmarks.longest_pause.retention import backwards, consumption, deletion, first_consumers, smaller_limit
+from tests.benchmarks.longest_pause.sizes import (
+    BLOCKED_GETS,
+    BUCKET_ITEMS,
+    CHANNELS,
+    GROUP_READERS,
+    ITEMS,
+    LATE_ITEMS,
+    QUEUED_ITEMS,
+    SUBSCRIBERS,
+)
+from tests.benchmarks.longest_pause.waking import reach, release, subscribers
+from tests.benchmarks.longest_pause.watch import Watch, Work
+from tests.support.channel_host.rig import Rig, running_host
+
+Case = Callable[[Rig, int], Awaitable[tuple[str, Work]]]
+
+CASES: dict[str, tuple[Case, int]] = {
+    "get": (large_get, ITEMS),
+    "given-up": (given_up_get, ITEMS),
+    "subscribe": (subscription, ITEMS),
+    "configure": (smaller_limit, ITEMS),
+    "late": (late_items, LATE_ITEMS),
+    "page": (page, BUCKET_ITEMS),
+    "reach": (reach, BUCKET_ITEMS),
+    "consumption": (consumption, ITEMS),
+    "first-consumers": (first_consumers, ITEMS),
+    "backwards": (backwards, 2 * CHANNELS * 10),
+    "delete": (deletion, ITEMS),
+    "release": (release, BLOCKED_GETS),
+    "list": (listing, CHANNELS),
+    "batches": (batches, QUEUED_ITEMS),
+    "subscribers": (subscribers, SUBSCRIBERS),
+    "group-readers": (group_readers, GROUP_READERS),
+}
+
+
+async def measure(names: Sequence[str], share: float) -> None:
+    """One host for each case, so that none leaves the next one anything."""
+    gc.set_threshold(5_000, 5, 1_000)  # as `stampede host` does
+    table = Table(("longest pause, ms", "all, ms", "work"))
+    for name in names:
+        case, items = CASES[name]
+        async with running_host(memory_bytes_max=2**40) as rig:
+            text, work = await case(rig, int(items * share))
+            watch = Watch()
+            all_ms = await watch.over(work)
+            table.rows.append((f"{watch.longest_ms:,.1f}", f"{all_ms:,.0f}", text))
+            print(json.dumps({"case": name, "longest_ms": watch.longest_ms, "all_ms": all_ms}), file=sys.stderr)
+    table.print()
+
+
+def main() -> None:
+    """Measure and print; with --client be the client."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}; none: all")
+    parser.add_argument("--share", type=float, default=1.0, help="of the items")
+    parser.add_argument("--client", nargs=4, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.client:
+        ask(*options.client)
+    else:
+        asyncio.run(measure(options.cases or [*CASES], options.share))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""Cases of items that go: limits, consumption, and the deletion of a channel."""
+
+from __future__ import annotations
+
+import asyncio
+
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
+from tests.benchmarks.longest_pause.filling import fill, in_order, opened
+from tests.benchmarks.longest_pause.sizes import (
+    BLOCKED_GETS,
+    CALLS,
+)
+from tests.benchmarks.longest_pause.watch import PATIENCE_SECONDS, Work
+from tests.support.channel_host.rig import Rig, run_of
+
+
+async def smaller_limit(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    in_order(hosted, rig, items)
+    retention = channel_pb2.RetentionPolicy(max_items=10)
+    request = gate_pb.ConfigureChannelRequest(
+        request_id=b"0123456789abcdef",
+        channel_id=channel.channel_id,
+        epoch=channel.epoch,
+        spec=channel_pb2.ChannelSpec(retention=retention),
+    )
+
+    async def work() -> None:
+        await rig.gate.ConfigureChannel(request)
+        await channel.put(run_of(b"x"))
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            while hosted.channel.look(rig.now())[0].has_backlog:
+                await channel.status()
+
+    return f"configure(max_items=10) with {items:,} items, a put, and the freeing", work
+
+
+async def consumption(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig, consumers=1)
+    in_order(hosted, rig, items)
+    hosted.channel.consume(1, [], rig.now())
+
+    async def work() -> None:
+        request = pb.ConsumeRequest(channel_id=channel.channel_id, epoch=channel.epoch, consumer_id=1, seqs=[1])
+        await rig.channels.Consume(request)
+        retention = channel_pb2.RetentionPolicy(max_items=10, consumers=1)
+        await rig.gate.ConfigureChannel(
+            gate_pb.ConfigureChannelRequest(
+                request_id=b"0123456789abcdef",
+                channel_id=channel.channel_id,
+                epoch=channel.epoch,
+                spec=channel_pb2.ChannelSpec(retention=retention),
+            )
+        )
+
+    return f"{items:,} items that are owed to a consumer go by count", work
+
+
+async def first_consumers(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    in_order(hosted, rig, items)
+    retention = channel_pb2.RetentionPolicy(consumers=1)
+    request = gate_pb.ConfigureChannelRequest(
+        request_id=b"0123456789abcdef",
+        channel_id=channel.channel_id,
+        epoch=channel.epoch,
+        spec=channel_pb2.ChannelSpec(retention=retention),
+    )
+
+    async def work() -> None:
+        await rig.gate.ConfigureChannel(request)
+        about = {"channel_id": channel.channel_id, "epoch": channel.epoch}
+        await rig.channels.Consume(pb.ConsumeRequest(consumer_id=1, seqs=[1], **about))  # type: ignore[arg-type]
+        assert (await channel.status()).consumers[0].waiting == items - 1
+
+    return f"configure(consumers=1) with {items:,} items, a consume, and a status", work
+
+
+async def backwards(rig: Rig, items: int) -> tuple[str, Work]:
+    """What goes first came last; each other one of the items is consumed, too."""
+    channel, hosted = await opened(rig, consumers=10)
+    now = rig.now()
+    for at in range(items):
+        fill(hosted, now, [now - at if at % 2 else now - 2 * items + at])
+    for consumer in range(1, 11):
+        hosted.channel.consume(consumer, range(2, 2 * CALLS, 2), now)
+
+    async def work() -> None:
+        retention = channel_pb2.RetentionPolicy(max_items=items // 2, consumers=10)
+        await rig.gate.ConfigureChannel(
+            gate_pb.ConfigureChannelRequest(
+                request_id=b"0123456789abcdef",
+                channel_id=channel.channel_id,
+                epoch=channel.epoch,
+                spec=channel_pb2.ChannelSpec(retention=retention),
+            )
+        )
+        await channel.status()
+        page = await rig.gate.ListHostedChannels(gate_pb.ListHostedChannelsRequest())
+        assert len(page.channels[0].consumers) == 10
+
+    return f"the status of 10 consumers when {items // 2:,} items went out of the order of seqs", work
+
+
+async def deletion(rig: Rig, items: int) -> tuple[str, Work]:
+    channel, hosted = await opened(rig)
+    in_order(hosted, rig, items)
+    calls = [rig.channels.Get() for _ in range(BLOCKED_GETS // CALLS)]
+    for call in calls:
+        for call_id in range(1, CALLS + 1):
+            await call.write(channel.get_request(call_id, interval=channel.future(), wait_nanos=-1))
+    await channel.until(lambda status: status.waiting_gets == BLOCKED_GETS)
+
+    async def work() -> None:
+        about = {"channel_id": channel.channel_id, "epoch": channel.epoch}
+        await rig.gate.DropChannel(gate_pb.DropChannelRequest(request_id=b"0123456789abcdef", **about))  # type: ignore[arg-type]
+        for call in calls:
+            for _ in range(CALLS):
+                assert (await call.read()).HasField("error")
+        async with asyncio.timeout(PATIENCE_SECONDS):
+            while len(hosted.channel.look(rig.now())[0].index):
+                await rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
+
+    return f"a channel of {items:,} items with {BLOCKED_GETS:,} blocked gets is deleted", work

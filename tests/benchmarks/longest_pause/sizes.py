@@ -1,0 +1,15 @@
+"""How much the cases work on, at a share of 1."""
+
+ITEMS = 500_000
+LATE_ITEMS = 300_000
+BUCKET_ITEMS = 50_000  # of one time
+BLOCKED_GETS = 10_000
+CALLS = 1000  # blocked gets on one stream
+CHANNELS = 20_000
+QUEUED_ITEMS = 100_000
+RUN_ITEMS = 200  # in each run of two producers that interleave
+SUBSCRIBERS = 1000
+FOLLOWED_ITEMS = 5  # that each subscriber reads
+GROUP_READERS = 4096
+PAGE_ITEMS = 100
+READ_ITEMS = 20_000  # that one subscriber reads from the oldest on
