@@ -35,6 +35,7 @@ class FakeDirectory(
         self.calls: Counter[str] = Counter()
         # By method, the clusters of which hosts said that they are.
         self.clusters_told: dict[str, list[str]] = {"RegisterHost": [], "RenewHostLease": []}
+        self.cluster_id, self.former_cluster_ids = "c", list[str]()
         self.target = ""
         self.others: list[str] = []
         self._called = asyncio.Condition()
@@ -113,7 +114,10 @@ class FakeDirectory(
             for one in own:
                 one.epoch, one.incarnation = one.epoch + 1, one.incarnation + 1
         return pb.RegisterHostResponse(
-            host=self.hosts[request.host_id], lease_ttl_nanos=self.lease_ttl_nanos, channels=own, cluster_id="c"
+            host=self.hosts[request.host_id],
+            lease_ttl_nanos=self.lease_ttl_nanos,
+            channels=own,
+            cluster_id=self.cluster_id,
         )
 
     async def RenewHostLease(  # noqa: N802
@@ -124,7 +128,12 @@ class FakeDirectory(
         host = self.hosts.get(request.host_id)
         if host is None or not host.alive or host.boot_incarnation != request.boot_incarnation:
             await abort(context, LeaseExpired("the lease has ended; register again"))
-        return pb.RenewHostLeaseResponse(lease_ttl_nanos=self.lease_ttl_nanos, tenure=1)
+        return pb.RenewHostLeaseResponse(
+            lease_ttl_nanos=self.lease_ttl_nanos,
+            tenure=1,
+            cluster_id=self.cluster_id,
+            former_cluster_ids=self.former_cluster_ids,
+        )
 
     async def DeregisterHost(  # noqa: N802
         self, request: pb.DeregisterHostRequest, context: Any

@@ -191,12 +191,16 @@ class RenewHostLeaseRequest(_message.Message):
     def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
 
 class RenewHostLeaseResponse(_message.Message):
-    __slots__ = ("lease_ttl_nanos", "tenure")
+    __slots__ = ("lease_ttl_nanos", "tenure", "cluster_id", "former_cluster_ids")
     LEASE_TTL_NANOS_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
+    CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
+    FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
     lease_ttl_nanos: int
     tenure: int
-    def __init__(self, lease_ttl_nanos: _Optional[int] = ..., tenure: _Optional[int] = ...) -> None: ...
+    cluster_id: str
+    former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, lease_ttl_nanos: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class DeregisterHostRequest(_message.Message):
     __slots__ = ("request_id", "host_id", "boot_incarnation")

@@ -95,6 +95,23 @@ async def test_a_host_tells_the_cluster_with_which_it_registered_first_also_afte
     assert fake.clusters_told == {"RegisterHost": ["", "c"], "RenewHostLease": ["c"] * fake.calls["RenewHostLease"]}
 
 
+async def test_a_host_whose_lease_is_renewed_by_the_cluster_that_took_its_ones_place_is_of_that_one(
+    tmp_path: Path,
+) -> None:
+    """It serves the callers of both from then on: they go over at other moments."""
+    async with directory(lease_ttl_nanos=200 * MS) as fake:
+        host = Host(fake.target, folder=tmp_path)
+        await host.registration.enter("localhost:1")
+        async with keeping(host):
+            await fake.called("RenewHostLease", times=1)
+            assert host.home.judge("d") is not None
+            fake.cluster_id, fake.former_cluster_ids = "d", ["c"]
+            await fake.called("RenewHostLease", times=fake.calls["RenewHostLease"] + 3)
+            assert (host.home.judge("c"), host.home.judge("d")) == (None, None)
+    assert HomeCluster(tmp_path).cluster_id == "d"
+    assert set(fake.clusters_told["RenewHostLease"]) == {"c", "d"}
+
+
 async def test_it_renews_three_times_per_ttl_and_is_not_fenced() -> None:
     async with directory(lease_ttl_nanos=2000 * MS) as fake:  # a busy machine may halt this process for a second
         host = Host(fake.target)

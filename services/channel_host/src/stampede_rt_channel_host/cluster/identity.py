@@ -52,6 +52,7 @@ class HomeCluster:
     def __init__(self, folder: Path | None = None) -> None:
         self._path = None if folder is None else folder / _CLUSTER_FILE
         self.cluster_id = _kept_text(self._path, "cluster id") if self._path and self._path.exists() else ""
+        self._noted = ""
         self._former: tuple[str, ...] = ()  # the clusters whose place that one has taken
 
     def judge(self, callers: str) -> StampedeError | None:
@@ -60,12 +61,17 @@ class HomeCluster:
             return None
         return wrong_cluster("this host", self.cluster_id, callers)
 
+    def is_noted(self, cluster_id: str) -> bool:
+        """Whether `note` was called with this id in this process; an empty id needs no note."""
+        return cluster_id in ("", self._noted)
+
     def note(self, cluster_id: str, former: Iterable[str] = ()) -> None:
         """The directory has let this host in, as one of that cluster, which took the place of `former`.
 
         Raises OSError.
         """
         self._former = tuple(former)
+        self._noted = cluster_id
         if cluster_id in ("", self.cluster_id):
             return
         if self._path is not None:

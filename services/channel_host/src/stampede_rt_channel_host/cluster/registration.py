@@ -40,6 +40,7 @@ REGISTER_SECONDS_MAX = 4.0
 _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.05, 1.0
 
 RegisterHostResponse = directory_service_pb2.RegisterHostResponse
+RenewHostLeaseResponse = directory_service_pb2.RenewHostLeaseResponse
 
 
 class Registration:
@@ -180,6 +181,7 @@ class Registration:
         sent = self._clock.boottime_nanos()
         timeout_s = self._lease.ttl_nanos / RENEWALS_PER_TTL / 1e9
         response = await self._supernodes.call("RenewHostLease", request, timeout_s)
+        await self._note_cluster(response)
         self._grant(sent, response.lease_ttl_nanos)
 
     async def _register(self, timeout_s: float = REGISTER_SECONDS_MAX) -> None:
@@ -216,10 +218,15 @@ class Registration:
                 f"{software_version()}); install the same release on both"
             )
         self._epoch.note_registered()
-        await asyncio.to_thread(self._home.note, response.cluster_id, response.former_cluster_ids)
+        await self._note_cluster(response)
         await self._on_registered(response)  # before the grant: nothing is served that went elsewhere
         self._grant(sent, response.lease_ttl_nanos)
         self._note_registered(len(response.channels))
+
+    async def _note_cluster(self, response: RegisterHostResponse | RenewHostLeaseResponse) -> None:
+        """The directory that granted the lease may be that of a cluster which took the place of this host's."""
+        if not self._home.is_noted(response.cluster_id):
+            await asyncio.to_thread(self._home.note, response.cluster_id, response.former_cluster_ids)
 
     def _note_registered(self, channels: int) -> None:
         """Log the registration: as a warning if the end of a lease was one before."""

@@ -195,7 +195,10 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         ttl_nanos, tenure = await self._leases.renew(
             request.host_id, request.boot_incarnation, seconds=seconds_left(context)
         )
-        return pb.RenewHostLeaseResponse(lease_ttl_nanos=ttl_nanos, tenure=tenure)
+        cluster_id, former = self._replica.read(lambda directory: (directory.cluster_id, directory.former_cluster_ids))
+        return pb.RenewHostLeaseResponse(
+            lease_ttl_nanos=ttl_nanos, tenure=tenure, cluster_id=cluster_id, former_cluster_ids=former
+        )
 
     @errors_as_status
     async def DeregisterHost(self, request: pb.DeregisterHostRequest, context: Context) -> pb.DeregisterHostResponse:
