@@ -51,6 +51,10 @@ class Slots:
         return lambda: setattr(self, kind, getattr(self, kind) - 1)
 
 
+# A host counts by items what it refuses on these streams.
+COUNTED_BY_ITEMS = frozenset({"/stampede_rt.v1.ChannelService/Put", "/stampede_rt.v1.QueueService/Enqueue"})
+
+
 class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
     """Lets a call in if there is a slot for it, and refuses it otherwise. Its requests are read and parsed after that.
 
@@ -84,7 +88,8 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
             try:
                 yield
             except AbortError:
-                self._note(context)
+                if method not in COUNTED_BY_ITEMS:
+                    self._note(context)
                 raise
             finally:
                 give_back()
