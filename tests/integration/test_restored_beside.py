@@ -54,10 +54,10 @@ def until(holds: Callable[[], bool], what: str) -> None:
 
 
 @contextmanager
-def restored_at(address: str, backup: Path, folder: Path) -> Iterator[subprocess.Popen[str]]:
+def restored_at(address: str, backup: Path, folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
     """A cluster of one, made of a backup, that serves at this address."""
     at = ["--data-dir", str(folder), "--listen", address]
-    supernode_command("init", *at, "--id", "restored", "--restore", str(backup))
+    supernode_command("init", *at, "--id", "restored", "--restore", str(backup), *words)
     with subprocess.Popen(
         [sys.executable, "-m", "stampede_rt_supernode", *at], env=os.environ, stdout=subprocess.PIPE, text=True
     ) as process:
@@ -121,6 +121,25 @@ def test_hosts_and_front_ends_stay_with_their_cluster_and_lose_no_item(cluster: 
                 lambda: not asyncio.run(hosts_at(cluster, gone.address, include_dead=False)), "their leases end there"
             )
             assert len(asyncio.run(hosts_at(cluster, living[0].address, include_dead=False))) == len(cluster.hosts)
+
+
+def test_hosts_and_connected_clients_go_over_to_the_cluster_that_takes_the_place_of_theirs(
+    cluster: LocalCluster, tmp_path: Path
+) -> None:
+    backup, at = tmp_path / "backup", cluster.supernodes[1].address
+    with st.connect(cluster.address) as rt:
+        former_id, kept = rt.cluster_id, rt.channel("cam/kept", max_items=100)
+        kept.put(b"before")
+        supernode_command("snapshot", "--member", at, "--out", str(backup))
+        for one in cluster.supernodes:
+            one.kill()
+        with restored_at(at, backup, tmp_path / "restored", "--take-over"):
+            until(
+                lambda: _serves(rt.channel("cam/new")), "a channel is made in the new cluster, and its host takes puts"
+            )
+            until(lambda: _serves(kept), "the host of a former channel takes puts of a client that has gone over")
+            assert payloads(kept)[0] == b"before"
+            assert rt.cluster_id != former_id
 
 
 def _serves(channel: st.Channel) -> bool:
