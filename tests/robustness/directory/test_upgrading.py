@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReleaseOutdated
 from tests.robustness.directory import upgrading
@@ -53,7 +54,7 @@ def test_an_older_newcomer_is_refused_while_the_level_is_about_to_rise_and_comes
     for member in members:
         member.run_release(upgrading.CheckedReplica)
         world.run_until(world.now + 5.0)
-    assert {member.machine.feature_level for member in members} == {1}, "the level has not risen yet"
+    assert {member.machine.feature_level for member in members} == {HIGHEST_LEVEL}, "the level has not risen yet"
     [leader] = [one for one in members if one.replica is not None and one.replica.status().is_leader]
     newcomer = world.volunteer([one.member for one in members])
     assert isinstance(newcomer, upgrading.UpgradedMember)
