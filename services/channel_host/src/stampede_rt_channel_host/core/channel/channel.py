@@ -311,6 +311,7 @@ class ChannelCore:
         """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
         self._settle(self._tick(now))
         knows_less = self._retention.learn_gone(entries_max // 2)  # which takes longer
+        self._retention.ask_on()
         return self._held.free(entries_max) or knows_less or self._retention.has_more
 
     def emptying(self) -> Pieces[None]:
@@ -323,8 +324,8 @@ class ChannelCore:
     def next_deadline(self, now: int) -> int | None:
         """When `collect` is next useful: now, if memory is left to free; else when time takes items; None: never."""
         clock = self._settle(self._tick(now))
-        more = self._held.has_backlog or self._retention.has_more
-        return clock if more else self._retention.next_due()
+        due = self._retention.next_due()
+        return clock if self._held.has_backlog or self._retention.has_more else due
 
     def counters(self, now: int) -> Counters:
         """Counts of all items by what became of them, at this moment."""

@@ -95,11 +95,11 @@ class Consumers:
     """The places of one channel. `clock` is the host's clock, which never goes back; `expire` is called before others.
 
     They hear from `let_go` of every seq that was given out and is not held; until they have heard of it, it counts as
-    owed. `looked_at` counts looks at a place.
+    owed. `looked_at` counts looks at a place, and `arrivals` how often a consumer came that may owe what others do not.
     """
 
     def __init__(self, places: int) -> None:
-        self.looked_at = 0
+        self.looked_at = self.arrivals = 0
         self._places = places
         self._gone = CountedSeqs()
         self._taken: dict[int, _Place] = {}
@@ -185,6 +185,7 @@ class Consumers:
         else:
             place.below = done.below
             self._live.add(place)
+            self.arrivals += 1
         return place
 
     def _drop(self, place: _Place) -> None:
@@ -242,9 +243,9 @@ class Consumers:
             return 0
         for place in list(self._live.irange_key(max_key=(first, self._orders))):
             assert place.done is not None, "it is live"
+            self.looked_at += 1
             self._rank(place, place.done)
             if place.below <= first:
-                self.looked_at += 1
                 end = min(end, place.done.end_of(first))
             if end == first:
                 self._holder = place

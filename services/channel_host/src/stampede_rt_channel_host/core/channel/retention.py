@@ -13,7 +13,7 @@ from __future__ import annotations
 from stampede_rt_channel_host.core.channel.consumption import Consumers
 from stampede_rt_channel_host.core.channel.front import Going, before
 from stampede_rt_channel_host.core.channel.holdings import AGE, BYTES, CONSUMPTION, COUNT, Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, SEQ_END
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
@@ -22,18 +22,23 @@ SLICES_USED_UP_MAX = 64
 ENTRIES_PER_LOOK = 8
 SLICES_AGED_MAX = 256
 """Of so many slices one call asks whether all consumers have consumed them, where ageing depends on that."""
+CONSUMERS_ASKED_MAX = 512
+"""After so many looks at single consumers one call asks of no further slice."""
 
 
 class Retention:
     """Applies limits to holdings. `consumers` is None where the limits count no consumption: nothing is kept then."""
 
     __slots__ = (
-        "_has_more_to_age", "_has_more_used_up", "_held", "_unknown_from", "_unknown_to", "consumers", "limits",
+        "_consumed_to", "_has_more_to_age", "_has_more_to_ask", "_has_more_used_up", "_held", "_unknown_from",
+        "_unknown_to", "consumers", "limits",
     )  # fmt: skip
 
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
-        self._has_more_to_age = self._has_more_used_up = False
+        self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
+        # Consumers that were there at that count of arrivals have consumed the items of one bucket that are below it.
+        self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
         self._unknown_from = self._unknown_to = 1  # consumers do not know which seqs in between are gone
         self.consumers: Consumers | None = None
         self.set_limits(limits)
@@ -46,9 +51,10 @@ class Retention:
         if not places:
             self.consumers = None
             self._held.tell(None)
-            self._has_more_to_age = self._has_more_used_up = False
+            self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
         elif self.consumers is None:
             self.consumers = Consumers(places)
+            self._consumed_to = FIRST_KEY, 0
             self._unknown_from, self._unknown_to = 1, self._held.next_seq
             self._held.tell(self.consumers.let_go)
         else:
@@ -75,7 +81,7 @@ class Retention:
     @property
     def has_more(self) -> bool:
         """There may be more to collect at once, which the next call does."""
-        return self._has_more_to_age or self._has_more_used_up
+        return self._has_more_to_age or self._has_more_to_ask or self._has_more_used_up
 
     def apply_time(self, clock: int) -> None:
         """Apply the passing of time: end leases, and collect buckets that are too old or not held back any more."""
@@ -135,24 +141,48 @@ class Retention:
 
     def _first_owed(self, start: int | None, end: int) -> int | None:
         """The time of the first item from `start` on, and before `end`, that a live consumer has yet to consume; or, of
-        very many that none has, how far it has looked."""
-        assert self.consumers is not None, "limits that ask for it count consumption"
-        if not self.consumers.live:
+        very many that none has, how far it has looked. In a very large bucket the next call goes on where it stopped.
+        """
+        consumers = self.consumers
+        assert consumers is not None, "limits that ask for it count consumption"
+        self._has_more_to_ask = False
+        if not consumers.live:
             return None
-        first: int | None = None
-        for at, part in enumerate(self._held.slices(FIRST_KEY if start is None else (start, 0), (end, 0))):
-            first = part.first_time if first is None else first
-            if at >= SLICES_AGED_MAX and part.first_time > first:  # a bucket goes as a whole
-                self._has_more_to_age = True
-                return part.first_time
-            done = self.consumers.done_with(part)
+        bucket, asked_before = self._bucket_from(start), consumers.looked_at
+        known, arrivals = self._consumed_to
+        is_known = known[0] == bucket and arrivals == consumers.arrivals
+        for at, part in enumerate(self._held.slices(known if is_known else (bucket, 0), (end, 0))):
+            asked = consumers.looked_at - asked_before
+            if at >= SLICES_AGED_MAX or asked >= CONSUMERS_ASKED_MAX:
+                return self._asked_as_far_as(part.first_time, bucket)
+            done = consumers.done_with(part)
+            if part.run.times[part.lo + max(0, done - 1)] == bucket:
+                self._consumed_to = (bucket, part.first_seq + done), consumers.arrivals
             if done < part.items:
                 return part.run.times[part.lo + done]
         return None
 
+    def _bucket_from(self, start: int | None) -> int:
+        """The time of the first bucket from there on, which is the time of one; None: the oldest."""
+        oldest = self._held.oldest
+        assert oldest is not None, "nothing ages where nothing is held"
+        return oldest if start is None else max(start, oldest)
+
+    def _asked_as_far_as(self, time: int, first: int) -> int:
+        """A bucket goes as a whole: nothing goes before the first one is looked through."""
+        self._has_more_to_age = time > first
+        self._has_more_to_ask = time == first
+        return time
+
+    def ask_on(self) -> None:
+        """Go on asking whether all consumers have consumed a very large oldest bucket, if that is not known yet."""
+        if self._has_more_to_ask:
+            self._age_of_oldest()
+
     def _age_of_oldest(self) -> int | None:
         """The max_age that holds for the oldest bucket as it is."""
         longest, oldest = self.limits.max_age_unconsumed_nanos, self._held.oldest
+        self._has_more_to_ask = False
         if longest is None or oldest is None or self._first_owed(oldest, oldest + 1) is None:
             return self.limits.max_age_nanos
         return longest
@@ -184,7 +214,7 @@ class Retention:
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
             return False
-        going = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else before(held.newest))
+        going = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else before(held.newest), consumers)
         front = held.front(going)
         self._has_more_used_up = going.held_back
         if front.items:
@@ -238,8 +268,8 @@ class Retention:
         following = held.next_time(held.oldest)
         if (following is not None and following <= time) or held.bucket_end(held.oldest, time) > clock - age:
             return 0, 0
-        bucket = list(held.slices(high=(held.oldest, SEQ_END)))
-        return sum(part.items for part in bucket), sum(part.payload_bytes for part in bucket)
+        bucket = held.front_before(held.oldest + 1)
+        return bucket.items, bucket.payload_bytes
 
     def release_oldest(self, clock: int) -> None:
         """Collect the oldest bucket, whose age an item has waited for that is in now."""
@@ -281,16 +311,19 @@ class Retention:
 
 
 class _AtMost:
-    """Takes what `going` takes, of so many slices; `held_back` if it was asked for more."""
+    """Takes what `going` takes, of so many slices, and of fewer where it has to look at very many consumers;
+    `held_back` if it was asked for more."""
 
-    __slots__ = ("_going", "_left", "held_back")
+    __slots__ = ("_asked_to", "_consumers", "_going", "_left", "held_back")
 
-    def __init__(self, slices: int, going: Going) -> None:
+    def __init__(self, slices: int, going: Going, consumers: Consumers) -> None:
         self._going = going
         self._left = slices
+        self._consumers = consumers
+        self._asked_to = consumers.looked_at + CONSUMERS_ASKED_MAX
         self.held_back = False
 
     def __call__(self, part: Slice) -> int:
         self._left -= 1
-        self.held_back = self._left < 0
+        self.held_back = self._left < 0 or self._consumers.looked_at >= self._asked_to
         return 0 if self.held_back else self._going(part)
