@@ -15,6 +15,7 @@ from stampede_rt.values.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.cluster_ids import new_cluster_id
 from stampede_rt_supernode.core.answered import MARK_NANOS
+from stampede_rt_supernode.core.change_ring import ChangePage
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
 from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
 from stampede_rt_supernode.core.directory import Directory
@@ -24,7 +25,7 @@ from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
 from stampede_rt_supernode.core.lookups import host_by_id
 from stampede_rt_supernode.core.peers.commands import ExpirePeers, PeerLease, PeersExpired
 from stampede_rt_supernode.core.peers.transitions import check_peer_boot
-from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, PeerRecord
+from stampede_rt_supernode.core.records import ID_BYTES, ChangeKind, DirectoryChange, HostRecord, PeerRecord
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.join_tokens import KEY_BYTES
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -37,6 +38,7 @@ TICK_SECONDS = 0.1
 PROPOSAL_SECONDS = 5.0
 ENDINGS_AT_ONCE_MAX = 64
 PEERS_PER_ENTRY_MAX = 256
+PEERS_PER_TURN = 1024
 
 T = TypeVar("T", HostRecord, PeerRecord)
 
@@ -70,8 +72,8 @@ class LeaseKeeper:
         self._founding_ttl_nanos = founding_ttl_nanos
         self._hosts = LeaseTable()
         self._peers = LeaseTable()
-        # What the peers' table last followed: looking through thousands of them ten times a second is not for nothing.
-        self._peers_followed = (0, 0)
+        # Up to which change the peers' table has followed, of which state (`restored`); None: of no state yet.
+        self._peers_followed: tuple[int, int] | None = None
         # The last mark of time, and when this leader saw it first, or began to lead.
         self._last_mark = self._marked_nanos = 0
         # The id that the founder gave the cluster, and whether this one takes the place of a restored one.
@@ -123,12 +125,13 @@ class LeaseKeeper:
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:
             return  # another one leads by now
         hosts, ttl_nanos = self._replica.read(lambda directory: (_live(directory), directory.lease_ttl_nanos))
-        peers = self._replica.read(lambda directory: list(directory.tables.peers.live()))
-        self._peers_followed = (0, 0)  # looked at anew at the next tick
+        self._peers_followed = None
         now = self._marked_nanos = self._clock.boottime_nanos()
         self._hosts.lead(status.tenure, hosts, now, ttl_nanos=ttl_nanos)
-        self._peers.lead(status.tenure, peers, now, ttl_nanos=ttl_nanos)
-        logger.info("leading", extra={"tenure": status.tenure, "hosts": len(hosts), "peers": len(peers)})
+        self._peers.lead(status.tenure, (), now, ttl_nanos=ttl_nanos)
+        await self._follow_peers(now)
+        peers = self._replica.read(lambda directory: directory.tables.peers.live_count)
+        logger.info("leading", extra={"tenure": status.tenure, "hosts": len(hosts), "peers": peers})
         if ttl_nanos != self._founding_ttl_nanos:
             extra = {"cluster_ttl_nanos": ttl_nanos, "ignored_ttl_nanos": self._founding_ttl_nanos}
             logger.warning("the cluster was founded with another lease TTL, which holds", extra=extra)
@@ -162,22 +165,64 @@ class LeaseKeeper:
 
     async def _end_due_peers(self) -> None:
         now = self._clock.boottime_nanos()
-        peers, self._peers_followed = self._replica.read(self._follow_peers)
-        if peers is not None:
-            self._peers.follow(peers, now)
-        due = [
-            PeerLease(peer_id=one, boot_incarnation=boot, registered_index=at) for one, boot, at in self._peers.due(now)
-        ]
-        for start in range(0, len(due), PEERS_PER_ENTRY_MAX):
-            operation = ExpirePeers(leases=tuple(due[start : start + PEERS_PER_ENTRY_MAX]), tenure=self._peers.tenure)
+        await self._follow_peers(now)
+        due = self._peers.due(now)
+        while self._peers.is_behind(now):
+            await self._give_way()
+            due = self._peers.due(now)
+        leases = [PeerLease(peer_id=one, boot_incarnation=boot, registered_index=at) for one, boot, at in due]
+        for start in range(0, len(leases), PEERS_PER_ENTRY_MAX):
+            part = tuple(leases[start : start + PEERS_PER_ENTRY_MAX])
+            operation = ExpirePeers(leases=part, tenure=self._peers.tenure)
             ended = await self._submission.submit(operation, PeersExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
             logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
 
-    def _follow_peers(self, directory: Directory) -> tuple[list[PeerRecord] | None, tuple[int, int]]:
-        """The live peers, or None if they are those followed last; and what tells this state of them from others."""
+    async def _follow_peers(self, now: int) -> None:
+        """Take note of the peers that came and went, a part in each turn; of all of them if too many did."""
+        while True:  # ends where the changes do
+            page = self._replica.read(self._changed_peers)
+            if page is None:
+                await self._follow_all_peers(now)
+            elif page.changes:
+                for change in page.changes:
+                    self._note_peer(change, now)
+                self._peers_followed = (self._peers_followed or (-1, 0))[0], page.position
+            else:
+                return
+            await self._give_way()
+
+    def _changed_peers(self, directory: Directory) -> ChangePage | None:
+        """The next changes; None: they are not kept any more, or another state has taken the place of that one."""
+        restored, position = self._peers_followed or (-1, 0)
+        ring = directory.tables.peers.changes
+        return ring.read(position, PEERS_PER_TURN) if restored == self._replica.restored else None
+
+    def _note_peer(self, change: DirectoryChange, now: int) -> None:
+        peer = change.subject
+        assert isinstance(peer, PeerRecord), "the ring of peers holds nothing else"
+        if change.kind is ChangeKind.REMOVED or not peer.alive:
+            self._peers.note_gone(peer.peer_id, change.index)
+        else:
+            self._peers.note(peer, now)
+
+    async def _follow_all_peers(self, now: int) -> None:
+        peers, index, followed = self._replica.read(self._all_peers)
+        live: list[PeerRecord] = []
+        for start in range(0, len(peers), PEERS_PER_TURN):
+            live += [one for one in peers[start : start + PEERS_PER_TURN] if one.alive]
+            await self._give_way()
+        for _ in self._peers.following(live, index, now):
+            await self._give_way()
+        self._peers_followed = followed
+
+    def _all_peers(self, directory: Directory) -> tuple[tuple[PeerRecord, ...], int, tuple[int, int]]:
         peers = directory.tables.peers
-        state = (self._replica.restored, peers.changes.end_position)
-        return None if state == self._peers_followed else list(peers.live()), state
+        state = self._replica.restored, peers.changes.end_position
+        return tuple(peers.by_id.values()), directory.applied_index, state
+
+    @staticmethod
+    async def _give_way() -> None:
+        await asyncio.sleep(0)
 
     async def renew(self, host_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:
         """Prolong the lease of a host; returns its TTL in nanoseconds and the tenure.
