@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from stampede_rt.cli.diagnosis import FRONTEND, HOST, PEER, SUPERNODE, CheckResult, Inventory, Observation, diagnose
+from stampede_rt.cli.diagnosis import diagnose
+from stampede_rt.cli.observations import FRONTEND, HOST, PEER, SUPERNODE, CheckResult, Inventory, Observation
 
 DAY_S = 86400.0
 MS = 1_000_000

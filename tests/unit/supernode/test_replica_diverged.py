@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from stampede_rt.cli.diagnosis import refusal
+from stampede_rt.cli.supernode_findings import refusal
 from stampede_rt.errors import Unavailable
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_supernode.codecs.command_codec import encode_command

@@ -7,7 +7,9 @@ import os
 from typing import Any
 
 from stampede_rt.cli.arguments import add_verb
-from stampede_rt.cli.diagnosis import CLOCK_OFFSET_NANOS_MAX, PEER, UNKNOWN, CheckResult, Observation, diagnose
+from stampede_rt.cli.clock_findings import CLOCK_OFFSET_NANOS_MAX, UNKNOWN
+from stampede_rt.cli.diagnosis import diagnose
+from stampede_rt.cli.observations import PEER, CheckResult, Observation
 from stampede_rt.cli.output import print_rows
 from stampede_rt.cli.terminal import escaped
 from stampede_rt.values.timeline import format_duration

@@ -13,7 +13,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from stampede_rt._sync.endpoints import EndpointPool
-from stampede_rt.cli.diagnosis import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Inventory, Observation, gathered
+from stampede_rt.cli.observations import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Inventory, Observation
+from stampede_rt.cli.supernode_findings import gathered
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.security.tls_diagnosis import (
     certificate_end_unix_s,

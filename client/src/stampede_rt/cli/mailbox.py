@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute
-from stampede_rt.cli.diagnosis import UNKNOWN, ahead, is_off
+from stampede_rt.cli.clock_findings import UNKNOWN, ahead, is_off
 from stampede_rt.cli.messages import (
     add_payload,
     add_pending,

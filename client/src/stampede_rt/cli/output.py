@@ -129,3 +129,13 @@ def bytes_text(count: float) -> str:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
         count /= 1024
     return f"{count:.1f} GiB"
+
+
+def roughly(nanos: int) -> str:
+    """A duration with two digits."""
+    return format_duration(int(float(f"{nanos:.2g}")))
+
+
+def joined(names: Sequence[str]) -> str:
+    """Names in a sentence: commas, and `and` before the last one."""
+    return ", ".join(names[:-1]) + " and " + names[-1] if len(names) > 1 else "".join(names)

@@ -13,8 +13,8 @@ from typing import Any
 from stampede_rt.administration.options import add_cluster_options
 from stampede_rt.administration.running_cluster import Cluster, is_there, no_member, reached
 from stampede_rt.cli.backup_file import write_backup
-from stampede_rt.cli.diagnosis import IN_DOUBT, gathered, level_finding, refusal
 from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.supernode_findings import IN_DOUBT, gathered, level_finding, refusal
 from stampede_rt.cli.terminal import TerminalParser
 from stampede_rt.cluster.cluster_ids import IN_MEMORY
 from stampede_rt.errors import StampedeError, Unavailable

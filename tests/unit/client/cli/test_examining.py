@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from stampede_rt.cli.diagnosis import SUPERNODE, Observation
 from stampede_rt.cli.examining import _Answer, _refused_by
+from stampede_rt.cli.observations import SUPERNODE, Observation
 from stampede_rt.v1 import directory_service_pb2 as pb
 
 REFUSED = {"s1": "'s1' comes with an older copy of its store"}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt.cli.diagnosis import SUPERNODE, Observation
 from stampede_rt.cli.examining import _Answer, _cluster_of_most, _of_others, _told_apart
+from stampede_rt.cli.observations import SUPERNODE, Observation
 from stampede_rt.v1 import directory_service_pb2 as pb
 
 

@@ -1,0 +1,65 @@
+"""The findings about the clocks of a cluster's parts. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from stampede_rt.cli.observations import PEER, CheckResult, Observation
+from stampede_rt.cli.output import roughly
+from stampede_rt.values.timeline import format_duration
+
+CLOCK_OFFSET_NANOS_MAX = 50_000_000
+UNKNOWN = "unknown"  # the clock of a peer that has not told its offset
+
+
+def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
+    """Find wrong clocks, against those of most services and the caller's.
+
+    A slow answer tells little of a clock: an offset within half of its round trip counts as none.
+    """
+    offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
+    told = {one: offset for one, offset in offsets.items() if one.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX}
+    services = [one for one in told if one.kind != PEER]
+    if not services:
+        if offsets:
+            quickest = format_duration(2 * min(one.clock_doubt_nanos for one in offsets))
+            yield CheckResult(
+                "clocks", "-", f"{UNKNOWN}: answers took {quickest} or longer, too long to compare clocks"
+            )
+        return
+    middle = sorted(offsets[one] for one in services)[(len(services) - 1) // 2]
+    doubt = max(one.clock_doubt_nanos for one in services)
+    off = {
+        one: offset - middle
+        for one, offset in offsets.items()
+        if is_off(offset - middle, doubt + one.clock_doubt_nanos)
+    }
+    advice = [f"the clock of {one.part} is {ahead(nanos)} the others'; synchronise it" for one, nanos in off.items()]
+    if is_off(middle, 2 * doubt):
+        advice.append(f"this machine's clock is {ahead(-middle)} the cluster's; synchronise this machine's")
+    yield CheckResult(
+        "clocks",
+        "-",
+        _apart(told | {one: offsets[one] for one in off}),
+        f"{'; '.join(advice)} (chrony, ntpd)" if advice else "",
+    )
+
+
+def _apart(offsets: Mapping[Observation, int]) -> str:
+    """How far the clocks are apart, the caller's included, and how well that is known."""
+    known = [(offset, one.clock_doubt_nanos) for one, offset in offsets.items()] + [(0, 0)]
+    (high, high_doubt), (low, low_doubt) = max(known), min(known, key=lambda one: (one[0], -one[1]))
+    return (
+        f"{roughly(high - low)} apart, give or take {roughly(high_doubt + low_doubt)}, "
+        f"{format_duration(CLOCK_OFFSET_NANOS_MAX)} are allowed"
+    )
+
+
+def is_off(offset_nanos: int, uncertainty_nanos: int) -> bool:
+    """Whether a clock is certainly further off than is allowed."""
+    return abs(offset_nanos) > CLOCK_OFFSET_NANOS_MAX + uncertainty_nanos
+
+
+def ahead(offset_nanos: int) -> str:
+    """An offset in words. The other clock follows them."""
+    return f"{format_duration(abs(offset_nanos))} {'ahead of' if offset_nanos > 0 else 'behind'}"

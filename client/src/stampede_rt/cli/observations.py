@@ -1,0 +1,83 @@
+"""What the parts of a cluster answered, and the form of a finding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+FRONTEND, SUPERNODE, HOST, PEER, CALLER = "front-end", "supernode", "host", "peer", "this caller"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Observation:
+    """One part's answer, or the reason why it gave none (`failure`).
+
+    - `clock_offset_nanos`: its clock against the caller's, give or take half of the round trip.
+    - `alive`: the directory's word about a host. `lease_held`: the host's own word.
+    - `knows_supernodes`: of a front-end.
+    - `lost_for_nanos`: the time since the directory ended the lease of a host that did not deregister.
+    - `refused_items`: what a host refused as Overloaded since its start, the last one `refused_ago_nanos` ago;
+      `refused_calls`: calls that it refused or ended so, the last one `refused_call_ago_nanos` ago.
+    - `is_member`: whether the other supernodes list this one.
+    - `refuses_caller`: it runs, but a secret or certificate, this caller's or its own, does not fit.
+    - `refused_because`: why other supernodes refuse its store.
+
+    A peer cannot be asked: it told the leader. Its round trip is the sum of the caller's and its own to the supernode
+    between them.
+    """
+
+    kind: str
+    address: str
+    name: str = ""
+    failure: str = ""
+    ready: bool = True
+    alive: bool = True
+    lease_held: bool = True
+    knows_supernodes: bool = True
+    is_member: bool = True
+    lost_for_nanos: int | None = None
+    refused_items: int = 0
+    refused_ago_nanos: int | None = None
+    refused_calls: int = 0
+    refused_call_ago_nanos: int | None = None
+    held_bytes: int = 0
+    memory_bytes_max: int = 0
+    refuses_caller: bool = False
+    refused_because: str = ""
+    round_trip_nanos: int | None = None
+    clock_offset_nanos: int | None = None
+    version: str = ""
+    # Of a supernode: the cluster's feature level as it knows it, and the highest of its release; 0: not told.
+    feature_level: int = 0
+    highest_feature_level: int = 0
+    certificate_left_s: float | None = None
+
+    @property
+    def clock_doubt_nanos(self) -> int:
+        """The greatest error of the clock offset: the way there may have taken all of the round trip, or none."""
+        return (self.round_trip_nanos or 0) // 2
+
+    @property
+    def part(self) -> str:
+        """Its name for people."""
+        return f"{self.kind} {self.name}".strip()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Inventory:
+    """The channels, or the queues, of the whole directory: their number, and the names and hosts of the lost ones."""
+
+    kind: str
+    count: int
+    lost: Sequence[tuple[str, str]] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """One finding. `advice` is empty if nothing is wrong."""
+
+    part: str
+    address: str
+    state: str
+    advice: str = ""
+    seen: Observation | None = None

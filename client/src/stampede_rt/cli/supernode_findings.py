@@ -1,0 +1,69 @@
+"""The findings about one supernode that others refuse, and about the feature level of all. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from stampede_rt.cli.output import joined
+
+STORE_ADVICE = (
+    "start it with its latest data folder, or, if that is lost, remove it (stampede supernode remove) and "
+    "let it join under a new id (runbook: replace one)"
+)
+# In the words of a supernode whose state is not that of most members.
+DIVERGED = "differs from that of most members"
+# In the words about a supernode whose state is not the leader's, while nobody knows the state of most members.
+DOUBTFUL = "differs from that of the leader"
+IN_DOUBT = "in doubt"
+REFUSED_BY = " (says "  # follows each reason for which a supernode is refused
+DOUBT_ADVICE = (
+    "it goes on serving. Start the supernodes that are down, if any: then most may agree. Otherwise start this one and "
+    "the leader again, one after the other, with their data folders: an error in memory alone is gone then. If the "
+    "doubt stays, remove the one whose release or machine you trust less (stampede supernode remove), and let it join "
+    "under a new id"
+)
+# In the words about a supernode whose release does not know the cluster's feature level.
+TOO_OLD = "is of a release that is too old"
+REPLACE_ADVICE = (
+    "remove it (stampede supernode remove), empty its folder, and let it join under a new id (runbook: replace one)"
+)
+
+
+def gathered(told: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    """For each supernode, all the reasons that others give for refusing its store."""
+    reasons: dict[str, dict[str, None]] = {}
+    for one in told:
+        for name, why in one.items():
+            reasons.setdefault(name, {})[why] = None
+    return {name: "; ".join(each) for name, each in reasons.items()}
+
+
+def refusal(why: str) -> tuple[str, str]:
+    """The state of a supernode that others refuse for `why`, or that refuses to serve; and what to do."""
+    if DIVERGED in why:
+        return "diverged", f"{why}; {REPLACE_ADVICE}"
+    if DOUBTFUL in why and REFUSED_BY not in why:
+        return IN_DOUBT, f"{why}; {DOUBT_ADVICE}"
+    if TOO_OLD in why:
+        return "release refused", f"{why}; start it with the release of the others and the same data folder"
+    return "store refused", f"{why}; {STORE_ADVICE}"
+
+
+def level_finding(level: int, highest: Mapping[str, int | None]) -> tuple[str, str]:
+    """The feature level of a cluster, and what to do if supernodes keep it from rising.
+
+    `highest`: for each supernode the highest level that its release knows; None: it has not told.
+    """
+    goal = max((known for known in highest.values() if known is not None), default=level)
+    if goal <= level:
+        return str(level), ""
+    older = [name for name, known in sorted(highest.items()) if known is not None and known < goal]
+    silent = [name for name, known in sorted(highest.items()) if known is None]
+    steps = [f"upgrade {joined(older)}"] if older else []
+    steps += [f"start {joined(silent)}, whose release is unknown"] if silent else []
+    if not steps:
+        return f"{level}, about to rise to {goal}", ""
+    return (
+        f"{level}, and not all know {goal}",
+        f"{' and '.join(steps)}; the level then rises by itself (runbook: upgrade)",
+    )
