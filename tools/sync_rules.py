@@ -19,6 +19,7 @@ WORDS = {
     "aclose": "close",
     "_async": "_sync",
     "grpc_async": "grpc_sync",
+    "streams_async": "streams_sync",
     "concurrency_async": "concurrency_sync",
 }
 

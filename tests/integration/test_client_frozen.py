@@ -9,7 +9,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
-from stampede_rt.transports import grpc_async, grpc_sync
+from stampede_rt.transports import streams_async, streams_sync
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
 from tests.support.cluster import cluster_fixture
@@ -24,8 +24,8 @@ def owner(cluster: LocalCluster, channel: st.Channel | aio.Channel) -> ServicePr
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A live host gives a sign of life only every 5 s, but these are stopped before that."""
-    monkeypatch.setattr(grpc_sync, "SILENCE_S_MAX", 3.0)
-    monkeypatch.setattr(grpc_async, "SILENCE_S_MAX", 3.0)
+    monkeypatch.setattr(streams_sync, "SILENCE_S_MAX", 3.0)
+    monkeypatch.setattr(streams_async, "SILENCE_S_MAX", 3.0)
 
 
 def test_calls_of_every_kind_go_on_elsewhere_within_their_own_time(cluster: LocalCluster) -> None:

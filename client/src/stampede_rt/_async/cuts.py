@@ -12,7 +12,7 @@ from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_async import begin_if_blocking, monotonic_s, sleep
-from stampede_rt.transports.grpc_async import BidiStream
+from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import ByChannel, Cut
 from stampede_rt.values.timeline import DurationLike

@@ -23,7 +23,7 @@ from stampede_rt.errors import DeadlineExceeded, NotLeader, StampedeError, Unava
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.transports.concurrency_async import in_thread, run_concurrently, sleep
-from stampede_rt.transports.grpc_async import ServerStream
+from stampede_rt.transports.streams_async import ServerStream
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.values.peering import ClockOffset

@@ -17,7 +17,7 @@ from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
 from stampede_rt.transports.concurrency_async import begin_if_blocking, monotonic_s, run_all
-from stampede_rt.transports.grpc_async import BidiStream
+from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import Matched
 from stampede_rt.values.model import Item

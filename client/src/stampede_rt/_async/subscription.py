@@ -15,7 +15,7 @@ from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError, 
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
 from stampede_rt.transports.concurrency_async import begin_if_blocking, monotonic_s
-from stampede_rt.transports.grpc_async import BidiStream
+from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import SubscribeMode

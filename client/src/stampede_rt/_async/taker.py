@@ -19,7 +19,7 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.pacing.retry import FIRST_DELAY_S
 from stampede_rt.transports.concurrency_async import BackgroundTask, Mutex, Signal, sleep
-from stampede_rt.transports.grpc_async import BidiStream
+from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.values.queueing import PREFETCH_MAX
 from stampede_rt.values.reading import Wait

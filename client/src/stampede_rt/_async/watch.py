@@ -14,7 +14,7 @@ from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_async import begin_if_blocking, monotonic_s, sleep
-from stampede_rt.transports.grpc_async import ServerStream
+from stampede_rt.transports.streams_async import ServerStream
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
 from stampede_rt.values.model import Change
 from stampede_rt.values.peering import PeerChange

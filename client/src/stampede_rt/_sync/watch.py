@@ -15,7 +15,7 @@ from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s, sleep
-from stampede_rt.transports.grpc_sync import ServerStream
+from stampede_rt.transports.streams_sync import ServerStream
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
 from stampede_rt.values.model import Change
 from stampede_rt.values.peering import PeerChange

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable
-from functools import partial
-from typing import Any, Generic, TypeVar
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar
 
 import grpc
 import grpc.aio
@@ -17,17 +16,10 @@ from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
-from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_credentials import channel_credentials
-from stampede_rt.transports.grpc_options import (
-    CHANNEL_OPTIONS,
-    END_TIMEOUT_S,
-    ENQUEUE_METHOD,
-    PUT_METHOD,
-    SAID_MAX,
-    SILENCE_S_MAX,
-)
+from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, END_TIMEOUT_S, ENQUEUE_METHOD, PUT_METHOD
 from stampede_rt.transports.requests_async import Requests, spawn
+from stampede_rt.transports.streams_async import BidiStream, ServerStream, closed, is_cancelled
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
@@ -80,7 +72,7 @@ class ServerEndpoint(Stubs):
         except grpc.aio.UsageError as error:
             raise closed(self.target) from error
         except asyncio.CancelledError as error:
-            if _is_cancelled():
+            if is_cancelled():
                 raise
             raise closed(self.target) from error  # closing the connection ended the call, not this task
 
@@ -134,90 +126,6 @@ class ServerEndpoint(Stubs):
         tasks = self._tasks - {asyncio.current_task()}
         if tasks:
             await asyncio.wait(tasks, timeout=END_TIMEOUT_S)
-
-
-def closed(target: str) -> Unavailable:
-    """The error of a call whose connection closed meanwhile."""
-    return Unavailable(f"the connection to {target} is closed")
-
-
-def silent(target: str) -> Unavailable:
-    """The error of a stream without a sign of life."""
-    return Unavailable(f"{target} gave no sign of life for {SILENCE_S_MAX:g} s; it may be stopped")
-
-
-def _is_cancelled() -> bool:
-    """Whether this task is to end. Otherwise only its call was cancelled."""
-    task = asyncio.current_task()
-    return task is not None and task.cancelling() > 0
-
-
-async def _give_up(call: Any) -> None:
-    call.cancel()
-
-
-class ServerStream(Generic[Response]):
-    """The responses to one request. Any thread may call `cancel`, which ends the iteration."""
-
-    def __init__(self, call: Any, target: str) -> None:
-        self._call = call
-        self._target = target
-        self._forks = forking.forks()
-        self._cancelled = False
-        when_dropped(self, partial(_give_up, call))
-
-    @property
-    def target(self) -> str:
-        """The address of the server."""
-        return self._target
-
-    async def __aiter__(self) -> AsyncIterator[Response]:
-        responses = aiter(self._call)
-        try:
-            while True:
-                async with asyncio.timeout(SILENCE_S_MAX):
-                    response = await anext(responses)
-                yield response
-        except StopAsyncIteration:
-            pass
-        except TimeoutError:
-            self._call.cancel()
-            raise silent(self._target) from None
-        except grpc.RpcError as error:
-            if not self._cancelled:
-                raise from_rpc_error(error, self._target) from error
-        except asyncio.CancelledError:
-            if not self._cancelled and _is_cancelled():
-                self._call.cancel()
-                raise
-            if not self._cancelled:
-                raise closed(self._target) from None
-        if not self._cancelled:
-            raise Unavailable(f"{self._target} ended the stream")
-
-    def cancel(self) -> None:
-        """End the stream."""
-        self._cancelled = True
-        if self._forks == forking.forks():
-            self._call.cancel()
-
-
-class BidiStream(ServerStream[Response]):
-    """A stream in both directions: `send` sends, the iteration receives."""
-
-    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
-        super().__init__(call, target)
-        self._requests = Requests(call, tasks)
-
-    async def send(self, request: Any) -> None:
-        """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
-
-        Raises Unavailable if SAID_MAX requests wait because the other side takes none.
-        """
-        if len(self._requests) >= SAID_MAX:
-            self._call.cancel()
-            raise Unavailable(f"{self._target} takes no requests; it may be stopped")
-        self._requests.send(request)
 
 
 class _Exchange:

@@ -1,0 +1,93 @@
+"""Streams of responses on threads: the names of `streams_async`, without its awaits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from queue import SimpleQueue
+from typing import Any, Generic, TypeVar
+
+import grpc
+import grpc.experimental
+
+from stampede_rt.errors import Unavailable
+from stampede_rt.status import from_rpc_error
+from stampede_rt.transports import forking
+from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
+from stampede_rt.transports.grpc_options import SAID_MAX, SILENCE_S_MAX
+from stampede_rt.transports.watchdog import Watchdog
+
+Response = TypeVar("Response")
+
+
+def closed(target: str) -> Unavailable:
+    """The error of a call whose connection closed meanwhile."""
+    return Unavailable(f"the connection to {target} is closed")
+
+
+def silent(target: str) -> Unavailable:
+    """The error of a stream without a sign of life."""
+    return Unavailable(f"{target} gave no sign of life for {SILENCE_S_MAX:g} s; it may be stopped")
+
+
+class ServerStream(Generic[Response]):
+    """The responses to one request. Any thread may call `cancel`, which ends the iteration."""
+
+    def __init__(self, call: Any, target: str, watchdog: Watchdog) -> None:
+        self._call = call
+        self._target = target
+        self._watchdog = watchdog
+        self._forks = forking.forks()
+        self._cancelled = False
+        when_dropped(self, call.cancel)
+
+    @property
+    def target(self) -> str:
+        """The address of the server."""
+        return self._target
+
+    def __iter__(self) -> Iterator[Response]:
+        overdue: list[bool] = []
+        try:
+            while True:
+                with self._watchdog.limit(SILENCE_S_MAX, self._call.cancel) as overdue:
+                    response = next(self._call)
+                yield response
+        except StopIteration:
+            pass
+        except grpc.RpcError as error:
+            if overdue:
+                raise silent(self._target) from None
+            if not self._cancelled:
+                raise from_rpc_error(error, self._target) from error
+        except BaseException:  # an interrupt: a later step begins a new call
+            self._end_call()
+            raise
+        if not self._cancelled:
+            raise Unavailable(f"{self._target} ended the stream")
+
+    def cancel(self) -> None:
+        """End the stream."""
+        self._cancelled = True
+        self._end_call()
+
+    def _end_call(self) -> None:
+        if self._forks == forking.forks():  # otherwise it is the parent's and may be locked
+            within_limit(self._call.cancel)
+
+
+class BidiStream(ServerStream[Response]):
+    """A stream in both directions: `send` sends, the iteration receives."""
+
+    def __init__(self, call: Any, requests: SimpleQueue[Any], target: str, watchdog: Watchdog) -> None:
+        super().__init__(call, target, watchdog)
+        self._requests = requests
+
+    def send(self, request: Any) -> None:
+        """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
+
+        Raises Unavailable if SAID_MAX requests wait because the other side takes none.
+        """
+        if self._requests.qsize() >= SAID_MAX:
+            self._call.cancel()
+            raise Unavailable(f"{self._target} takes no requests; it may be stopped")
+        self._requests.put(request)
