@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
-from stampede_rt_supernode.replication.rules.member_changes import HandOver
+from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
 from tests.robustness.replication.machine import PromiseBroken

@@ -1,4 +1,4 @@
-"""Members come and go one at a time, and leaders hand over: what a leader does for it, step by step.
+"""Members come and go one at a time: what a leader does for it, step by step.
 
 An addition: the newcomer is sent the log until a round of catching up took less than an election timeout; then the
 configuration with it is put into the log, and holds; once that is committed, it is done (dissertation, section 4.2).
@@ -8,7 +8,7 @@ A removal needs no first step. A leader does not remove itself: it hands over, a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from stampede_rt_supernode.replication.configuration import MEMBERS_MAX, Configuration
 from stampede_rt_supernode.replication.interface import (
@@ -22,6 +22,7 @@ from stampede_rt_supernode.replication.interface import (
     TicketSpent,
     too_old,
 )
+from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver, LeadershipTransfer
 from stampede_rt_supernode.replication.rules.membership import Membership
 
 ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
@@ -32,7 +33,6 @@ STALLED_SECONDS = 30.0
 GIVES_WAY_SECONDS = 5.0
 # One that has not caught up in all this time is given up, whatever progress it makes, and then makes room at once.
 JOIN_SECONDS_MAX = 600.0
-HAND_OVER_SECONDS = 1.0
 
 
 @dataclass(slots=True)
@@ -43,13 +43,6 @@ class MemberChange:
     is_removal: bool
     done: Callable[[ChangeOutcome], None]
     ticket: str = ""
-
-
-@dataclass(slots=True)
-class HandOver:
-    """A caller wants another leader. `done` is called once: whether this node does not lead (any more)."""
-
-    done: Callable[[bool], None]
 
 
 @dataclass(slots=True)
@@ -74,15 +67,6 @@ class _Committing:
     log_index: int
     term: int
     callers: list[MemberChange]
-
-
-@dataclass(slots=True)
-class _Leaving:
-    """Proposals are held back until a successor holds everything; then it is asked to lead."""
-
-    until: float
-    asked: bool = False
-    callers: list[HandOver] = field(default_factory=list)
 
 
 class MemberChanges:
@@ -112,17 +96,17 @@ class MemberChanges:
         # The newcomer that took too long in all; empty once another one has begun to catch up.
         self._slow_id = ""
         self._committing: _Committing | None = None
-        self._leaving: _Leaving | None = None
+        self._transfer = LeadershipTransfer(node, clock, finish, alive_seconds=alive_seconds)
 
     @property
     def hands_over(self) -> bool:
         """Whether new commands should wait: the next leader takes them."""
-        return self._leaving is not None
+        return self._transfer.under_way
 
     @property
     def is_idle(self) -> bool:
         """Whether nobody comes, goes or hands over at present."""
-        return self._addition is None and self._committing is None and self._leaving is None
+        return self._addition is None and self._committing is None and not self._transfer.under_way
 
     def add(self, change: MemberChange) -> None:
         """Begin a change, join one under way, or refuse it."""
@@ -146,12 +130,7 @@ class MemberChanges:
 
     def hand_over(self, wish: HandOver) -> None:
         """Begin to look for a successor."""
-        if not self._node.is_leader or not self._node.voter_ids():
-            self._answer([wish], not self._node.is_leader)
-            return
-        if self._leaving is None:
-            self._leaving = _Leaving(self._clock() + HAND_OVER_SECONDS)
-        self._leaving.callers.append(wish)
+        self._transfer.begin(wish)
 
     def advance(self) -> None:
         """Take the next step of whatever is under way."""
@@ -163,8 +142,7 @@ class MemberChanges:
         if self._committing is not None and self._node.last_applied >= self._committing.log_index:
             done, self._committing = self._committing, None
             self._finish(done.callers, done.log_index)
-        if self._leaving is not None:
-            self._find_successor(self._leaving)
+        self._transfer.advance()
 
     def _leads_on(self) -> bool:
         """Whether this node leads, and has not ceased to since the change under way began."""
@@ -300,30 +278,16 @@ class MemberChanges:
         log_index = self._node.append_configuration(configuration)
         self._committing = _Committing(member_id, log_index, self._node.term, callers)
 
-    # -- leaving -------------------------------------------------------------------------------------------------
-
-    def _find_successor(self, leaving: _Leaving) -> None:
-        if self._clock() > leaving.until:
-            self._leaving = None
-            self._answer(leaving.callers, False)
-            return
-        alive = self._node.alive_voters(within_seconds=self._alive_seconds)
-        complete = sorted(name for name in alive if self._node.held_by(name) == self._node.log.last_index)
-        if complete and not leaving.asked:
-            leaving.asked = self._node.send_timeout_now(complete[0])
-
     # -- outcomes ------------------------------------------------------------------------------------------------
 
     def _end(self, outcome: NotLeading | LogUnavailable) -> None:
         addition, self._addition = self._addition, None
         committing, self._committing = self._committing, None
-        leaving, self._leaving = self._leaving, None
         if addition is not None:
             self._finish(addition.callers, outcome)
         if committing is not None:
             self._finish(committing.callers, self._fate_of(committing))
-        if leaving is not None:
-            self._answer(leaving.callers, not self._node.is_leader)
+        self._transfer.end()
 
     def _fate_of(self, committing: _Committing) -> ChangeOutcome:
         applied = self._node.last_applied >= committing.log_index
@@ -334,10 +298,6 @@ class MemberChanges:
     def _finish(self, callers: list[MemberChange], outcome: ChangeOutcome) -> None:
         for caller in callers:
             self._finish_later(lambda caller=caller: caller.done(outcome))  # type: ignore[misc]
-
-    def _answer(self, callers: list[HandOver], left: bool) -> None:
-        for caller in callers:
-            self._finish_later(lambda caller=caller: caller.done(left))  # type: ignore[misc]
 
 
 def _refusal(configuration: Configuration, member: Member, ticket: str) -> ChangeRefused | None:

@@ -1,0 +1,82 @@
+"""A leader hands over to a member that holds the whole log (dissertation, section 3.10)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from stampede_rt_supernode.replication.rules.membership import Membership
+
+HAND_OVER_SECONDS = 1.0
+
+
+@dataclass(slots=True)
+class HandOver:
+    """A caller wants another leader. `done` is called once: whether this node does not lead (any more)."""
+
+    done: Callable[[bool], None]
+
+
+@dataclass(slots=True)
+class _Leaving:
+    """Proposals are held back until a successor holds everything; then it is asked to lead."""
+
+    until: float
+    asked: bool = False
+    callers: list[HandOver] = field(default_factory=list)
+
+
+class LeadershipTransfer:
+    """Looks for a successor while callers wait for it. Tick thread only."""
+
+    def __init__(
+        self,
+        node: Membership,
+        clock: Callable[[], float],
+        finish: Callable[[Callable[[], None]], None],
+        *,
+        alive_seconds: float,
+    ) -> None:
+        self._node = node
+        self._clock = clock
+        self._finish_later = finish
+        self._alive_seconds = alive_seconds
+        self._leaving: _Leaving | None = None
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a successor is looked for."""
+        return self._leaving is not None
+
+    def begin(self, wish: HandOver) -> None:
+        """Begin to look for a successor, or join those who wait for one."""
+        if not self._node.is_leader or not self._node.voter_ids():
+            self._answer([wish], not self._node.is_leader)
+            return
+        if self._leaving is None:
+            self._leaving = _Leaving(self._clock() + HAND_OVER_SECONDS)
+        self._leaving.callers.append(wish)
+
+    def advance(self) -> None:
+        """Take the next step, if a successor is looked for."""
+        leaving = self._leaving
+        if leaving is None:
+            return
+        if self._clock() > leaving.until:
+            self._leaving = None
+            self._answer(leaving.callers, False)
+            return
+        alive = self._node.alive_voters(within_seconds=self._alive_seconds)
+        complete = sorted(name for name in alive if self._node.held_by(name) == self._node.log.last_index)
+        if complete and not leaving.asked:
+            leaving.asked = self._node.send_timeout_now(complete[0])
+
+    def end(self) -> None:
+        """Answer everyone who waits: this node no longer leads, or is closing."""
+        leaving, self._leaving = self._leaving, None
+        if leaving is not None:
+            self._answer(leaving.callers, not self._node.is_leader)
+
+    def _answer(self, callers: list[HandOver], left: bool) -> None:
+        for caller in callers:
+            self._finish_later(lambda caller=caller: caller.done(left))  # type: ignore[misc]
