@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from stampede_rt_supernode.replication import ReplicationSettings, StoreRefused, open_replicated_log, restore_from
 from stampede_rt_supernode.replication.configuration import Configuration
-from stampede_rt_supernode.replication.interface import Member
+from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailable, Member
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.backups import BackupHeader, make_backup
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
@@ -18,12 +21,20 @@ from tests.robustness.replication.live_cluster import QUICK, LiveCluster, LiveMe
 from tests.robustness.replication.machine import ListMachine
 
 
+async def done(ask: Callable[[], Awaitable[object]]) -> None:
+    """Ask until it is done: the leader may change at any time."""
+    while True:
+        with suppress(Ambiguous, LogUnavailable):
+            await ask()
+            return
+
+
 async def test_one_of_three_becomes_a_cluster_of_one_that_holds_everything_it_held(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path / "old", snapshot_every=10) as cluster:
-        for number in range(25):
-            await running(cluster.all[0]).propose(b"%d" % number, timeout=5.0)
         survivor = cluster.all[0]
-        await running(survivor).confirm_read(timeout=5.0)
+        for number in range(25):
+            await done(partial(running(survivor).propose, b"%d" % number, timeout=5.0))
+        await done(partial(running(survivor).confirm_read, timeout=5.0))
         held = survivor.machine.entries[:]
     failures: list[BaseException] = []
     founder = LiveMember("new", tmp_path / "new", failures.append)
