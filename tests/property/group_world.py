@@ -153,7 +153,8 @@ class World:
                 one.own = OwnTimes(one.pair.core, self.clock)
                 one.member = OracleMember(one.pair.oracle, one.epoch, one.pair.incarnation, self.clock)
         for host in self.hosts:
-            host.board.keep_only(followed)
+            for channel_id in self.placed.keys() - followed:
+                host.board.forget(channel_id)
             heard = host.oracle_board.heard
             host.oracle_board.heard = {one: heard[one] for one in heard if one in followed}
 

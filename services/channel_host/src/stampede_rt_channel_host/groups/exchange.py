@@ -122,7 +122,7 @@ class Exchange:
         table.board.confirm(wanted, now)
         news: set[bytes] = set()
         for told in update.times:
-            if told.channel_id in wanted:
+            if told.channel_id in wanted and table.ids_of(told.channel_id):
                 is_news = table.board.hear(told.channel_id, times_from_message(told), told.silent_nanos, now)
                 of_channel = table.ids_of(told.channel_id)
                 news |= of_channel if is_news else of_channel & table.idling

@@ -60,4 +60,4 @@ class HostedGroups:
                 self._groups_of.pop(channel_id, None)
                 if (own := self.own.pop(channel_id, None)) is not None:
                     own.let_go()
-        self.board.keep_only(set(self._groups_of))
+                self.board.forget(channel_id)

@@ -93,7 +93,8 @@ def test_whether_a_channel_is_silent_is_known_up_to_the_last_sign_of_life() -> N
     assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (40, 0)
     board.disown(A, 210)
     assert (heard.silent_nanos(300), heard.heard_ago_nanos(300)) == (50, 90)
-    board.keep_only(set())
+    board.forget(A)
+    board.forget(A)
     assert board.find(A) is None
 
 

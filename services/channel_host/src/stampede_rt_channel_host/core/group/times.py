@@ -173,10 +173,9 @@ class TimesBoard:
             if held is not None and held.known_until is not None:
                 held.known_until = max(held.known_until, now)
 
-    def keep_only(self, channel_ids: set[bytes]) -> None:
-        """Forget all other channels: no group has them any more."""
-        for channel_id in [one for one in self._heard if one not in channel_ids]:
-            del self._heard[channel_id]
+    def forget(self, channel_id: bytes) -> None:
+        """No group has that channel any more. Idempotent."""
+        self._heard.pop(channel_id, None)
 
     def _merged(self, held: Heard, told: ChannelTimes) -> ChannelTimes:
         self.setbacks += told.incarnation != held.times.incarnation
