@@ -1,0 +1,159 @@
+"""One channel, aged to the time of each call: its parts, its clock, its counts and its memory. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core.channel import pieces
+from stampede_rt_channel_host.core.channel.acceptance import Acceptance
+from stampede_rt_channel_host.core.channel.holdings import COUNT, Cut, Holdings
+from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.moment import Moment
+from stampede_rt_channel_host.core.channel.pieces import Pieces
+from stampede_rt_channel_host.core.channel.reading import Reading
+from stampede_rt_channel_host.core.channel.retention import Retention
+from stampede_rt_channel_host.core.channel.values import Counters
+
+FREED_ENTRIES_PER_CALL = 32
+"""How much memory of outdated items one put or read frees beside its own work."""
+
+
+class AgedChannel:
+    """The parts of one channel. Each call first lets go what time has outdated."""
+
+    def __init__(
+        self,
+        policy: Policy,
+        *,
+        incarnation: int,
+        name: str = "",
+        lost_before: int | None = None,
+        cut: Cut | None = None,
+    ) -> None:
+        """An empty channel. Raises InvalidArgument if the policy cannot hold (see `ChannelLimits.of`).
+
+        `lost_before`: when this incarnation began, if one before it was lost with its host; readers of the time before
+        are told. `cut` gives the body of some items of a run, from the run's; without it a run is kept as long as any
+        item of it.
+        """
+        self._policy = policy
+        self._incarnation = incarnation
+        self.lost_before = lost_before
+        self._held = Holdings(cut)
+        self._retention = Retention(ChannelLimits.of(policy), self._held)
+        self.name = name
+        self._acceptance = Acceptance(self._held, self._retention, name)
+        self._reading = Reading(self._held, self._retention, incarnation, lost_before)
+        self._clock: int | None = None
+        self._puts_unsettled = 0
+        self._settled: int | None = None
+        self._entries_to_free = 0  # what puts may have brought in since they last freed
+
+    def collect(self, now: int, entries_max: int = 128) -> bool:
+        """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
+        self._settle(self._tick(now))
+        knows_less = self._retention.learn_gone(entries_max // 2)  # which takes longer
+        self._retention.ask_on()
+        return self._held.free(entries_max) or knows_less or self._retention.has_more
+
+    def emptying(self) -> Pieces[None]:
+        """Let go of all items, in pieces: the channel is not used any more, and is no good afterwards."""
+        self._held.tell(None)
+        self._held.outdate(self._held.front_of_items(self._held.items), COUNT, self._clock or 0)
+        while self._held.free(pieces.STEPS_PER_PIECE):
+            yield
+
+    def next_deadline(self, now: int) -> int | None:
+        """When `collect` is next useful: now, if memory is left to free; else when time takes items; None: never."""
+        clock = self._settle(self._tick(now))
+        due = self._retention.next_due()
+        return clock if self._held.has_backlog or self._retention.has_more else due
+
+    def counters(self, now: int) -> Counters:
+        """Counts of all items by what became of them, at this moment."""
+        self._settle(self._tick(now))
+        held = self._held
+        return Counters(
+            accepted=held.accepted,
+            held=held.items,
+            collected=dict(held.collected),
+            rejected=dict(self._acceptance.rejected),
+            accepted_bytes=held.accepted_bytes,
+            held_bytes=held.payload_bytes,
+        )
+
+    def look(self, now: int) -> tuple[Holdings, Retention]:
+        """The held items, aged to `now`, and their limits. Views of the channel read them and do not change them."""
+        self._settle(self._tick(now))
+        return self._held, self._retention
+
+    def moment(self, now: int) -> Moment:
+        """The channel as it is now, to be read later. Close it soon: nothing that it shows is freed before."""
+        held, retention = self.look(now)
+        return Moment(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
+
+    @property
+    def footprint_bytes(self) -> int:
+        """The memory that the channel keeps, as of the last call: whole runs, and items that are not freed yet."""
+        return self._held.footprint_bytes
+
+    @property
+    def freed_entries(self) -> int:
+        """How many entries of the index were freed so far: a measure of the work that was done."""
+        return self._held.freed_entries
+
+    @property
+    def policy(self) -> Policy:
+        """The policy as stated."""
+        return self._policy
+
+    @property
+    def incarnation(self) -> int:
+        """Which life of the channel the seqs belong to."""
+        return self._incarnation
+
+    @property
+    def next_seq(self) -> int:
+        """The seq that the next accepted item gets."""
+        return self._held.next_seq
+
+    @property
+    def newest(self) -> int | None:
+        """The newest item's time, as of the last call that took `now`."""
+        return self._held.newest
+
+    @property
+    def oldest(self) -> int | None:
+        """The oldest held item's time, as of the last call that took `now`."""
+        self._age()
+        return self._held.oldest
+
+    @property
+    def frontier(self) -> int | None:
+        """The latest span end that age, count or bytes have collected, not above the oldest held item's time."""
+        self._age()
+        return self._held.frontier
+
+    @property
+    def advanced_to(self) -> int | None:
+        """The highest promise that nothing earlier will come."""
+        return self._acceptance.advance
+
+    def _tick(self, now: int) -> int:
+        self._clock = now if self._clock is None else max(self._clock, now)
+        return self._clock
+
+    def _age(self) -> None:
+        """As of the last call; what was settled at that time already is left as it is."""
+        if self._clock is not None and (self._puts_unsettled or self._settled != self._clock):
+            self._retention.apply_time(self._clock)
+
+    def _settle(self, clock: int) -> int:
+        """Let go what time has outdated, and free a little."""
+        self._puts_unsettled, self._settled = 0, clock
+        if self._retention.consumers is None:
+            self._retention.age_out(clock)
+        else:
+            self._retention.apply_time(clock)
+            self._reading.consumed_up_to = self._held.newest_consumed
+        self._held.free(FREED_ENTRIES_PER_CALL)
+        return clock
