@@ -5,7 +5,8 @@ from __future__ import annotations
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
-from stampede_rt_channel_host.core.channel.holdings import COUNT, Cut, Holdings
+from stampede_rt_channel_host.core.channel.held_items import COUNT, Cut
+from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import Moment
 from stampede_rt_channel_host.core.channel.pieces import Pieces

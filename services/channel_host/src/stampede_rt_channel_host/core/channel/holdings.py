@@ -1,24 +1,20 @@
-"""The items of a channel and the counts of those that are gone: the state under retention, acceptance and reading.
-Pure.
+"""How the items of a channel change: they come in, retention outdates them, and their memory is freed later. Pure.
 
-What lies below `floor` is outdated: collected in every count and never returned, though its memory may be freed later.
 So a policy that outdates a million items at once stalls nobody.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import islice
 
 from stampede_rt_channel_host.core.channel import tally
 from stampede_rt_channel_host.core.channel.front import Front, Going, before, oldest_bytes, oldest_items
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, SEQ_END, ChannelIndex, ItemKey
+from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION, HeldItems
+from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
-from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
-from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Tally, Whole
-
-AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
+from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Whole
 
 TOLD_SLICES_MAX = 64
 """Of so many slices consumers hear at once that they were collected; the next calls go on."""
@@ -26,121 +22,16 @@ TOLD_SLICES_MAX = 64
 FREED_ENTRIES_MAX = 2048
 """So many entries one call frees at the most, however much is outdated: the next calls go on."""
 
-
-Cut = Callable[[bytes, int, int], bytes]
-"""Gives the body of the items from one position up to, not including, another."""
-
 LIVE_SHARE_MIN = 4
 COPIED_BYTES_MIN = 4096
 COPIED_PARTS_MAX = 4
 """Of a run larger than COPIED_BYTES_MIN a quarter is copied out of it when no more than that is left, in few parts."""
 
 
-class Holdings:
-    """Held items and counts. Invariant: `accepted == items + sum(collected.values())`.
+class Holdings(HeldItems):
+    """The items of a channel, with the operations that change them. Acceptance stores, and retention outdates."""
 
-    `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time that age, count
-    or bytes have collected; `collected_end`: the latest span end among those, and `collected_by` its cause.
-    `newest_consumed`: the latest time that consumption has collected. `last_cause`: of the latest collection.
-    `overlap_nanos`: how long a later item does not cut one with a duration. `freed_entries`: so many were freed so far.
-    """
-
-    __slots__ = (
-        "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_is_open", "_newest_longest",
-        "_on_gone", "_snapshots", "_stored_bytes", "_stored_items", "_tally", "_told",
-        "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor", "freed_entries", "index",
-        "items",
-        "last_cause", "newest", "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes",
-    )  # fmt: skip
-
-    def __init__(self, cut: Cut | None = None) -> None:
-        """`cut` copies a part of a run's body; None: runs are kept whole."""
-        self.index = ChannelIndex()
-        self.floor: ItemKey = FIRST_KEY
-        self.items = 0
-        self.payload_bytes = 0
-        self.newest: int | None = None
-        self.oldest: int | None = None
-        self.accepted = 0
-        self.accepted_bytes = 0
-        self.collected = {AGE: 0, COUNT: 0, BYTES: 0, CONSUMPTION: 0}
-        self.newest_collected: int | None = None
-        self.collected_end: int | None = None
-        self.collected_by = AGE
-        self.newest_consumed: int | None = None
-        self.last_cause = AGE
-        self.overlap_nanos = 0
-        self._on_gone: Callable[[int, int], None] | None = None
-        self._told: ItemKey = FIRST_KEY  # up to where it has heard
-        self._came_up_to: int | None = None
-        self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
-        self._newest_is_open = False  # an item of the newest bucket came without a duration
-        self._newest_longest = 0  # the longest duration that came in the newest bucket
-        self._snapshots: dict[ChannelSnapshot, None] = {}
-        self._tally = Tally()  # of what is held, without the newest items
-        self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
-        self._stored_items = 0  # their items
-        self._kept_body_bytes = 0  # of every run with an entry in the index
-        self._cut = cut
-        self.freed_entries = 0
-
-    @property
-    def next_seq(self) -> int:
-        """The seq of the next accepted item."""
-        return self.accepted + 1
-
-    @property
-    def charged_bytes(self) -> int:
-        """The bytes that the held items count against max_bytes."""
-        return self.payload_bytes + self.items * ITEM_OVERHEAD_BYTES
-
-    @property
-    def backlog_bytes(self) -> int:
-        """Charged bytes of outdated items whose memory is not freed."""
-        return self._stored_bytes - self.charged_bytes
-
-    @property
-    def footprint_bytes(self) -> int:
-        """The bytes that are really kept: the bodies of all runs with an item left, and 64 bytes for each item."""
-        return self._kept_body_bytes + self._stored_items * ITEM_OVERHEAD_BYTES
-
-    @property
-    def has_backlog(self) -> bool:
-        """There are entries that can be freed, or would be if they were told of."""
-        untold = self._on_gone is not None and self._told < self.floor
-        return untold or self.index.has_below(self._free_floor)
-
-    @property
-    def _free_floor(self) -> ItemKey:
-        """The host frees items below this key: no snapshot shows them, and the follower has heard of their end."""
-        floor = self.floor if self._on_gone is None else min(self.floor, self._told)
-        return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
-
-    @property
-    def frontier(self) -> int | None:
-        """The latest span end that was collected, but not above the oldest held item's time; with none left, not above
-        what had come when the last one went: a long duration says nothing of items that are still to come."""
-        bound = self._came_up_to if self.oldest is None else self.oldest
-        if self.collected_end is None or bound is None:
-            return self.collected_end
-        return min(self.collected_end, bound)
-
-    @property
-    def end(self) -> ItemKey:
-        """See `Readable`: all is shown."""
-        return LAST_KEY
-
-    def snapshot(self) -> ChannelSnapshot:
-        """A snapshot of the held items, to walk while the channel changes."""
-        return ChannelSnapshot(self.index, self.floor, self.next_seq, self._snapshots)
-
-    @property
-    def gone_before(self) -> int | None:
-        """From here on no span of a collected item is missing: the frontier, or where items overlap a later instant."""
-        frontier = self.frontier
-        if not self.overlap_nanos or frontier is None or self.newest_collected is None:
-            return frontier
-        return max(frontier, self.newest_collected + self.overlap_nanos)
+    __slots__ = ()
 
     def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
         """Add a run whose times lie between `low` and `high`."""
@@ -240,76 +131,6 @@ class Holdings:
         elif time == self.newest:
             self._newest_is_open |= duration == ABSENT
             self._newest_longest = max(self._newest_longest, duration)
-
-    def slices(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
-        """Held items at or above `low` and below `high`, ascending."""
-        return self.index.slices(max(low, self.floor), high)
-
-    def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
-        """The same, the last slice first."""
-        return self.index.slices_down(max(low, self.floor), high)
-
-    @property
-    def newest_seq(self) -> int | None:
-        """The seq of the newest item; None if there is none."""
-        last = next(self.slices_down(), None)
-        return None if last is None else last.end_seq - 1
-
-    def newest_end(self, now: int) -> int | None:
-        """No span of the newest bucket ends later; what has no end holds until `now`. Items that were collected since
-        they came into the bucket count, too."""
-        if self.newest is None:
-            return None
-        end = self.newest + self._newest_longest
-        return max(end, now) if self._newest_is_open else end
-
-    def items_below(self, key: ItemKey) -> int:
-        """How many held items are below a key: walks only those that whole blocks do not count."""
-        whole = self._tally.whole_below(key)
-        return whole.items + sum(part.items for part in self.slices(whole.end, key))
-
-    def slices_by_seq(self, low: int, high: int) -> Iterator[Slice]:
-        """Held items with seqs from `low` up to, not including, `high`, in seq order."""
-        return self.index.slices_by_seq(low, high, self.floor)
-
-    def seq_from(self, low: int, high: int, entries_max: int) -> int:
-        """The first held seq from `low` on, or how far it is known that none is held (see `ChannelIndex.seq_from`)."""
-        return self.index.seq_from(low, high, self.floor, entries_max)
-
-    def held_up_to(self, low: int, high: int, entries_max: int) -> int:
-        """How far held seqs follow each other from `low` on (see `ChannelIndex.held_up_to`)."""
-        return self.index.held_up_to(low, high, self.floor, entries_max)
-
-    def next_time(self, time: int) -> int | None:
-        """The time of the next later bucket than `time`."""
-        if self.newest is None or time >= self.newest:
-            return None
-        known, following = self._following
-        if known != time:
-            following = self.index.next_time(time)
-            self._following = time, following
-        return following
-
-    def floor_time(self, time: int) -> int | None:
-        """The time of the bucket at or before `time`."""
-        if self.oldest is None or time < self.oldest:
-            return None
-        return self.index.floor_time(time)
-
-    def bucket_end(self, time: int, bound: int) -> int:
-        """The last span end of the bucket at `time` if `bound` is the next bucket's time."""
-        if self.overlap_nanos:
-            return self.counted_end(time, None, bound)
-        return latest_end(self.slices((time, 0), (time, SEQ_END)), time, bound)
-
-    def counted_end(self, time: int, own_end: int | None, bound: int) -> int:
-        """The span end from which the age of an item at `time` counts; `own_end` is its end by duration, if any.
-
-        Where items overlap, all count as if they lasted as long as any can: so ends ascend with the buckets.
-        """
-        if self.overlap_nanos:
-            return max(bound, time + self.overlap_nanos)
-        return bound if own_end is None else min(own_end, bound)
 
     def front(self, going: Going, whole: Whole = NO_BLOCKS) -> Front:
         """The oldest held items: those of `whole`, and what `going` takes of the next ones. It tells of each slice in

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from itertools import islice
 
 from stampede_rt_channel_host.core.channel import Slice
-from stampede_rt_channel_host.core.channel.holdings import CONSUMPTION, Holdings
+from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION
+from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ItemKey
 
 LOOKED_AT_MAX = 4096
