@@ -127,7 +127,7 @@ async def test_only_the_leader_changes_members_and_one_at_a_time(tmp_path: Path)
         await until(lambda: second.member.member_id in cluster.all[0].log._replica.roster.peers)  # type: ignore[union-attr]
         with pytest.raises(ChangeUnderWay):
             await leader.add_member(first.member, timeout=1.0)
-        with pytest.raises(Ambiguous, match="goes on"):
+        with pytest.raises(Ambiguous, match="still under way"):
             await leader.add_member(second.member, timeout=0.1)
         under_way.cancel()
 
