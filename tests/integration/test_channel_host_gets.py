@@ -12,6 +12,8 @@ import pytest
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
+from stampede_rt_channel_host.core.channel import Pending, Pieces, ReadAnswer, WakeAt
+from stampede_rt_channel_host.core.channel.pieces import STEPS_PER_PIECE
 from stampede_rt_channel_host.core.channel.run import Run
 from tests.support.channel_host.rig import (
     FOREVER,
@@ -195,6 +197,34 @@ async def test_a_blocked_get_is_released_by_the_first_matching_item(rig: Rig) ->
     assert response.call_id == 7
     assert response.runs[0].run.payloads == b"it"
     assert (await channel.status()).waiting_gets == 0
+    exchange.call.cancel()
+
+
+async def test_a_get_whose_search_takes_pieces_searches_again_only_if_the_channel_changes(rig: Rig) -> None:
+    channel = await rig.open()
+    now = rig.now()
+    for _ in range(STEPS_PER_PIECE + 1):
+        await channel.put(run_of(b"too early", times=[now], durations=[5]))
+    hosted = rig.host.store.find(channel.channel_id, channel.epoch)
+    polling, searches = hosted.channel.polling, 0
+
+    def counted(pending: Pending, clock: int) -> Pieces[ReadAnswer | WakeAt]:
+        nonlocal searches
+        searches += 1
+        pieces = polling(pending, clock)
+        next(pieces)
+        yield
+        if searches == 1:
+            hosted.changes += 1
+        return (yield from pieces)
+
+    hosted.channel.polling = counted  # type: ignore[method-assign]
+    exchange, later = Exchange(rig), between(now + 10, MAX_INSTANT)
+    await exchange.send(channel.get_request(7, interval=later, match=time_pb2.MATCH_SPAN, wait_nanos=FOREVER))
+    await channel.until(lambda status: status.waiting_gets == 1)
+    assert searches == 2
+    await channel.put(run_of(b"it", times=[now + 11]))
+    assert (await exchange.read()).runs[0].run.payloads == b"it"
     exchange.call.cancel()
 
 

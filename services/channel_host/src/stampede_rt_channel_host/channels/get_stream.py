@@ -40,7 +40,7 @@ CALLS_MAX = 1024
 class _Begun:
     """One get of a channel, from its beginning to its answer."""
 
-    __slots__ = ("_begun_at", "call_id", "hosted", "pending", "plan")
+    __slots__ = ("_begun_at", "_polled_at", "call_id", "hosted", "pending", "plan")
 
     def __init__(self, call_id: int, plan: GetPlan, hosted: HostedChannel, now: int) -> None:
         self.call_id = call_id
@@ -48,6 +48,22 @@ class _Begun:
         self.hosted = hosted
         self.pending: Pending | None = None  # of a blocking get
         self._begun_at = now
+        self._polled_at: int | None = None  # the count of the channel's changes
+
+    def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
+        """The answer as the channel is now, or when to look again; of a blocking get."""
+        assert self.pending is not None, "only a blocking get is polled"
+        self._polled_at = self.hosted.changes
+        return first_of(self.hosted.channel.polling(self.pending, now))
+
+    def released(self) -> None:
+        """It was looked at with the channel as it was a while ago."""
+        self._polled_at = None
+
+    @property
+    def is_outdated(self) -> bool:
+        """The channel has changed since the last poll, so that what it found may hold no more."""
+        return self._polled_at != self.hosted.changes
 
     def wait_nanos(self, now: int) -> int:
         """How long it may still wait; below 0: without limit."""
@@ -111,7 +127,7 @@ class GetStream:
             self._go_on(begun, first_of(hosted.channel.reading(plan.query, now)), now)
             return
         begun.pending = hosted.channel.begin(plan.query, now)
-        self._go_on(begun, first_of(hosted.channel.polling(begun.pending, now)), now)
+        self._go_on(begun, begun.poll(now), now)
 
     def _go_on(self, begun: _Begun, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
         """Answer, or wait; or, if the answer takes more than a piece, do the rest of them beside the others."""
@@ -127,14 +143,13 @@ class GetStream:
             self._answer(begun, found, now)
 
     async def _finish(self, begun: _Begun, pieces: Pieces[ReadAnswer | WakeAt]) -> None:
-        plan, hosted = begun.plan, begun.hosted
         try:
             await self._outbox.room()
             found: ReadAnswer | WakeAt | Unfinished[Any] = await self._store.scheduler.finish(pieces)
-            self._check_served(plan, found)
+            self._check_served(begun.plan, found)
             now = self._store.now()
-            if isinstance(found, WakeAt) and begun.pending is not None:  # the channel may have changed meanwhile
-                found = first_of(hosted.channel.polling(begun.pending, now))
+            if isinstance(found, WakeAt) and begun.is_outdated:
+                found = begun.poll(now)
             self._calls[begun.call_id] = None
             self._go_on(begun, found, now)
         except StampedeError as error:
@@ -184,6 +199,7 @@ class GetStream:
     def _releaser(self, begun: _Begun) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
             self._calls[begun.call_id] = None  # it waits no more: once it is answered, it is not under way
+            begun.released()
             if isinstance(outcome, StampedeError):
                 self._refuse(begun.call_id, outcome)
             elif self._held_back or not self._outbox.has_room:
@@ -198,11 +214,10 @@ class GetStream:
         """Those that were released while there was no room are looked at again, the first one first."""
         while self._held_back and self._outbox.has_room:
             begun = self._held_back.pop(next(iter(self._held_back)))
-            assert begun.pending is not None, "only blocking gets are held back"
             now = self._store.now()
             try:
                 self._store.find(begun.plan.channel_id, begun.plan.epoch)
-                self._go_on(begun, first_of(begun.hosted.channel.polling(begun.pending, now)), now)
+                self._go_on(begun, begun.poll(now), now)
             except StampedeError as error:
                 self._refuse(begun.call_id, error)
             self._outbox.kick()

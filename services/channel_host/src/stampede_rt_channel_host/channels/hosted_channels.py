@@ -61,6 +61,8 @@ class HostedChannel:
         self._charge = Charge(memory)
         self._on_touched = on_touched
         self._now = now
+        self.changes = 0
+        """So many times the channel has changed since it is here."""
 
     def update(self, record: RecordedChannel) -> None:
         """The directory has a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
@@ -137,6 +139,7 @@ class HostedChannel:
         self._on_touched(self)
 
     def _announce(self, now: int) -> None:
+        self.changes += 1
         if len(self.gets):
             self.gets.changed(now)
         for follower in [*self.followers]:
