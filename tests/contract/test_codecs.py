@@ -103,7 +103,9 @@ async def test_a_payload_that_does_not_decode_names_the_channel_and_the_item(sur
     plain = await surface.channel()
     put = await plain.put(b"{")
     item = await (await surface.channel(plain.name, codec="json")).newest()
-    with pytest.raises(st.CodecError, match=rf"{plain.name}.*item #{put.seq} at {put.time}.*no application/json"):
+    with pytest.raises(
+        st.CodecError, match=rf"{plain.name}.*item #{put.seq} at {put.time}.*cannot be decoded as application/json"
+    ):
         _ = item.value
     assert item.payload == b"{"
 

@@ -9,6 +9,7 @@ import pytest
 
 from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_channel_host.cluster.records import policy_change
 from tests.support.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
 
 
@@ -200,7 +201,7 @@ async def test_a_blocked_put_waits_for_room_and_the_acks_before_it_do_not(rig: R
     await rig.host.store.configure(
         channel.channel_id,
         channel.epoch,
-        channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=2)),
+        policy_change(channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_items=2))),
         b"0123456789abcdef",
         time.monotonic(),
     )
@@ -295,7 +296,9 @@ async def make_room(rig: Rig, channel: Opened) -> None:
     """The channel gets another limit, and whatever waits has come in."""
     request = blocking(600 * S)
     request.retention.max_items = 9
-    await rig.host.store.configure(channel.channel_id, channel.epoch, request, b"0123456789abcdef", time.monotonic())
+    await rig.host.store.configure(
+        channel.channel_id, channel.epoch, policy_change(request), b"0123456789abcdef", time.monotonic()
+    )
 
 
 async def test_of_a_run_that_was_accepted_in_part_only_the_rest_is_refused_when_its_channel_goes(rig: Rig) -> None:

@@ -179,7 +179,7 @@ class CoreSurface:
     def do(self, call: Callable[[], Any]) -> Any:
         outcome = call()
         if isinstance(outcome, Call):
-            outcome = outcome.at_once()
+            outcome = outcome.run_to_end()
         if isinstance(outcome, st.StampedeError):
             raise outcome
         return outcome

@@ -77,7 +77,7 @@ class SimMember:
         self.disk = Disk()
         self.said = Said(member.member_id)
         # Whether it does not know the command `FORK`, as a member of an older release.
-        self.forks = False
+        self.forks = self.has_forked = False
         self.machine = ListMachine(world.history)
         self.replica: RaftReplica | None = None
         self.frozen_until = 0.0
@@ -97,6 +97,7 @@ class SimMember:
     def start(self) -> None:
         """Come up from the disk, with every connection still to be made."""
         self.machine = Ignorant(self.world.history) if self.forks else ListMachine(self.world.history)
+        self.has_forked |= self.forks  # others may hear of the cause's end a little later
         self._starts += 1
         self._checked, self._waited, self._hangs_since = (0, 0), 0.0, self.world.now
         self.replica = self._open()
@@ -215,7 +216,7 @@ class SimMember:
         commit_index, changed_at = log.commit_index, log.configurations.current_index
         if status.diverged_at and not self.forks:
             raise PromiseBroken(f"{self.member.member_id} finds its state another one at {status.diverged_at}")
-        if status.doubts and not any(one.forks for one in self.world.members.values()):
+        if status.doubts and not any(one.has_forked for one in self.world.members.values()):
             raise PromiseBroken(f"{self.member.member_id} holds states for doubtful: {dict(status.doubts)}")
         if status.is_leader:
             self.world.history.leads(self.member.member_id, status.term)

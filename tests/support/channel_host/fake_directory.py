@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from collections import Counter
+from collections.abc import AsyncIterator
 from typing import Any
 
 import grpc
@@ -75,6 +76,11 @@ class FakeDirectory(
             self._called.notify_all()
         if method in self.refuse:
             await abort(context, self.refuse[method])
+
+    async def Watch(self, request: Any, context: Any) -> AsyncIterator[pb.WatchResponse]:  # noqa: N802
+        await self._begin("Watch", context)
+        yield pb.WatchResponse(applied_index=1)
+        await asyncio.Event().wait()
 
     async def Bind(self, request: Any, context: Any) -> frontend_service_pb2.BindResponse:  # noqa: N802
         await self._begin("Bind", context)

@@ -7,7 +7,7 @@ import random
 import time
 from typing import Any, NamedTuple
 
-from stampede_rt._async.endpoints import EndpointPool
+from stampede_rt._async.endpoints import EndpointPool, connection_closed
 from stampede_rt.cluster.binding import order_by_round_trip
 from stampede_rt.cluster.cluster_ids import ClusterSeen, cluster_among, may_go_over, wrong_cluster
 from stampede_rt.cluster.directory_call import (
@@ -280,7 +280,9 @@ class DirectoryClient:
         backoff = Backoff(min(deadline_s, time.monotonic() + CONNECT_TIMEOUT_S))
         while not await self._find_cluster():
             delay_s = backoff.next_delay_s(time.monotonic(), random.random())
-            if delay_s is None or self._endpoints.closed:
+            if self._endpoints.closed:
+                raise connection_closed()
+            if delay_s is None:
                 raise Unavailable("no supernode answers, or the directory has just begun; try again")
             await sleep(delay_s)
             await self._rebind(backoff.deadline_s)

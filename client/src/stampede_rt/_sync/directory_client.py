@@ -8,7 +8,7 @@ import random
 import time
 from typing import Any, NamedTuple
 
-from stampede_rt._sync.endpoints import EndpointPool
+from stampede_rt._sync.endpoints import EndpointPool, connection_closed
 from stampede_rt.cluster.binding import order_by_round_trip
 from stampede_rt.cluster.cluster_ids import ClusterSeen, cluster_among, may_go_over, wrong_cluster
 from stampede_rt.cluster.directory_call import (
@@ -279,7 +279,9 @@ class DirectoryClient:
         backoff = Backoff(min(deadline_s, time.monotonic() + CONNECT_TIMEOUT_S))
         while not self._find_cluster():
             delay_s = backoff.next_delay_s(time.monotonic(), random.random())
-            if delay_s is None or self._endpoints.closed:
+            if self._endpoints.closed:
+                raise connection_closed()
+            if delay_s is None:
                 raise Unavailable("no supernode answers, or the directory has just begun; try again")
             sleep(delay_s)
             self._rebind(backoff.deadline_s)
