@@ -114,8 +114,8 @@ class EnqueueStream:
             hosted = self._store.find(self._queue_id, self._epoch)
             check_queue_access(AccessVerb.SEND, hosted.record)
             if message.origin:
-                check_not_judged("set the origin of a run, as of a dead letter")
                 check_forwards(caller_identity(self._context))
+                check_not_judged("set the origin of a run, as of a dead letter")
             run = enqueue_of(message, self._producer_id, came_s)
         except StampedeError as error:
             if hosted is not None:
