@@ -184,8 +184,16 @@ def _joined(threads: list[threading.Thread]) -> list[threading.Thread]:
     """Those that have not ended after END_S."""
     ends_s = time.monotonic() + END_S
     for thread in threads:
-        thread.join(max(0.0, ends_s - time.monotonic()))
+        _join(thread, ends_s)
     return [thread for thread in threads if thread.is_alive()]
+
+
+def _join(thread: threading.Thread, ends_s: float) -> None:
+    while True:  # ends with the thread, or at `ends_s`
+        try:
+            return thread.join(max(0.0, ends_s - time.monotonic()))
+        except RuntimeError:  # a thread is listed a moment before it has started
+            time.sleep(0)
 
 
 def _stack(thread: threading.Thread) -> str:
