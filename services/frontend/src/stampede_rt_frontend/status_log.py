@@ -11,7 +11,10 @@ START_SECONDS = 5.0
 
 
 class Note(NamedTuple):
-    """One line of the log. `is_well`: things are as they should be. `is_return`: they were not, and this was said."""
+    """One line of the log.
+
+    `is_well`: the line reports a good state. `is_return`: an earlier line reported the bad state before it.
+    """
 
     text: str
     is_well: bool
@@ -20,9 +23,10 @@ class Note(NamedTuple):
 
 
 class StatusLog:
-    """Remembers what was said last.
+    """Compares the states of the supernodes with those that it reported last.
 
-    All parts of a cluster may be starting at once: until a supernode can serve, START_SECONDS pass in silence.
+    All parts of a cluster may start at the same time. For the first START_SECONDS the log therefore does not report
+    a supernode that could not serve yet.
     """
 
     def __init__(self) -> None:
@@ -31,7 +35,7 @@ class StatusLog:
         self._any_served: bool | None = None
 
     def changes(self, roster: SupernodeRoster, now_s: float) -> Iterator[Note]:
-        """The changes since the last call; `now_s` on a clock that never goes back."""
+        """A line for each change since the last call. `now_s` is read from a clock that never goes back."""
         if self._starts_until_s is None:
             self._starts_until_s = now_s + START_SECONDS
         is_starting = now_s < self._starts_until_s

@@ -19,7 +19,7 @@ from stampede_rt_supernode.joining.founding import Founding, check_restored, rea
 from stampede_rt_supernode.replication import StoreDamaged, StoreRefused, holds_store, read_identity
 
 DEFAULT_ID = "supernode-1"
-MEMBERS_MAX = 9  # a majority of more costs more than it protects
+MEMBERS_MAX = 9  # with more members, each majority costs more than the added safety is worth
 LEASE_TTL_NANOS_MIN, LEASE_TTL_NANOS_MAX = 10**9, 3600 * 10**9
 
 
@@ -117,10 +117,10 @@ class SupernodeSettings(ServiceSettings):
             raise ValueError(f"--listen is {self.listen}; with --members name the port that the list has for this one")
 
     def founding(self, listening_at: str) -> Founding:
-        """How this supernode begins: by the list of members, by what its folder was prepared for, or alone.
+        """How this supernode begins: as its folder was prepared, by the list of members, or alone.
 
-        Raises StampedeError for a folder that nobody has prepared: a member that lost its disk would come back
-        without what it has promised.
+        Raises StampedeError if it would begin alone in a folder that nobody has prepared and that holds no store. It
+        may be a member that lost its disk. Such a member would not know the promises that it gave to the others.
         """
         if self.data_dir is not None:
             check_restored(self.data_dir)
@@ -148,8 +148,11 @@ class SupernodeSettings(ServiceSettings):
 
     @staticmethod
     def _check_founder(data_dir: Path, name: str) -> None:
-        """Raises StampedeError for the folder of a founder of a listed cluster that is started without the list."""
-        with contextlib.suppress(StoreDamaged, StoreRefused):  # the store itself tells
+        """Raises StampedeError if the store in the folder belongs to another supernode than `name`.
+
+        That happens when somebody starts a founder of a listed cluster without the list.
+        """
+        with contextlib.suppress(StoreDamaged, StoreRefused):  # whoever opens the store reports these
             _, member_id = read_identity(data_dir)
             if member_id != name:
                 raise StampedeError(
@@ -158,10 +161,13 @@ class SupernodeSettings(ServiceSettings):
                 )
 
     def _listed(self, name: str, address: str, members: dict[str, str]) -> Founding:
-        """One of the founders in the list. The store knows best of which cluster it is: a list may change later."""
+        """How a founder in the list begins.
+
+        The cluster id comes from the store if it has one: the list, which gives the id otherwise, may change later.
+        """
         cluster_id = listed_cluster_id(members)
         if self.data_dir is not None and holds_store(self.data_dir):
-            with contextlib.suppress(StoreDamaged, StoreRefused):  # whoever opens it says so
+            with contextlib.suppress(StoreDamaged, StoreRefused):  # whoever opens the store reports these
                 cluster_id, _ = read_identity(self.data_dir)
         return Founding(supernode_id=name, address=address, members=members, log_cluster_id=cluster_id, listed=True)
 

@@ -20,7 +20,7 @@ def fenced(host: str) -> StampedeError:
 
 
 def not_here(host: str, channel_id: bytes) -> StampedeError:
-    """Nobody has bound the channel here, or it went elsewhere."""
+    """Nobody has bound the channel at this host, or another host owns it now."""
     shown = channel_id.hex()
     return error_for(
         "NOT_HERE",
@@ -38,7 +38,7 @@ def moved(name: str, host_id: bytes) -> StampedeError:
 
 
 def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
-    """The caller believes in another epoch."""
+    """The request names another epoch than the one that the channel has."""
     return error_for(
         "WRONG_EPOCH",
         f"channel {name} is at epoch {actual} and the request names {stated}; resolve the channel again",
@@ -47,7 +47,7 @@ def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
 
 
 def other_incarnation(name: str, stated: int, actual: int) -> StampedeError:
-    """The seqs that a consumer names do not belong to the channel's present life."""
+    """The seqs that a consumer names belong to another incarnation of the channel than the present one."""
     return IncarnationLost(
         f"the seqs come from incarnation {stated:x} of channel {name}, which is {actual:x} now: its host was lost with "
         "its items; read again, and consume those items",
@@ -56,5 +56,5 @@ def other_incarnation(name: str, stated: int, actual: int) -> StampedeError:
 
 
 def deleted(name: str) -> StampedeError:
-    """The channel was deleted while something was under way."""
+    """Somebody deleted the channel while a call or a stream used it."""
     return ChannelNotFound(f"channel {name} was deleted", metadata={"channel": name})

@@ -1,4 +1,8 @@
-"""The channels of this host: made when they are first bound, fenced with the lease, dropped when they went away."""
+"""The channels of this host.
+
+The store makes a channel when somebody first binds it. It serves no channel without the lease. It drops a channel that
+was deleted or that another host owns.
+"""
 
 from __future__ import annotations
 
@@ -38,14 +42,14 @@ CHANNELS_PER_PIECE = 256
 RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
 _ID_END = b"\xff" * 17  # above every id
 DROPS_REMEMBERED_MAX = 1024
-LOOKUPS_MAX = 3  # each next one is asked because the host registered while the last was under way
+LOOKUPS_MAX = 3  # the store asks again if the host registered while it waited for the answer
 
 
 class ChannelStore:
-    """Every data request comes through `find`; what is new or in doubt is asked of the directory by `bind`.
+    """Every data request gets its channel by `find`. `bind` asks the directory about channels new or in doubt.
 
-    `lease_held` says whether the host may serve at this moment. `scheduler` are for long work,
-    `limits` those of all blocked gets.
+    `lease_held` says whether the host may serve at this moment. `scheduler` does long work in pieces. `limits` ends
+    the waits of all blocked gets.
     """
 
     def __init__(
@@ -66,7 +70,7 @@ class ChannelStore:
         self._clock = clock
         self._time = HostTime(clock.boottime_nanos(), clock.time_unix_nano())
         self._channels: dict[bytes, HostedChannel] = {}
-        self._names: Any = SortedList()  # of them, each with its id
+        self._names: Any = SortedList()  # the name of each channel, with the channel's id
         self._single_flight = SingleFlight()
         self._drops: OrderedDict[bytes, None] = OrderedDict()
         self._closing: StampedeError | None = None
@@ -96,7 +100,7 @@ class ChannelStore:
         return self.find(channel_id, hosted.epoch if hosted else 0)
 
     async def bind(self, channel_id: bytes, epoch: int, spec_version: int = 0) -> HostedChannel:
-        """The channel under that epoch; the directory is asked if it, its epoch or its spec is new here.
+        """The channel under that epoch. Asks the directory if the channel, its epoch or its spec is new here.
 
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), ChannelNotFound, Overloaded, Unavailable.
         """
@@ -127,10 +131,10 @@ class ChannelStore:
     async def configure(
         self, channel_id: bytes, epoch: int, change: PolicyChange, request_id: bytes, since_s: float
     ) -> HostedChannel:
-        """Change the set-up in the directory, then here. Raises what the directory refuses. Repeat it as `drop`."""
+        """Change the set-up in the directory, then here. Safe to repeat. Raises the refusal of the directory."""
         hosted = await self.bind(channel_id, epoch)
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, hosted.record.name)
-        _check_policy(hosted.record.policy, change.stated)  # before the directory takes what this host could not hold
+        _check_policy(hosted.record.policy, change.stated)  # so that the directory takes no policy impossible here
         registrations = self._registrations
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)
         if registrations != self._registrations:
@@ -138,10 +142,10 @@ class ChannelStore:
         return self._adopt(record)
 
     def registering(self, records: Iterable[RecordedChannel], *, all_told: bool) -> Pieces[None]:
-        """The directory's answer to a registration, in pieces: drop what went elsewhere, take over new epochs. The
-        lease is not held meanwhile.
+        """Take in the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
 
-        `all_told` False: the answer was cut; channels that it does not name are let go, and bound again when asked for.
+        The store drops the channels that went elsewhere, and takes over new epochs. `all_told` False: the answer was
+        cut. Then the store serves a channel that the answer does not name only after the next `bind` of it.
         """
         self._registrations += 1
         held = [(hosted, hosted.record.epoch) for hosted in self._channels.values()]
@@ -157,7 +161,7 @@ class ChannelStore:
             yield
 
     def _compare(self, hosted: HostedChannel, record: RecordedChannel | None, *, all_told: bool) -> None:
-        """Of a channel that has not changed since the registration."""
+        """Compare a channel that has not changed since the registration with the directory's record of it."""
         if record is not None:
             self._adopt(record)
         elif all_told:
@@ -167,16 +171,18 @@ class ChannelStore:
             hosted.epoch = 0  # no request can name it: the next bind asks the directory
 
     def fence(self) -> None:
-        """The lease ran out: whoever waits for a channel or listens to it must look for it elsewhere."""
+        """End all waits and streams, because the lease ran out: their callers must look for the channels elsewhere."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def close(self) -> None:
-        """From now on the lease counts as given up, because the host goes."""
+        """Refuse all requests from now on, as without a lease, because the host shuts down."""
         self._closing = refusals.SHUTTING_DOWN
 
     def end_all(self, error: StampedeError) -> None:
-        """End the waits of all callers and the streams of all readers with `error`. With many of them, the last end a
-        moment later."""
+        """End the waits of all callers and the streams of all readers with `error`.
+
+        If there are many of them, the last ones end a moment later.
+        """
         self.scheduler.begin(self._ending(self.all(), error))
 
     def _ending(self, channels: Iterable[HostedChannel], error: StampedeError) -> Pieces[None]:
@@ -223,10 +229,11 @@ class ChannelStore:
         self._adopt(record)
 
     async def _resolve(self, channel_id: bytes) -> RecordedChannel:
-        """The channel, asked for since the last registration.
+        """The directory's record of the channel, asked for after the host's last registration.
 
-        An older answer may be out of date: before the host registered again its lease had ended, and the channel may
-        have got a new owner. Raises what the directory answers, or StaleBinding if the host cannot keep a lease.
+        An answer to an earlier question may be out of date: the lease ended before the host registered again, and the
+        channel may have got a new owner meanwhile. Raises the error that the directory answers, or StaleBinding if the
+        host cannot keep a lease.
         """
         for _ in range(LOOKUPS_MAX):
             registrations = self._registrations
@@ -264,6 +271,6 @@ class ChannelStore:
 
 
 def _check_policy(held: Policy, change: Policy) -> None:
-    """Raises InvalidArgument if the channel could not be set up so."""
+    """Raises InvalidArgument if the channel could not have the policy `held` with the values that `change` states."""
     values = {field.name: getattr(change, field.name) for field in fields(change)}
     ChannelLimits.of(replace(held, **{name: value for name, value in values.items() if value is not None}))

@@ -1,4 +1,4 @@
-"""Keeps what this host knows of rules and keys of access as the directory has it."""
+"""Keeps this host's copy of the access state (rules, token keys, revoked serials) equal to the directory's."""
 
 from __future__ import annotations
 
@@ -24,26 +24,29 @@ PAUSE_SECONDS = 0.5
 
 
 class AccessWatch:
-    """The changes that the directory watch reports, and the task that then asks for the state. See `Watched`."""
+    """Hears of changes from the directory watch, as a `Watched`. Its task then asks for the access state."""
 
     def __init__(self, supernodes: Supernodes, control: AccessControl) -> None:
         self._supernodes = supernodes
         self._control = control
         self._due = asyncio.Event()
         self.in_use = asyncio.Event()
-        self.in_use.set()  # every call is judged
+        self.in_use.set()  # the watch is needed from the start: the rules apply to every call
 
     async def missed(self) -> None:
-        """Changes may have been missed. Raises what the directory answers."""
+        """Ask for the state now: the watch may have missed changes. Raises the error that the directory answers."""
         self._control.tell(await self._ask())
 
     def changed_in_directory(self, change: RecordedChange) -> None:
-        """The directory tells of a change."""
+        """Have `keep` ask for the state if the directory tells of a change of access."""
         if change.is_of_access:
             self._due.set()
 
     async def keep(self) -> NoReturn:
-        """Ask for the state after each change, until that is answered. Changes meanwhile are asked for together."""
+        """After each change, ask for the state until an answer comes.
+
+        One request covers all changes that came meanwhile.
+        """
         while True:  # paced by the changes
             await self._due.wait()
             self._due.clear()
@@ -74,7 +77,9 @@ class AccessWatch:
 
 
 def _knows_no_rules(error: StampedeError) -> bool:
-    """Whether a supernode of an earlier release answered. While there is one, the cluster's feature level lets nobody
-    make rules."""
+    """Whether a supernode of an earlier release answered, which knows no rules.
+
+    While the cluster has such a supernode, its feature level lets nobody make rules.
+    """
     cause = error.__cause__
     return isinstance(cause, grpc.aio.AioRpcError) and cause.code() is grpc.StatusCode.UNIMPLEMENTED

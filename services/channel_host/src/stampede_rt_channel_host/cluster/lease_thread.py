@@ -1,7 +1,7 @@
 """Runs a host's registration on a thread and an event loop of its own (decision 0060).
 
-Whatever holds up the loop that serves channels, renewals go on and the fence falls in time. A loop that has not turned
-for LOOP_SILENCE_SECONDS_MAX serves nobody: then renewals stop too, and the channels get another owner.
+If something blocks the loop that serves channels, renewals still go on, and the fence still comes in time. A loop that
+has not turned for LOOP_SILENCE_SECONDS_MAX serves nobody. Then renewals stop too, and the channels get another owner.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ logger = logging.getLogger(__name__)
 
 LOOP_SILENCE_SECONDS_MAX = 60.0
 LOOP_LATE_SECONDS = 1.0
-"""A loop that turns later than that is worth a line in the log."""
+"""If the loop turns later than this, a line in the log says so."""
 STOP_SECONDS_MAX = 5.0
 
 Result = TypeVar("Result")
@@ -33,15 +33,18 @@ class ServingLoop:
         self._asked_s: float | None = None  # None: the loop has turned since it was asked
 
     def run_soon(self, call: Callable[[], None]) -> None:
-        """Run `call` there, behind all that was handed over before. Does not wait."""
+        """Run `call` on the serving loop, after all calls that it was given before. Does not wait."""
         self._loop.call_soon_threadsafe(call)
 
     async def run(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Do `work` there, and wait until it is done. Raises what it raises."""
+        """Do `work` on the serving loop, and wait until it is done. Raises the errors of `work`."""
         await _on(self._loop, work())
 
     def has_hung(self) -> bool:
-        """The loop has not turned for LOOP_SILENCE_SECONDS_MAX. Asks it to turn, if it is not asked yet."""
+        """Whether the loop has not turned for LOOP_SILENCE_SECONDS_MAX.
+
+        Asks the loop to turn, unless it still has to answer an earlier call.
+        """
         now_s, asked_s = time.monotonic(), self._asked_s  # read once: the other thread sets it
         if asked_s is not None:
             return now_s - asked_s > LOOP_SILENCE_SECONDS_MAX
@@ -50,7 +53,7 @@ class ServingLoop:
         return False
 
     def _turned(self, asked_s: float) -> None:
-        """On the serving loop's own thread."""
+        """Note that the loop has turned. Runs on the serving loop's own thread."""
         late_s = time.monotonic() - asked_s
         if late_s > LOOP_LATE_SECONDS:
             logger.warning("the event loop that serves channels was blocked", extra={"seconds": round(late_s, 3)})
@@ -58,10 +61,10 @@ class ServingLoop:
 
 
 class LeaseThread:
-    """One host's place in the directory, kept on a thread of its own. Made and called on the loop that serves channels.
+    """One host's place in the directory, kept on a thread of its own.
 
-    `make` makes the registration; it gets the serving loop, to which it has to hand whatever concerns channels. Order:
-    `enter`, `keep`, `leave`.
+    Make it and call it on the loop that serves channels, in this order: `enter`, `keep`, `leave`. `make` gets the
+    serving loop and makes the registration. The registration must hand all work on channels to the serving loop.
     """
 
     def __init__(self, make: Callable[[ServingLoop], Registration]) -> None:
@@ -108,7 +111,7 @@ class LeaseThread:
 
 
 def _run_loop(loop: asyncio.AbstractEventLoop) -> None:
-    """Until the loop is stopped."""
+    """Run the loop until somebody stops it; then cancel its tasks and close it."""
     asyncio.set_event_loop(loop)
     try:
         loop.run_forever()
@@ -121,5 +124,5 @@ def _run_loop(loop: asyncio.AbstractEventLoop) -> None:
 
 
 async def _on(loop: asyncio.AbstractEventLoop, work: Coroutine[Any, Any, Result]) -> Result:
-    """Do `work` on another thread's loop. Cancelled here, it is cancelled there."""
+    """Do `work` on another thread's loop. If the caller is cancelled, `work` is cancelled, too."""
     return await asyncio.wrap_future(asyncio.run_coroutine_threadsafe(work, loop))

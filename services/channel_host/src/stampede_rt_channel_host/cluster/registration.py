@@ -46,11 +46,12 @@ RenewHostLeaseResponse = directory_service_pb2.RenewHostLeaseResponse
 class Registration:
     """One host's place in the directory.
 
-    `on_registered` hears of every registration with the directory's answer, and is waited for, before anything is
-    served under it; `on_lease` hears True when the lease begins to hold, and False when it ran out. While `has_hung`
-    says that nothing is served anyway, the lease is not renewed. `home`: the cluster that it is
-    of, any until it has registered. Order: `enter`, `keep`, `leave`. All of it runs on one
-    event loop; `lease_held` may be asked from any thread.
+    `on_registered` gets the directory's answer to every registration. The host serves nothing under the registration
+    before `on_registered` has returned. `on_lease` gets True when the lease begins to hold, and False when it has run
+    out. While `has_hung` returns True, the host serves nothing, and `keep` does not renew the lease. `home` is the
+    cluster of the host; before its first registration, the host may enter any cluster.
+
+    Call `enter`, `keep` and `leave` in this order, all on one event loop. Any thread may call `lease_held`.
     """
 
     def __init__(
@@ -73,9 +74,9 @@ class Registration:
         self._home = home or HomeCluster()
         self._epoch = RegistrationEpoch()
         self._lease = HostLease()
-        self._told_held = False  # what on_lease heard last
-        self._unrenewed_since_s: float | None = None  # when renewals began to fail, if they do
-        self._has_ended = False  # the lease, without a registration since
+        self._told_held = False  # the value that on_lease got last
+        self._unrenewed_since_s: float | None = None  # when renewals began to fail; None: they succeed
+        self._has_ended = False  # whether the lease has ended and the host has not registered since
         self._target = ""
         self._has_left = False
         self._fence: asyncio.TimerHandle | None = None
@@ -87,8 +88,8 @@ class Registration:
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
         """Register for the first time, with a gatekeeper at `target`.
 
-        Tries for `timeout_s`, also while another live host has the name: that may be this one's predecessor, whose
-        lease ends by itself. Raises the last failure, or at once one that stays.
+        Tries for `timeout_s`, even while another live host has the name: that host may be the predecessor of this one,
+        and its lease ends by itself. Raises the last failure. Raises a failure at once if a retry cannot help.
         """
         self._target = target
         deadline_s = time.monotonic() + timeout_s
@@ -121,7 +122,7 @@ class Registration:
                 pause_s = await _pause(pause_s)
 
     def _note_unrenewed(self, error: StampedeError) -> None:
-        """Said once, however often it is tried again, and taken back by `_note_renewed`."""
+        """Log one warning when renewals begin to fail. `_note_renewed` logs when they succeed again."""
         if self._unrenewed_since_s is None:
             self._unrenewed_since_s = time.monotonic()
             logger.warning(
@@ -140,7 +141,7 @@ class Registration:
             self._unrenewed_since_s = None
 
     async def leave(self) -> None:
-        """Deregister, so that the channels are free at once. Failing that, the lease ends by itself."""
+        """Deregister, so that other hosts may get the channels at once. If that fails, the lease ends by itself."""
         self._has_left = True
         if self._fence is not None:
             self._fence.cancel()
@@ -185,9 +186,9 @@ class Registration:
         self._grant(sent, response.lease_ttl_nanos)
 
     async def _register(self, timeout_s: float = REGISTER_SECONDS_MAX) -> None:
-        """With a number above that of every other process of this host.
+        """Register with a registration epoch above that of every other process of this host.
 
-        Raises StaleRegistration if a newer one lives: two processes share one data folder.
+        Raises StaleRegistration if a newer process lives: then two processes share one data folder.
         """
         deadline_s = time.monotonic() + timeout_s
         while True:  # once more for each process that registers meanwhile; ends with the deadline
@@ -198,7 +199,10 @@ class Registration:
                     raise
 
     async def _register_once(self, timeout_s: float) -> None:
-        """The same boot incarnation each time: what is held stays valid for the channels that nobody took meanwhile."""
+        """Send one registration, always with the same boot incarnation.
+
+        So the items that this host holds stay valid, in all channels that no other host took meanwhile.
+        """
         one = self._identity
         request = directory_service_pb2.RegisterHostRequest(
             request_id=secrets.token_bytes(16),
@@ -219,17 +223,17 @@ class Registration:
             )
         self._epoch.note_registered()
         await self._note_cluster(response)
-        await self._on_registered(response)  # before the grant: nothing is served that went elsewhere
+        await self._on_registered(response)  # before the grant, so that the host serves no channel that went elsewhere
         self._grant(sent, response.lease_ttl_nanos)
         self._note_registered(len(response.channels))
 
     async def _note_cluster(self, response: RegisterHostResponse | RenewHostLeaseResponse) -> None:
-        """The directory that granted the lease may be that of a cluster which took the place of this host's."""
+        """Note the cluster of the directory that answered: it may have taken the place of this host's cluster."""
         if not self._home.is_noted(response.cluster_id):
             await asyncio.to_thread(self._home.note, response.cluster_id, response.former_cluster_ids)
 
     def _note_registered(self, channels: int) -> None:
-        """Log the registration: as a warning if the end of a lease was one before."""
+        """Log the registration: as a warning if the host lost its lease before, else as information."""
         level, text = (logging.WARNING, "registered again") if self._has_ended else (logging.INFO, "registered")
         logger.log(level, text, extra={"host": self._identity.name, "channels": channels})
         self._has_ended = False
@@ -241,13 +245,16 @@ class Registration:
         self._check_fence()
 
     def _check_fence(self) -> None:
-        """Called at every grant and when the fence may have been reached."""
+        """Tell `on_lease` if the lease has begun or ended, and set the timer for the fence anew.
+
+        Called at every grant, and whenever the lease may have ended.
+        """
         if self._fence is not None:
             self._fence.cancel()
             self._fence = None
         left = self._lease.fenced_in_nanos(self._clock.boottime_nanos())
         if left:
-            # A little late, so that the clock has passed the fence; every request looks at the clock itself.
+            # The timer fires a little late, when the clock has passed the fence. Each request checks the clock itself.
             self._fence = asyncio.get_running_loop().call_later(left / 1e9 + 0.001, self._check_fence)
         self._tell(held=left > 0)
 

@@ -1,4 +1,4 @@
-"""A member at another host, as a subscription to matches follows it: by keys, without payloads."""
+"""A member of a group at another host. A subscription to matches follows its items' keys, without the payloads."""
 
 from __future__ import annotations
 
@@ -22,11 +22,14 @@ PAUSE_SECONDS = 0.2
 
 
 class FarMember:
-    """`track` is what came of it, `epoch` and `target` where the directory says that it is; `is_followed`: from then
-    on nothing that is put is missed."""
+    """One member at another host.
+
+    `track` holds the keys of the items that came from it. `epoch` and `target` are its epoch and its host's address,
+    as the directory told them last. Once `is_followed` is True, no item that a producer puts is missing.
+    """
 
     def __init__(self, channel_id: bytes, since: int) -> None:
-        """`since`: the earliest time that may be asked for."""
+        """`since`: the time at which the subscription starts, a little before the first item that may match."""
         self.channel_id = channel_id
         self.epoch = 0
         self.target = ""
@@ -38,11 +41,14 @@ class FarMember:
         self._times = ChannelTimes(0, 0)
 
     def has_passed(self, instant: int, lateness_nanos: int) -> bool:
-        """By what came on this very subscription: what came before it is on the track."""
+        """Whether the member has passed the instant, judged only by what came on this subscription.
+
+        So all items that came before are on the track already.
+        """
         return self._times.has_passed(instant, lateness_nanos)
 
     async def keep(self, dial: Dial, on_news: Callable[[], None]) -> None:
-        """Follow it at its owner; where that fails, again, wherever the directory says it is then."""
+        """Follow the member at its owner. If that fails, try again at the host that the directory names by then."""
         while True:  # paced; ends when it is cancelled
             if self.target:
                 try:
@@ -67,7 +73,10 @@ class FarMember:
             await channel.close(None)
 
     def _request(self) -> channel_service_pb2.SubscribeRequest:
-        """From a little before the first item that may be matched, or behind what came; no credit holds it back."""
+        """The request that opens the subscription: from `since` on, or after the items that came already.
+
+        It grants the greatest credit, so that credit never holds the items back.
+        """
         begun = channel_service_pb2.SubscribeOpen(channel_id=self.channel_id, epoch=self.epoch, without_payloads=True)
         if self._cursor is None:
             begun.start.CopyFrom(time_pb2.Bound(instant_unix_nano=self._since))
@@ -76,7 +85,7 @@ class FarMember:
         return channel_service_pb2.SubscribeRequest(open=begun, credit_bytes=CREDIT_MAX)
 
     def _begin_anew(self) -> None:
-        """Its host was lost and what it held, and seqs of before mean nothing: go on by time."""
+        """Go on by time: the member's host was lost with its items, so the seqs from before mean nothing."""
         self.track.forget_before(MAX_INSTANT)
         self._cursor = None
         self._since = self._since if self._times.newest is None else self._times.newest

@@ -1,4 +1,7 @@
-"""GroupService on the wire (paper, sections 3.3 and 4.1): find the group, hand over, let errors rise."""
+"""GroupService on the wire (paper, sections 3.3 and 4.1).
+
+Each method hands its call over to the part of the host that does the work. It catches no errors itself.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +23,15 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.GroupService"
-SETTLE_SECONDS = 1.0  # a status is asked for in trouble, too: then it tells which hosts are silent
+# A status waits no longer for silent hosts: a caller in trouble asks for it to learn which hosts are silent.
+SETTLE_SECONDS = 1.0
 
 
 class GroupServicer:
-    """Streams end with the host, by `streams`. What carries runs is answered with bytes: they are sent as stored."""
+    """Serves GroupService. `streams` ends all open streams when the host ends.
+
+    A stream that carries runs has no response serializer: it sends the stored bytes as they are.
+    """
 
     def __init__(self, groups: GroupStore, dial: Dial, streams: OpenStreams) -> None:
         self._groups = groups
@@ -68,7 +75,10 @@ class GroupServicer:
 
     @errors_as_status
     async def get_cut(self, request: pb.GetCutRequest, context: Context) -> pb.GetCutResponse:
-        """GroupService.GetCut: the cut once it is as far as the caller has seen it, or that it is stalled."""
+        """GroupService.GetCut: the cut, once it has reached the caller's floor.
+
+        If the caller's wait ends first, the answer says `stalled`, and gives the cut that this host has.
+        """
         self._groups.check_serving()
         group = await self._groups.find(request.group_id)
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)

@@ -1,7 +1,7 @@
 """The other hosts that share groups with this one, and the links to them (paper, section 4.1).
 
-The host with the lower id opens the stream of a pair. One with the higher id that finds none knocks: it names the group
-at the other, which then learns of it and opens the stream.
+Of each pair, the host with the lower id opens the stream. While there is no stream, the host with the higher id knocks:
+it calls GetCut of a shared group at the other host. The other host then learns of the group and opens the stream.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Dial = Callable[[str], grpc.aio.Channel]
 
 
 class PeerHost:
-    """Another host: where it listens, what is wanted of it, and a group that both share."""
+    """Another host: where it listens, the channels that this host wants from it, and the groups that both share."""
 
     def __init__(self, host_id: bytes) -> None:
         self.host_id = host_id
@@ -45,7 +45,10 @@ class PeerHost:
 
 
 class PeerHosts:
-    """`knowledge` is told from and to; `lease_held` says whether this host may speak for its channels."""
+    """Keeps a link to each other host. `lease_held` says whether this host may speak for its channels.
+
+    `knowledge` gives the links what they tell, and receives what they hear.
+    """
 
     def __init__(
         self, identity: HostIdentity, knowledge: Knowledge, dial: Dial, cluster_id: Callable[[], str],
@@ -60,7 +63,11 @@ class PeerHosts:
 
     def share(self, targets: Mapping[bytes, str], wanted: Mapping[bytes, set[bytes]],
               groups: Mapping[bytes, set[bytes]]) -> None:  # fmt: skip
-        """These are the other hosts now, with what is wanted to be heard of each and the groups shared with it."""
+        """Take in which other hosts share groups with this one now, and drop all others.
+
+        For each host, `targets` gives its address, `wanted` the channels that this host wants to hear about from it,
+        and `groups` the groups that both share.
+        """
         for host_id, peer in list(self._peers.items()):
             if host_id not in groups:
                 self._drop(peer)
@@ -78,29 +85,32 @@ class PeerHosts:
                 peer.task.add_done_callback(_check)
 
     def is_linked(self, host_id: bytes) -> bool:
-        """A stream to the host stands."""
+        """Whether a stream to the host is open."""
         peer = self._peers.get(host_id)
         return peer is not None and peer.link is not None
 
     def wanted_of(self, host_id: bytes) -> frozenset[bytes]:
-        """The channels that this host is heard about."""
+        """The channels that this host wants to hear about from the host `host_id`."""
         peer = self._peers.get(host_id)
         return peer.wanted if peer is not None else frozenset()
 
     def tell_times(self, channel_id: bytes) -> None:
-        """A channel of this host has changed: tell those who want to hear."""
+        """Tell the hosts that want to hear about it that a channel of this host has changed."""
         for peer in self._peers.values():
             if peer.link is not None:
                 peer.link.tell_times(channel_id)
 
     def tell_floor(self, group_id: bytes) -> None:
-        """A cut has come further: tell those who share the group."""
+        """Tell the hosts that share the group that its cut has advanced."""
         for peer in self._peers.values():
             if peer.link is not None and group_id in peer.groups:
                 peer.link.tell_floor(group_id)
 
     def greeted(self, link: HostLink) -> None:
-        """A link stands: begin with all that is known. A newer link of a pair takes the place of the older."""
+        """Begin to use a link whose other side has said who it is. It replaces an older link to the same host.
+
+        First name the channels that this host wants to hear about, and tell the cuts of the shared groups.
+        """
         peer = self._peers.setdefault(link.host_id, PeerHost(link.host_id))
         peer.link = link
         peer.unlinked.clear()
@@ -134,8 +144,11 @@ class PeerHosts:
         await asyncio.gather(*tasks, return_exceptions=True)
 
     def _drop(self, peer: PeerHost) -> None:
-        """No group is shared any more. A stream that the other side opened stays as long as that one wants it: were it
-        forgotten here, none would be opened when a group is shared again meanwhile."""
+        """Stop keeping a link to a host that shares no group with this one any more.
+
+        If the other host opened the stream, that host decides how long the stream stays. Meanwhile this host remembers
+        the link. If it forgot the link and both shared a group again, neither host would open a stream.
+        """
         peer.groups = frozenset()
         self._want(peer, frozenset())
         if peer.task is not None:
@@ -162,7 +175,7 @@ class PeerHosts:
                 del self._peers[link.host_id]
 
     async def _keep(self, peer: PeerHost) -> None:
-        """Keep a stream to the peer, or have it opened by the peer, as long as both share a group."""
+        """Keep a stream to the peer for as long as both share a group: open it, or knock so that the peer opens it."""
         pause_s = PAUSE_SECONDS_MIN
         while True:  # paced; ends when the peer is dropped
             if peer.link is None and peer.target and self._lease_held():
@@ -189,7 +202,7 @@ class PeerHosts:
             await _unwrapped(link.run(peer.host_id))
         except grpc.RpcError as error:
             raise from_rpc_error(error, peer.target) from error
-        except asyncio.InvalidStateError as error:  # what a write meets that comes behind the end of the call
+        except asyncio.InvalidStateError as error:  # grpc raises this for a write after the end of the call
             raise Unavailable(f"the stream to {peer.target} is broken") from error
         finally:
             if link is not None:
@@ -216,7 +229,7 @@ def _check(task: asyncio.Task[None]) -> None:
 
 
 async def _unwrapped(work: Any) -> None:
-    """Raise the one failure of a link, not the group that it comes in."""
+    """Await `work`. If it raises an exception group, raise the first failure in the group instead."""
     try:
         await work
     except BaseExceptionGroup as group:

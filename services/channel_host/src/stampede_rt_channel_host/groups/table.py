@@ -25,11 +25,11 @@ class HostedGroups:
         return self._groups_of.get(channel_id, set())
 
     def groups_of(self, channel_id: bytes) -> Iterator[HostedGroup]:
-        """Those groups."""
+        """The groups that the channel is a member of, as far as this host knows."""
         return (self.groups[group_id] for group_id in tuple(self.ids_of(channel_id)))
 
     def enter(self, group: HostedGroup) -> None:
-        """A group is new here, or has other members now."""
+        """Enter a group that is new here or has other members now."""
         group_id = group.record.group_id
         self.groups[group_id] = group
         for channel_id in group.record.definition.members:
@@ -38,21 +38,24 @@ class HostedGroups:
             self.idling.add(group_id)
 
     def adopt(self, group: HostedGroup, told: ResolvedGroup) -> bool:
-        """The directory says how a group is now; True if it began anew."""
+        """Take over how the group is now, as the directory told it. True if the group began anew."""
         self._leave(group, told.group.definition.members)
         is_anew = group.adopt(told)
         self.enter(group)
         return is_anew
 
     def forget(self, group_id: bytes) -> HostedGroup:
-        """The group is gone."""
+        """Remove a group that is gone."""
         group = self.groups.pop(group_id)
         self.idling.discard(group_id)
         self._leave(group, frozenset())
         return group
 
     def _leave(self, group: HostedGroup, staying: frozenset[bytes]) -> None:
-        """The group has its other members no more; what no group has is not followed."""
+        """Take all members except `staying` out of the group.
+
+        If a channel is in no other group, this host does not follow it any more.
+        """
         for channel_id in group.record.definition.members - staying:
             of_channel = self._groups_of.get(channel_id, set())
             of_channel.discard(group.record.group_id)

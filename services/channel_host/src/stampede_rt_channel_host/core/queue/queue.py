@@ -26,21 +26,23 @@ from stampede_rt_channel_host.core.queue.values import (
 )
 
 CHECKED_PER_CALL_MAX = 256
-"""How many items one call looks at again after other limits were set."""
+"""The most items that one call checks again after the limits have changed."""
 EMPTIED_PER_PIECE = 256
 ENDED_PER_CALL_MAX = 128
-"""How many runs that wait one call refuses."""
+"""The most waiting runs that one call of `end_line` refuses."""
 DUE_PER_CALL_MAX = 256
-"""How many ended leases, delays and waits one call looks after; the rest is due at once, see `next_deadline`."""
+"""The most ended leases, delays and waits that one call handles. The others stay due: `next_deadline` says so."""
 
 
 class QueueCore:
     """The items of one queue, in memory. Not thread-safe: one owner calls it, each call is atomic and never blocks.
 
-    Every call takes `now`, the host's clock; an earlier one than before counts as the latest seen. After each call the
-    owner takes what came of it: `take_dealt` for takers that were served, `take_finished` for runs that waited and are
-    through; it calls `tick` at `next_deadline`. Each incarnation gets a `first_delivery_id` far from those of the ones
-    before, so that nothing said of their deliveries is taken for one of its own.
+    Calls take `now`, the host's clock. If it goes back, the latest `now` counts. After each call the owner takes the
+    results: `take_dealt` gives the batches for takers, `take_finished` the runs that waited and are through. The owner
+    calls `tick` at `next_deadline`.
+
+    Each incarnation gets a `first_delivery_id` far from those of earlier incarnations. So the queue never mistakes
+    an earlier incarnation's delivery, which a taker names, for one of its own.
     """
 
     def __init__(
@@ -52,7 +54,7 @@ class QueueCore:
         first_delivery_id: int = 1,
         may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
-        """While `may_serve` denies it, nobody is dealt anything, and nothing that waits is taken."""
+        """While `may_serve` returns False, the queue deals nothing to takers and accepts no run that waits."""
         self._may_serve = may_serve
         self.incarnation = incarnation
         self._name = f"queue {name!r}" if name else "the queue"
@@ -62,10 +64,13 @@ class QueueCore:
         self._dispatcher = Dispatcher(self._queue_items, self._leasing)
         self._clock: int | None = None
         self._is_paused = False
-        self._unchecked: deque[int] = deque()  # seqs of items that were touched before the limits changed
+        self._unchecked: deque[int] = deque()  # seqs of touched items to check against the new limits
 
     def export(self, now: int) -> QueueHandoff:
-        """The whole queue as values. Those who wait are not in it: withdraw them, and let them go, before."""
+        """The whole queue as values, without waiting runs and takers.
+
+        Withdraw these runs, and let these takers leave, before you call it.
+        """
         clock = self._tick(now)
         return handoff.export(self._queue_items, self._leasing, self._enqueuing, clock)
 
@@ -73,7 +78,10 @@ class QueueCore:
     def restore(
         cls, limits: QueueLimits, state: QueueHandoff, now: int, *, incarnation: int, name: str = ""
     ) -> QueueCore:
-        """The queue that another host exported, with its seqs, leases and counters. Takes as long as it has items."""
+        """The queue that another host exported, with its seqs, leases and counters.
+
+        The call takes longer the more items the queue has.
+        """
         queue = cls(limits, incarnation=incarnation, name=name)
         handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
         queue._unchecked = deque(queue._queue_items.touched)  # the other host may have known other limits
@@ -81,32 +89,35 @@ class QueueCore:
         return queue
 
     def enqueue(self, run: Enqueue, now: int) -> None:
-        """Judge a run: it is through when this returns, or it waits, and comes with `take_finished` later.
+        """Judge a run. When this returns, the run is through, or it waits and `take_finished` gives it later.
 
-        A run that its producer put before is answered as it was; one whose message id is known, with the seq of the
-        first. Raises InvalidArgument if its numbers overlap another run's, Overloaded if too many wait.
+        A run that its producer put before gets the same answer again. A run whose message id is known gets the seq of
+        the first message with that id. Raises InvalidArgument if the run's numbers overlap another run's, Overloaded
+        if too many runs wait.
         """
         clock = self._tick(now)
         self._enqueuing.enqueue(run, clock)
         self._dispatcher.deal(clock)
 
     def withdraw(self, run: Enqueue, now: int) -> None:
-        """Nobody waits for the run any more. Idempotent."""
+        """Take a run out of the line, because its producer does not wait for it any more. Idempotent."""
         clock = self._tick(now)
         self._enqueuing.withdraw(run, clock)
         self._follow_up(clock)
 
     def pause(self) -> None:
-        """The queue is not served at present: nobody is dealt anything until `go_on`."""
+        """Deal nothing to takers until `go_on`, because the host does not serve the queue at present."""
         self._is_paused = self._dispatcher.is_paused = True
 
     def end_line(self, error: StampedeError, now: int) -> bool:
-        """Runs that wait are not taken, since the queue is not served any more: some of them are through. True if more
-        are left: call it again; until then, nothing is taken."""
+        """Refuse some of the waiting runs with `error`, because the host does not serve the queue any more.
+
+        True if more runs are left: then call it again. Until none is left, the queue accepts no run.
+        """
         return self._enqueuing.end_line(error, self._tick(now), ENDED_PER_CALL_MAX)
 
     def go_on(self, now: int) -> None:
-        """The queue is served, or could be."""
+        """Deal and accept again, because the host serves the queue or could serve it."""
         clock = self._tick(now)
         self._is_paused = False
         self._check_again()
@@ -125,29 +136,35 @@ class QueueCore:
         self._queue_items.tally.rejected_too_large += 1
 
     def grant(self, taker: TakerState, credit: int, now: int) -> None:
-        """The taker says that it may be sent so many more; 0: only that it is there. Was it silent, it waits again."""
+        """Add to the taker's credit. With a credit of 0 the taker says only that it lives.
+
+        A taker that was silent is not silent any more.
+        """
         clock = self._tick(now)
         taker.credit += credit
         taker.heard_at, taker.is_silent = clock, False
         self._dispatcher.wait(taker, clock)
 
     def sending(self, taker: TakerState) -> None:
-        """The batch that the taker was dealt last is being sent: from now on it counts as delivered."""
+        """The host begins to send the taker's latest batch: from now on the batch counts as delivered."""
         taker.unsent = None
 
     def sent(self, taker: TakerState, now: int) -> None:
-        """The batch that the taker was dealt last has been sent: the taker waits for more."""
+        """The host has sent the taker's latest batch: the taker waits for more."""
         clock = self._tick(now)
         taker.unsent, taker.is_busy = None, False
         self._dispatcher.wait(taker, clock)
 
     def drain(self, taker: TakerState) -> None:
-        """It wants no more: its credit is void."""
+        """Cancel the taker's credit, because the taker wants no more items."""
         taker.credit = 0
         self._dispatcher.leave(taker)
 
     def leave(self, taker: TakerState, now: int) -> None:
-        """Its stream has ended. What it was dealt and never sent goes back; what was sent stays leased. Idempotent."""
+        """Remove a taker whose stream has ended. Idempotent.
+
+        The items of a batch that the host has not sent go back. The items that the host has sent stay leased.
+        """
         clock = self._tick(now)
         self.drain(taker)
         self._dispatcher.dealt = [dealt for dealt in self._dispatcher.dealt if dealt[0] is not taker]
@@ -165,17 +182,17 @@ class QueueCore:
         return results
 
     def pending(self, after_delivery_id: int, limit: int, now: int) -> list[PendingDelivery]:
-        """The leased deliveries and their takers: at most `limit` deliveries behind the one named, in their order."""
+        """At most `limit` leased deliveries after `after_delivery_id`, with their takers, in the order of their ids."""
         self._tick(now)
         return self._leasing.pending(after_delivery_id, limit)
 
     def departing(self, items_max: int) -> list[Departure]:
-        """Items that wait for being moved to the dead-letter queue, those first that wait longest."""
+        """At most `items_max` items that wait to move to the dead-letter queue. Those that wait longest come first."""
         leaving = islice(self._queue_items.leaving.values(), items_max)
         return [Departure(item.seq, item.run, item.position, item.last) for item in leaving]
 
     def departed(self, seq: int, now: int) -> None:
-        """The dead-letter queue has the item. Idempotent."""
+        """Remove an item, because the dead-letter queue has it now. Idempotent."""
         clock = self._tick(now)
         item = self._queue_items.leaving.get(seq)
         if item is not None:
@@ -184,23 +201,25 @@ class QueueCore:
             self._follow_up(clock)
 
     def postpone_departure(self, seq: int) -> None:
-        """The move failed: the others that wait for theirs go first."""
+        """Put an item whose move failed behind all others that wait for their move."""
         if seq in self._queue_items.leaving:
             self._queue_items.leaving.move_to_end(seq)
 
     def configure(self, limits: QueueLimits, now: int) -> None:
-        """Set other limits; held items that exceed those of room stay. Touched items are looked at again, a bounded
-        number in one call, and nothing is dealt before all were."""
+        """Set other limits. Held items stay, even if they need more room than the new limits allow.
+
+        The queue checks all touched items again, a bounded number in one call. Until then it deals nothing.
+        """
         clock = self._tick(now)
         self._queue_items.limits = limits
         self._unchecked = deque(
             dict.__iter__(self._queue_items.touched)
-        )  # in their order, and quicker than by its links
+        )  # dict's iterator keeps the order and is faster than OrderedDict's
         self._check_again()
         self._follow_up(clock)
 
     def emptying(self) -> Pieces[None]:
-        """Let go of all items, in pieces: the queue is not used any more, and is no good afterwards."""
+        """Remove all items, in pieces. Nobody may use the queue during this or afterwards."""
         while self._queue_items.items:
             for item in [*islice(self._queue_items.touched.values(), EMPTIED_PER_PIECE)]:
                 self._leasing.expel(item)
@@ -210,7 +229,7 @@ class QueueCore:
             yield
 
     def tick(self, now: int) -> None:
-        """Look after leases that have ended, items that are not held back any more, and waits that are over."""
+        """Handle the leases, the delays of items, and the waits of runs that have ended."""
         self._tick(now)
 
     def next_deadline(self) -> int | None:
@@ -230,15 +249,18 @@ class QueueCore:
         return self._enqueuing.retries.next_expiry()
 
     def take_dealt(self) -> list[tuple[TakerState, Batch]]:
-        """The batches dealt since the last call, with their takers. Send each one: say `sending`, then `sent`."""
+        """The batches dealt since the last call, with their takers.
+
+        Send each one: call `sending` when the sending begins, and `sent` when it is done.
+        """
         dealt, self._dispatcher.dealt = self._dispatcher.dealt, []
         return dealt
 
     def take_silent(self) -> list[TakerState]:
-        """Takers that let a lease end and have said nothing since it began, found since the last call.
+        """The takers that were found silent since the last call: ask them whether they live.
 
-        They do not count as waiting, and are dealt nothing, until they say something (`grant`): ask them whether they
-        live.
+        A silent taker let a lease end and has said nothing since that lease began. It does not count as waiting, and
+        gets no items, until it says something (`grant`).
         """
         silent, self._leasing.silent = self._leasing.silent, []
         return silent
@@ -261,7 +283,7 @@ class QueueCore:
 
     @property
     def limits(self) -> QueueLimits:
-        """The set-up."""
+        """The limits that hold now."""
         return self._queue_items.limits
 
     @property
@@ -276,7 +298,7 @@ class QueueCore:
 
     @property
     def is_moving_out(self) -> bool:
-        """Some item waits for being moved to the dead-letter queue."""
+        """Whether an item waits for its move to the dead-letter queue."""
         return bool(self._queue_items.leaving)
 
     @property
@@ -295,7 +317,7 @@ class QueueCore:
 
     @property
     def _has_more(self) -> bool:
-        """Takers or runs in line have to wait only because one call does no more."""
+        """Whether takers or runs in line wait only because a call has reached the limit of its work."""
         return self._dispatcher.has_more or self._enqueuing.has_more
 
     def _tick(self, now: int) -> int:
@@ -314,7 +336,7 @@ class QueueCore:
         return clock
 
     def _check_again(self) -> int:
-        """Hold some items that were touched under other limits to those of now; how many."""
+        """Check some items that were touched under other limits against the present ones. Returns how many it took."""
         count = min(len(self._unchecked), CHECKED_PER_CALL_MAX)
         for _ in range(count):
             item = self._queue_items.touched.get(self._unchecked.popleft())
@@ -332,7 +354,7 @@ class QueueCore:
         return True
 
     def _follow_up(self, clock: int) -> None:
-        """Items went or came back: runs in line may have room, and takers in line something to take."""
+        """Try those in line again after items left or came back: runs may have room now, and takers items to take."""
         if self._may_serve():
             self._enqueuing.offer_line(clock)
         self._dispatcher.deal(clock)
