@@ -1,4 +1,4 @@
-"""`stampede put`, `stampede get` and `stampede echo`: items in and out."""
+"""`stampede put`, `stampede get` and `stampede echo`: they put items into channels, and print items."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _add_get(subparsers: Any) -> None:
 
 
 def run_put(arguments: argparse.Namespace) -> int:
-    """Put one item and print its place."""
+    """Put one item, and print its channel, seq and time."""
     payload = payload_of(arguments)
     with connected(arguments) as rt:
         channel = rt.channel(arguments.channel, **policy_of(arguments))

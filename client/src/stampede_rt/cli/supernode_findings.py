@@ -1,4 +1,4 @@
-"""The findings about one supernode that others refuse, and about the feature level of all. Pure."""
+"""The findings about a supernode that others refuse, and about the cluster's feature level. The module is pure."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ STORE_ADVICE = (
     "start it with its latest data folder, or, if that is lost, remove it (stampede supernode remove) and "
     "let it join under a new id (runbook: replace one)"
 )
-# In the words of a supernode whose state is not that of most members.
+# These words are in a text from a supernode whose state is not that of most members.
 DIVERGED = "differs from that of most members"
-# In the words about a supernode whose state is not the leader's, while nobody knows the state of most members.
+# These words are in a text about a supernode whose state is not the leader's. Nobody knows the state of most members.
 DOUBTFUL = "differs from that of the leader"
 IN_DOUBT = "in doubt"
-REFUSED_BY = " (says "  # follows each reason for which a supernode is refused
+REFUSED_BY = " (says "  # follows each reason for which another supernode refuses this one
 DOUBT_ADVICE = (
     "it goes on serving. Start the supernodes that are down, if any: then most may agree. Otherwise start this one and "
     "the leader again, one after the other, with their data folders: an error in memory alone is gone then. If the "
     "doubt stays, remove the one whose release or machine you trust less (stampede supernode remove), and let it join "
     "under a new id"
 )
-# In the words about a supernode whose release does not know the cluster's feature level.
+# These words are in a text about a supernode whose release does not know the cluster's feature level.
 TOO_OLD = "is of a release that is too old"
 REPLACE_ADVICE = (
     "remove it (stampede supernode remove), empty its folder, and let it join under a new id (runbook: replace one)"
@@ -39,7 +39,7 @@ def gathered(told: Iterable[Mapping[str, str]]) -> dict[str, str]:
 
 
 def refusal(why: str) -> tuple[str, str]:
-    """The state of a supernode that others refuse for `why`, or that refuses to serve; and what to do."""
+    """The state of a supernode, and what to do. Others refuse it for the reason `why`, or it refuses to serve."""
     if DIVERGED in why:
         return "diverged", f"{why}; {REPLACE_ADVICE}"
     if DOUBTFUL in why and REFUSED_BY not in why:
@@ -52,7 +52,7 @@ def refusal(why: str) -> tuple[str, str]:
 def level_finding(level: int, highest: Mapping[str, int | None]) -> tuple[str, str]:
     """The feature level of a cluster, and what to do if supernodes keep it from rising.
 
-    `highest`: for each supernode the highest level that its release knows; None: it has not told.
+    `highest` has for each supernode the highest level that its release knows, or None if the supernode has not told it.
     """
     goal = max((known for known in highest.values() if known is not None), default=level)
     if goal <= level:

@@ -1,4 +1,4 @@
-"""Text for terminals: control characters are escaped, and lines fit."""
+"""Text for terminals. The module escapes control characters, and fits lines to the width of the terminal."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ CELL_CHARACTERS_MIN = 8
 
 
 def escaped(text: str) -> str:
-    r"""`text` on one line, with every character that does not print written as an escape, such as `\n` or `\x1b`.
+    r"""`text` on one line. Each character that does not print becomes an escape, such as `\n` or `\x1b`.
 
-    Names, attributes, content types, payloads and error texts come from other programs. Unescaped they could move the
-    cursor, change the window's title, or forge lines of output.
+    Names, attributes, content types, payloads and error texts come from other programs. Without escapes they could move
+    the cursor, change the window's title, or forge lines of output.
     """
     if text.isprintable():
         return text
@@ -28,7 +28,7 @@ def escaped(text: str) -> str:
 
 
 class TerminalParser(argparse.ArgumentParser):
-    """A parser of arguments that shows those it refuses escaped: a script may pass on what others wrote."""
+    """A parser of arguments that escapes its error texts: a script may pass on arguments that others wrote."""
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong, and exit with status 2."""
@@ -51,14 +51,15 @@ def check_raw_output(payload: bytes) -> None:
 
 
 def columns_max() -> int | None:
-    """The greatest length of a line; None if the output is no terminal."""
+    """The greatest number of characters in a line; None if standard output is not a terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool], width_max: int | None) -> list[str]:
     """`rows` as lines of aligned columns; `right` says which columns are aligned to the right.
 
-    The widest text columns are wrapped until a line has at most `width_max` characters; None: none is wrapped.
+    The function wraps the widest text columns until a line has at most `width_max` characters. If `width_max` is None,
+    it wraps no column.
     """
     widths = [max(len(row[i]) for row in rows) for i in range(len(right))]
     if width_max is not None:
@@ -73,7 +74,10 @@ def table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool], width_max:
 
 
 def _fitted(widths: Sequence[int], right: Sequence[bool], sum_max: int) -> list[int]:
-    """`widths` with the widest text columns narrowed until their sum is at most `sum_max`, as far as possible."""
+    """`widths`, with the widest text columns narrowed until the sum of all is at most `sum_max`.
+
+    The function makes no column narrower than CELL_CHARACTERS_MIN. The sum may therefore stay greater.
+    """
     fitted = list(widths)
     while sum(fitted) > sum_max:
         widest = max((i for i, is_right in enumerate(right) if not is_right), key=lambda i: fitted[i], default=None)

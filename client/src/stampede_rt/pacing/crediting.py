@@ -1,9 +1,9 @@
-"""How far a host may send ahead of a reader (decision 0064). Pure: the caller brings the time."""
+"""How far a host may send ahead of a reader (decision 0064). The module is pure: the caller passes the time."""
 
 from __future__ import annotations
 
 ITEM_OVERHEAD_BYTES = 64
-"""The bytes that an item counts besides its payload."""
+"""The bytes that a client counts for each item besides its payload."""
 
 WINDOW_BYTES_MAX = 2**20
 WINDOW_AGE_S = 0.1
@@ -11,11 +11,12 @@ ONE_ITEM = 1
 
 
 class CreditWindow:
-    """The bytes that a host may send before the reader asks for them. The host sends the next item while any are left.
+    """The bytes that a host may send before the reader asks for them. While some are left, the host sends items.
 
-    The window begins with one item and doubles with each step of the reader. It never exceeds what the reader took in
-    WINDOW_AGE_S at its last step, nor `bytes_max`. Items on the way are therefore young, however slow the reader is.
-    With ONE_ITEM the host sends nothing before the reader asks, so that the reader gets the newest item.
+    The window begins with one item and doubles with each step of the reader. It never exceeds `bytes_max`, nor the
+    bytes that the reader takes in WINDOW_AGE_S at the speed of its last step. Items on the way are therefore young,
+    even if the reader is slow. If `bytes_max` is ONE_ITEM, the host sends nothing before the reader asks. The reader
+    then gets the newest item.
 
     At each step the reader calls `ask`, grants the host the result, and calls `take` with the item's size.
     """
@@ -23,16 +24,16 @@ class CreditWindow:
     def __init__(self, bytes_max: int = WINDOW_BYTES_MAX) -> None:
         self._bytes_max = bytes_max
         self._window = 1
-        self._open = 0  # granted and not taken yet; below 0 after an item that was larger than the rest
+        self._open = 0  # bytes granted and not yet taken; negative after an item larger than them
         self._last_bytes = 1
         self._taken_s: float | None = None
 
     def begin(self) -> None:
-        """Begin a new stream, on which nothing is granted yet."""
+        """Begin a new stream. The reader has granted nothing on it yet."""
         self._open = 0
 
     def ask(self, now_s: float) -> int:
-        """Return the bytes to grant, because the reader wants the next item; 0 for none."""
+        """Return the bytes to grant now that the reader wants the next item; 0 if the host needs no grant yet."""
         self._measure(now_s)
         wanted = self._window - self._open
         if self._open > 0 and wanted * 2 < self._window:
@@ -47,11 +48,14 @@ class CreditWindow:
         self._taken_s = now_s
 
     def drop(self, item_bytes: int) -> None:
-        """Note that an item came that the reader already has."""
+        """Note that an item of that size came again: the reader already has it."""
         self._open -= item_bytes
 
     def _measure(self, now_s: float) -> None:
-        """Measure what the reader takes in WINDOW_AGE_S, by what it took since its last step."""
+        """Double the window, but keep it within the bytes that the reader takes in WINDOW_AGE_S, and the maximum.
+
+        The size of the last item, and the time since the reader took it, give the speed of the reader.
+        """
         if self._taken_s is None:
             return
         busy_s, self._taken_s = now_s - self._taken_s, None

@@ -1,4 +1,4 @@
-"""The certificate files of a cluster with mutual TLS. The module reads and checks them, again when they change."""
+"""The certificate files of a cluster with mutual TLS. The module reads and checks them, also when they change."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied
 
 logger = logging.getLogger(__name__)
 
-LOOK_EVERY_S = 1.0  # at the latest after this time a new connection uses a changed file
+LOOK_EVERY_S = 1.0  # a new connection uses a changed file at most this long after the change
 _PARTS = ("ca", "certificate", "key")
 CLIENT_VARIABLES = tuple(f"STAMPEDE_TLS_{part.upper()}" for part in _PARTS)
-"""The names of a client's variables. Services have their own, so that one shell can serve both."""
+"""The names of a client's environment variables. Those of services differ, so that one shell can hold both."""
 _READ_TRIES_MAX = 3
 _PATIENT_TRIES_MAX = 5
 _PATIENCE_S = 0.05
@@ -33,7 +33,7 @@ class TlsFiles:
 
     - `ca`: one or more trusted authorities.
     - `certificate`: the caller's certificate, with the chain to an authority.
-    - `key`: its private key, not encrypted. Only its user may read it.
+    - `key`: the private key of that certificate, not encrypted. The file must not be readable by every user.
     """
 
     ca: str | os.PathLike[str]
@@ -41,13 +41,13 @@ class TlsFiles:
     key: str | os.PathLike[str]
 
     def paths(self) -> tuple[Path, Path, Path]:
-        """`ca`, `certificate`, `key`."""
+        """The paths of `ca`, `certificate` and `key`, in this order."""
         return Path(self.ca), Path(self.certificate), Path(self.key)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TlsMaterial:
-    """The contents of the files at the last reading. Compared by identity: each reading is another object."""
+    """The contents of the files at the last reading. Each reading makes an object of its own, equal only to itself."""
 
     ca: bytes
     certificate: bytes
@@ -60,9 +60,9 @@ class TlsMaterial:
 def files_from_environment(
     environ: Mapping[str, str], variables: tuple[str, ...] = CLIENT_VARIABLES
 ) -> TlsFiles | None:
-    """The files that `variables` name, for ca, certificate and key in this order; None if none of them is set.
+    """The files that the environment variables `variables` name; None if no variable is set.
 
-    Raises InvalidArgument if only some are set.
+    `variables` has the names for ca, certificate and key, in this order. Raises InvalidArgument if only some are set.
     """
     named = {part: environ[variable] for part, variable in zip(_PARTS, variables, strict=True) if environ.get(variable)}
     missing = [f"${variable}" for variable in variables if not environ.get(variable)]
@@ -75,8 +75,9 @@ def files_from_environment(
 class TlsReader:
     """Gives the present contents of the files. Several threads may use it.
 
-    The constructor reads the files, and raises PermissionDenied if they do not work together. Later changes that do not
-    work (a half-written file, the key of another certificate) are logged; the last good contents count.
+    The constructor reads the files, and raises PermissionDenied if they do not work together. If the files change
+    later and do not work (a half-written file, the key of another certificate), the reader logs that, and keeps the
+    last good contents.
     """
 
     def __init__(self, files: TlsFiles) -> None:
@@ -121,7 +122,7 @@ def _stamp_if_there(files: TlsFiles) -> _Stamp | None:
 
 
 def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
-    """Return the checked contents of all three files at one moment. Raises PermissionDenied."""
+    """Return the contents that all three files had at one moment, after a check. Raises PermissionDenied."""
     for _ in range(_READ_TRIES_MAX):
         before = _stamp_if_there(files)
         ca, certificate, key = (_bytes_of(path) for path in files.paths())
@@ -132,7 +133,7 @@ def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
 
 
 def _read_patiently(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
-    """As `_read`, but look again shortly if the files do not belong together: someone may be replacing them."""
+    """Do as `_read` does, but try again after a short wait if it fails: somebody may be replacing the files."""
     for _ in range(_PATIENT_TRIES_MAX - 1):
         try:
             return _read(files)
@@ -151,7 +152,7 @@ def _bytes_of(path: Path) -> bytes:
 def check_files(files: TlsFiles) -> None:
     """Raise PermissionDenied if the files hold no certificates or do not belong together.
 
-    Raises it, too, if others may read the key.
+    Raise PermissionDenied also if every user may read the key.
     """
     ca, certificate, key = files.paths()
     if stat.S_IMODE(key.stat().st_mode) & 0o007:
@@ -162,7 +163,8 @@ def check_files(files: TlsFiles) -> None:
     except ssl.SSLError as error:
         raise PermissionDenied(f"{ca} holds no certificate of an authority ({error.reason or error})") from error
     try:
-        context.load_cert_chain(certificate, key, password=lambda: "-")  # without it OpenSSL would ask at the terminal
+        # Without a password here, OpenSSL would ask for one at the terminal.
+        context.load_cert_chain(certificate, key, password=lambda: "-")
     except ssl.SSLError as error:
         what = f"the certificate {certificate} and the private key {key} cannot be used together"
         raise PermissionDenied(f"{what} ({error.reason or error}); issue both anew") from error

@@ -1,4 +1,4 @@
-"""Streams of responses on threads: the names of `streams_async`, without its awaits."""
+"""Streams of responses for programs with threads. The names are those of `streams_async`; nothing is awaited."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Response = TypeVar("Response")
 
 
 def closed(target: str) -> Unavailable:
-    """The error of a call whose connection closed meanwhile."""
+    """The error of a call during which its connection closed."""
     return Unavailable(f"the connection to {target} is closed")
 
 
 def silent(target: str) -> Unavailable:
-    """The error of a stream without a sign of life."""
+    """The error of a stream on which the server gave no sign of life."""
     return Unavailable(f"{target} gave no sign of life for {SILENCE_S_MAX:g} s; it may be stopped")
 
 
@@ -59,7 +59,7 @@ class ServerStream(Generic[Response]):
                 raise silent(self._target) from None
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error
-        except BaseException:  # an interrupt: a later step begins a new call
+        except BaseException:  # an interrupt ends this call; a later step of the reader begins a new one
             self._end_call()
             raise
         if not self._cancelled:
@@ -71,12 +71,12 @@ class ServerStream(Generic[Response]):
         self._end_call()
 
     def _end_call(self) -> None:
-        if self._forks == forking.forks():  # otherwise it is the parent's and may be locked
+        if self._forks == forking.forks():  # not in a forked child: there the call is the parent's, and may be locked
             within_limit(self._call.cancel)
 
 
 class BidiStream(ServerStream[Response]):
-    """A stream in both directions: `send` sends, the iteration receives."""
+    """A stream in both directions: `send` sends requests, and the iteration receives responses."""
 
     def __init__(self, call: Any, requests: SimpleQueue[Any], target: str, watchdog: Watchdog) -> None:
         super().__init__(call, target, watchdog)
@@ -85,7 +85,7 @@ class BidiStream(ServerStream[Response]):
     def send(self, request: Any) -> None:
         """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
 
-        Raises Unavailable if SAID_MAX requests wait because the other side takes none.
+        Raises Unavailable if SAID_MAX requests wait because the server takes none of them.
         """
         if self._requests.qsize() >= SAID_MAX:
             self._call.cancel()

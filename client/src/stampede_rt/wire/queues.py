@@ -1,4 +1,4 @@
-"""Queues, their counters and deliveries, to and from their protobuf form (`queue.proto`)."""
+"""Conversion of queues, their counters and their deliveries to and from protobuf messages (`queue.proto`)."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ REJECTED_REASONS = ("full", "too_large", "malformed", "overloaded")
 
 
 def queue_policy_to_spec(policy: QueuePolicy) -> queue_pb2.QueueSpec:
-    """A queue's policy. A field that was never stated stays unset."""
+    """The message for a queue's policy. A field that nobody has stated stays unset."""
     stated = {name: getattr(policy, name) for name in _OPTIONAL}
     on_full = _ON_FULL[policy.on_full] if policy.on_full else queue_pb2.QUEUE_ON_FULL_UNSPECIFIED
     return queue_pb2.QueueSpec(on_full=on_full, **stated)
 
 
 def queue_policy_from_spec(spec: queue_pb2.QueueSpec) -> QueuePolicy:
-    """A queue's policy. A field that was never stated is None."""
+    """A queue's policy, from its message. A field that nobody has stated is None."""
     stated = {name: getattr(spec, name) for name in _OPTIONAL if spec.HasField(name)}
     return QueuePolicy(on_full=_FROM_ON_FULL.get(spec.on_full), **stated)
 
 
 def queue_info(record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord | None) -> QueueInfo:
-    """A queue, as callers see it; `host` is its owner, None if the directory does not know it any more."""
+    """A queue, as callers see it; `host` is its owner, or None if the directory no longer knows that host."""
     return QueueInfo(
         queue_id=record.queue_id,
         name=record.name,
@@ -92,7 +92,10 @@ class DeliveredMessage:
 
 
 def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[DeliveredMessage]:
-    """The deliveries of a leased run, one for each message; `content_type` is the queue's."""
+    """The deliveries of a leased run, one for each message.
+
+    `content_type` is the content type of the queue. It counts if the run has none of its own.
+    """
     run = leased.run
     counts = leased.deliveries or (1,) * len(run.payload_length_bytes)
     origin = _origin(run.origin) if run.HasField("origin") else None

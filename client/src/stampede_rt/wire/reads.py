@@ -1,4 +1,4 @@
-"""Bounds, intervals, positions and answers of reads, to and from their protobuf form (`time.proto`, `item.proto`)."""
+"""Conversion of bounds, intervals, positions and answers to and from protobuf (`time.proto`, `item.proto`)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def bound_to_message(bound: Bound, *, exclusive: bool = False) -> time_pb2.Bound
 
 
 def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
-    """One bound of an interval. Raises InvalidArgument, which names `what`, for a bound without an anchor."""
+    """One bound of an interval. Raises InvalidArgument if it has no anchor; the error calls the bound `what`."""
     anchor = message.WhichOneof("anchor")
     if anchor == "instant_unix_nano":
         return Bound(None, message.instant_unix_nano + message.offset_nanos)
@@ -67,7 +67,7 @@ def match_from_message(match: int) -> Match:
 
 
 def position_of(after: Item | int) -> item_pb2.ItemPosition:
-    """The position of an item, or the one behind all items of an instant."""
+    """The position of an item; for an instant, the position behind all items of that instant."""
     if isinstance(after, Item):
         return item_pb2.ItemPosition(time_unix_nano=after.time, seq=after.seq, incarnation=after.incarnation)
     return item_pb2.ItemPosition(time_unix_nano=after)
@@ -91,7 +91,7 @@ def resolved_from_message(message: time_pb2.ResolvedInterval) -> ResolvedInterva
 
 
 def reason_to_message(reason: Reason | None) -> str:
-    """Why an answer is empty or partial, as the enum's value. The detail travels beside it."""
+    """The name of the enum's value that says why an answer is empty or partial. It does not contain the detail."""
     return _REASON_PREFIX + (reason.value if reason else "UNSPECIFIED")
 
 
@@ -100,7 +100,7 @@ def reason_from_message(reason: int, detail: str) -> Reason | None:
     if reason == error_pb2.ABSENCE_REASON_UNSPECIFIED:
         return None
     known = error_pb2.AbsenceReason.DESCRIPTOR.values_by_number.get(reason)
-    name = "UNKNOWN" if known is None else known.name  # a newer host's reason: its detail explains it
+    name = "UNKNOWN" if known is None else known.name  # only newer hosts know this reason: the detail explains it
     return Reason(name.removeprefix(_REASON_PREFIX), detail)
 
 
