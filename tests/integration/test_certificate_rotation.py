@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import ssl
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_runtime.certificates import describe
 from stampede_rt_runtime.identity import Role
+from tests.support.waiting import wait_until
 
 PATIENCE_SECONDS = 20.0
 PROGRESS_ITEMS = 50
@@ -78,14 +78,6 @@ class Load:
             f"progress beyond {goal}",
         )
         assert self.failures == []
-
-
-def wait_until(holds: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE_SECONDS
-    pause = threading.Event()
-    while not holds():
-        assert time.monotonic() < deadline, f"not so after {PATIENCE_SECONDS} s: {what}"
-        pause.wait(0.05)
 
 
 def shows(address: str, certificate: Path, caller: st.TlsFiles) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import gc
 import threading
-from collections.abc import Callable
 
 import pytest
 
@@ -15,29 +14,12 @@ from stampede_rt._async import put_streams as put_streams_async
 from stampede_rt._sync import put_streams as put_streams_sync
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import until, wait_until
 
 cluster = cluster_fixture(hosts=1, supernodes=1)
 HANDLES = 600
 LEFT_MAX = 40
 LIMIT_S = 20.0
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    """Look again and again, since what ends in other threads tells nobody."""
-    ended = threading.Event()
-    for _ in range(int(LIMIT_S / 0.02)):
-        if condition():
-            return
-        ended.wait(0.02)
-    raise AssertionError("it did not come about in time")
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    for _ in range(int(LIMIT_S / 0.02)):
-        if condition():
-            return
-        await asyncio.wait([asyncio.get_running_loop().create_future()], timeout=0.02)
-    raise AssertionError("it did not come about in time")
 
 
 async def until_a_put_waits(channel: aio.Channel) -> None:
@@ -169,7 +151,7 @@ def test_producers_that_are_dropped_let_go_once_their_items_are_acked(cluster: L
 
 
 def test_a_connection_that_was_closed_leaves_no_thread_although_its_handles_are_kept(cluster: LocalCluster) -> None:
-    before = threading.active_count()
+    before = set(threading.enumerate())
     with st.connect(cluster.address) as rt:
         channels = [rt.channel(f"dropped/closed/{number}", max_items=5) for number in range(3)]
         for channel in channels:
@@ -177,8 +159,9 @@ def test_a_connection_that_was_closed_leaves_no_thread_although_its_handles_are_
             worker = threading.Thread(target=channel.newest)
             worker.start()
             worker.join()
-        assert threading.active_count() > before
-    wait_until(lambda: threading.active_count() <= before)
+        started = set(threading.enumerate()) - before
+        assert started
+    wait_until(lambda: started.isdisjoint(threading.enumerate()))
     assert len(channels) == 3
 
 

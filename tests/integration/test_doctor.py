@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -22,6 +20,7 @@ from stampede_rt_local.process import ServiceProcess
 from stampede_rt_runtime.auth import make_secret_file
 from stampede_rt_runtime.identity import Role
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import wait_until
 
 DAY = timedelta(days=1)
 PATIENCE_SECONDS = 20.0
@@ -155,13 +154,6 @@ def secured(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
     monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
     with LocalCluster(tls=True, hosts=0, supernodes=1, durable=False) as made:
         yield made
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline, pause = time.monotonic() + PATIENCE_SECONDS, threading.Event()
-    while not holds():
-        assert time.monotonic() < deadline
-        pause.wait(0.05)
 
 
 def row(said: str, part: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,18 +16,10 @@ from stampede_rt._async import reconnecting as reconnecting_async
 from stampede_rt._sync import reconnecting as reconnecting_sync
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=1, supernodes=1, durable=False, scope="function")
 LIMIT_S = 45
-
-
-def wait_until(condition: Callable[[], object], what: str) -> None:
-    looked = threading.Event()
-    for _ in range(LIMIT_S * 20):
-        if condition():
-            return
-        looked.wait(0.05)
-    raise AssertionError(f"it did not come about in time: {what}")
 
 
 @contextmanager

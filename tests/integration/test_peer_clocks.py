@@ -6,7 +6,6 @@ import asyncio
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
@@ -18,6 +17,7 @@ from stampede_rt import aio
 from stampede_rt.cli.main import main as stampede
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=1, supernodes=3, durable=False)
 
@@ -75,13 +75,6 @@ def robot(cluster: LocalCluster, tmp_path: Path) -> Iterator[Callable[[str, int]
     yield make
     for one in made:
         one.kill()
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline, pause = time.monotonic() + PATIENCE_SECONDS, threading.Event()
-    while not holds():
-        assert time.monotonic() < deadline
-        pause.wait(0.05)
 
 
 def is_off(clock: st.ClockOffset | None, nanos: int) -> bool:

@@ -1,0 +1,27 @@
+"""Waits for what other threads and processes bring about, and what nothing announces."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+
+WITHIN_SECONDS = 45.0
+PAUSE_SECONDS = 0.02
+
+
+def wait_until(holds: Callable[[], object], what: str = "", within_seconds: float = WITHIN_SECONDS) -> None:
+    """Return as soon as `holds()` is true. Fails the test if it is not true in time."""
+    deadline, pause = time.monotonic() + within_seconds, threading.Event()
+    while not holds():
+        assert time.monotonic() < deadline, f"not so after {within_seconds:g} s: {what or holds}"
+        pause.wait(PAUSE_SECONDS)
+
+
+async def until(holds: Callable[[], object], what: str = "", within_seconds: float = WITHIN_SECONDS) -> None:
+    """Return as soon as `holds()` is true, while the event loop goes on. Fails the test if it is not true in time."""
+    deadline, never = time.monotonic() + within_seconds, asyncio.get_running_loop().create_future()
+    while not holds():
+        assert time.monotonic() < deadline, f"not so after {within_seconds:g} s: {what or holds}"
+        await asyncio.wait({never}, timeout=PAUSE_SECONDS)
