@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import grpc
 import pytest
@@ -24,9 +24,9 @@ from stampede_rt.v1 import queue_service_pb2_grpc as queue_grpc
 from stampede_rt.v1.queue_pb2 import Acknowledge, Settlement
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=2)
-T = TypeVar("T")
 FRAMES: list[st.Item] = []  # the newest one that is there
 
 
@@ -61,31 +61,11 @@ class Operator:
             self.rm(*rule)
 
 
-def granted(ask: Callable[[], T]) -> T:
-    """What `ask` gives, once the rules that allow it have come to whoever judges it."""
-    for _ in attempts():
-        try:
-            return ask()
-        except PermissionDenied as error:
-            failure = error
-    raise failure
-
-
 def refused(ask: Callable[[], Any]) -> str:
-    """What `ask` is told, once the rules that deny it have come to whoever judges it."""
-    for _ in attempts():
-        try:
-            ask()
-        except PermissionDenied as error:
-            return error.message
-    raise AssertionError("it is not refused")
-
-
-def attempts() -> Iterator[None]:
-    """One every now and then, for 10 s."""
-    for _ in range(200):
-        yield
-        time.sleep(0.05)
+    """What `ask` is told."""
+    with pytest.raises(PermissionDenied) as caught:
+        ask()
+    return caught.value.message
 
 
 @pytest.fixture
@@ -131,7 +111,7 @@ def test_each_verb_is_denied_without_a_rule_and_done_with_it(
     with st.connect(cluster.address, secret=operator.token("alice")) as rt:
         assert f"client alice may not {verb}" in refused(lambda: do(rt))
         operator.add("alice", verb, name)
-        granted(lambda: do(rt))
+        do(rt)
 
 
 async def test_programs_with_asyncio_are_told_the_same(cluster: LocalCluster, operator: Operator) -> None:
@@ -153,7 +133,7 @@ def test_who_may_only_put_may_open_put_and_nothing_else(cluster: LocalCluster, o
     things(cluster)
     operator.add("cam", "put", "video/*", "--kind", "channel")
     with st.connect(cluster.address, secret=operator.token("cam")) as rt:
-        channel = granted(lambda: rt.channel("video/1"))
+        channel = rt.channel("video/1")
         channel.put(b"x")
         assert "client cam may not read channel video/1" in refused(channel.newest)
         assert "may not create channel video/9" in refused(lambda: rt.channel("video/9"))
@@ -179,12 +159,12 @@ def test_a_group_is_read_by_who_may_read_it_and_made_by_who_may_read_its_channel
         assert "dash may do nothing with group pair" in refused(lambda: rt.group("pair"))
         operator.add("dash", "create", "mine", "--kind", "group")
         operator.add("dash", "list", "video/2")
-        mine = ("mine", [granted(lambda: rt.channel("video/1")), granted(lambda: rt.channel("video/2"))])
+        mine = ("mine", [rt.channel("video/1"), rt.channel("video/2")])
         assert "dash may not read channel video/2" in refused(lambda: rt.group(*mine))
         operator.add("dash", "read", "video/2")
-        assert granted(lambda: rt.group(*mine)).name == "mine"
+        assert rt.group(*mine).name == "mine"
         operator.add("dash", "read", "pair", "--kind", "group")
-        assert granted(lambda: rt.group("pair")).name == "pair"
+        assert rt.group("pair").name == "pair"
 
 
 def test_peers_own_their_mailboxes_and_nobody_else_does(cluster: LocalCluster, operator: Operator) -> None:
@@ -216,7 +196,7 @@ def test_an_open_stream_ends_when_its_right_is_taken_away(cluster: LocalCluster,
     with (
         st.connect(cluster.address, secret=operator.token("dash")) as rt,
         st.connect(cluster.address) as own,
-        granted(lambda: rt.channel("video/2").subscribe()) as items,
+        rt.channel("video/2").subscribe() as items,
     ):
         own.channel("video/2").put(b"seen")
         assert next(items).payload == b"seen"
@@ -261,19 +241,50 @@ def test_denials_and_changes_are_told_in_the_logs_of_the_services(cluster: Local
     things(cluster)
     operator.add("audited", "put", "video/1")
     with st.connect(cluster.address, secret=operator.token("audited")) as rt:
-        channel = granted(lambda: rt.channel("video/1"))
+        channel = rt.channel("video/1")
         refused(channel.newest)
     logged = (
         ("who=audited proof=token", 'verb=read thing="channel video/1" result=denied'),
         ('verb="add rule"', "audited"),
     )
     for words in logged:
-        assert any(audited(cluster, *words) for _ in attempts())
+        wait_until(lambda words=words: audited(cluster, *words), f"an audit line with {words}")  # type: ignore[misc]
 
 
 def audited(cluster: LocalCluster, *words: str) -> bool:
     lines = [line for process in cluster.processes() for line in process.last_lines]
     return any("logger=stampede_rt.audit" in line and all(word in line for word in words) for line in lines)
+
+
+def test_an_operator_is_told_which_part_has_not_heard_of_a_rule_yet(
+    cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("stampede_rt.administration.in_force.IN_FORCE_SECONDS", 0.1)
+    cluster.hosts[1].pause()
+    try:
+        operator.add("late", "put", "video/1")
+        told = capsys.readouterr()
+    finally:
+        cluster.hosts[1].resume()
+    assert "The rule is added" in told.out
+    assert "not in force yet at host h2: " in told.err
+    assert "host h1" not in told.err
+
+
+def test_doctor_counts_the_denials_of_each_part(
+    cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    things(cluster)
+    operator.add("counted", "put", "video/1")
+    with st.connect(cluster.address, secret=operator.token("counted")) as rt:
+        refused(rt.channel("video/1").newest)
+        refused(lambda: rt.channel("video/2"))
+    capsys.readouterr()
+    assert operator.run("doctor", "-o", "json") == 0
+    [row] = [row for row in json.loads(capsys.readouterr().out) if row["part"] == "access"]
+    assert "calls denied, the last one" in row["state"]
+    assert "host h" in row["state"]
+    assert "supernode s" in row["state"]
 
 
 def test_no_client_speaks_for_a_host(cluster: LocalCluster, operator: Operator) -> None:
@@ -295,7 +306,7 @@ def test_nobody_settles_what_another_caller_has_taken(cluster: LocalCluster, ope
     operator.add("worker-*", "take", "jobs", "--kind", "queue")
     thief = call_metadata(operator.token("worker-2"))
     with st.connect(cluster.address, secret=operator.token("worker-1")) as rt:
-        message = granted(lambda: rt.queue("jobs")).get(timeout=10)
+        message = rt.queue("jobs").get(timeout=10)
         assert message is not None
         with grpc.insecure_channel(cluster.supernodes[0].address) as channel:
             resolve = queue_directory_grpc.QueueDirectoryServiceStub(channel).ResolveQueue

@@ -176,6 +176,11 @@ def test_calls_that_a_host_refused_are_told_beside_the_puts() -> None:
     assert "a reader that took nothing" in host.advice
 
 
+def test_denials_are_counted_and_call_for_nothing() -> None:
+    finding = found(changed("h1", denials=3, denied_ago_nanos=5000 * MS), "access")
+    assert (finding.state, finding.advice) == ("3 calls denied, the last one 5 s ago, at host h1 (3)", "")
+
+
 def test_lost_channels_and_queues_are_told_by_name_and_host() -> None:
     lost = [(f"cam/{number}", "host h7") for number in range(7)]
     held = [Inventory(kind="channel", count=9, lost=lost), Inventory(kind="queue", count=4)]

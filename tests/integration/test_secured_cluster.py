@@ -21,6 +21,7 @@ from typing import Any
 
 import grpc
 import pytest
+from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 import stampede_rt as st
 from stampede_rt import aio
@@ -32,6 +33,8 @@ from stampede_rt.v1 import (
     directory_pb2,
     directory_service_pb2,
     directory_service_pb2_grpc,
+    frontend_service_pb2,
+    frontend_service_pb2_grpc,
     item_pb2,
     raft_service_pb2_grpc,
 )
@@ -491,3 +494,30 @@ def test_a_revoked_certificate_opens_nothing_and_its_open_streams_end(
                 next(items)
         with pytest.raises(PermissionDenied, match="of client lost was revoked"):
             rt.channel("revoked-too")
+
+
+def test_a_front_end_ends_the_open_streams_of_a_revoked_certificate(
+    cluster: LocalCluster, certificates: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, operator = certificates.issue(Role.CLIENT, "watcher"), certificates.issue(Role.OPERATOR, "ops")
+    names = zip(("CA", "CERTIFICATE", "KEY"), (operator.ca, operator.certificate, operator.key), strict=True)
+    for variable, path in names:
+        monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
+    bind = frontend_service_pb2.BindRequest(protocol_version=1)
+
+    async def watch(channel: grpc.aio.Channel) -> None:
+        health: Any = health_pb2_grpc.HealthStub(channel)
+        call = health.Watch(health_pb2.HealthCheckRequest(), timeout=20)
+        assert (await call.read()).status == health_pb2.HealthCheckResponse.SERVING
+        revoke = ["revoke", str(files.certificate), "--url", cluster.address]
+        assert await asyncio.to_thread(certs, revoke) == 0
+        await call.read()
+
+    async def bound(channel: grpc.aio.Channel) -> None:
+        await frontend_service_pb2_grpc.FrontendServiceStub(channel).Bind(bind, timeout=10)
+
+    assert ask(cluster.address, files, bound) == ""
+    for call in (watch, bound):
+        told = ask(cluster.address, files, call)
+        assert told.startswith("UNAUTHENTICATED: the certificate ")
+        assert "of client watcher was revoked" in told

@@ -213,7 +213,7 @@ class DirectoryMember(SimMember):
         )
         calls = DirectoryCalls(self._directory, submission)  # type: ignore[arg-type]
         self.services = (
-            DirectoryServicer(self._directory, submission, leases, None, None, self.clock, None),  # type: ignore[arg-type]
+            DirectoryServicer(self._directory, submission, leases, None, None, self.clock, None, None),  # type: ignore[arg-type]
             QueueDirectoryServicer(calls),
             PeerServicer(calls, leases, None),  # type: ignore[arg-type]  # nobody watches here
         )

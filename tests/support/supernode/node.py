@@ -23,6 +23,7 @@ from stampede_rt.v1 import (
     replica_directory_service_pb2_grpc,
 )
 from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 from stampede_rt_supernode.joining.members import Members
@@ -112,7 +113,7 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
     probe = Probe(log, lambda target: dial(target, secret=None))
     members = Members(log, replica, probe, advertise="rig:7581", zone="lab")
     own_cluster = OwnCluster(replica)
-    servicer = DirectoryServicer(replica, submission, leases, watches, members, clock, own_cluster)
+    servicer = DirectoryServicer(replica, submission, leases, watches, members, clock, own_cluster, AccessControl())
     await leases.tick()
 
     def register(server: grpc.aio.Server) -> None:

@@ -14,6 +14,7 @@ from stampede_rt.v1.directory_service_pb2_grpc import add_DirectoryServiceServic
 from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.roster import SupernodeRoster
 from stampede_rt_frontend.servicer import FrontendServicer
+from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.clock import ManualClock
@@ -43,7 +44,7 @@ async def frontend(*seeds: str) -> AsyncIterator[Bind]:
     roster = SupernodeRoster(seeds)
     async with AsyncExitStack() as stack:
         prober = await stack.enter_async_context(Prober(roster, lambda target: dial(target, secret=None)))
-        servicer = FrontendServicer(roster, prober, ManualClock(unix_nano=77))
+        servicer = FrontendServicer(roster, prober, ManualClock(unix_nano=77), AccessControl())
 
         def register(server: grpc.aio.Server) -> None:
             frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(servicer, server)

@@ -12,6 +12,7 @@ from typing import Any
 import grpc
 
 from stampede_rt._sync.endpoints import EndpointPool
+from stampede_rt.administration.in_force import Judge, parts_behind, ping_frontend, ping_host, ping_supernode
 from stampede_rt.cluster.connecting import parse_target
 from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable, WrongCluster
 from stampede_rt.security.tls_diagnosis import explain_refusal
@@ -22,7 +23,7 @@ from stampede_rt.v1 import access_service_pb2_grpc, membership_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import membership_service_pb2 as pb
-from stampede_rt.v1.directory_pb2 import SupernodeRecord
+from stampede_rt.v1.directory_pb2 import HostRecord, SupernodeRecord
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 CALL_SECONDS = 3.0
@@ -30,14 +31,19 @@ CHANGE_SECONDS = 30.0
 LEADERLESS_SECONDS = 8.0  # an election takes 4 s at most
 SNAPSHOT_SECONDS = 120.0
 BACKOFF_SECONDS = 0.5
+HOST_PAGES_MAX = 1000
 
 
 class Cluster:
-    """The supernodes of a running cluster, reached at any of the given addresses."""
+    """The supernodes of a running cluster, reached at any of the given addresses.
 
-    def __init__(self, endpoints: EndpointPool, addresses: list[str]) -> None:
+    `frontends`: those that named the addresses.
+    """
+
+    def __init__(self, endpoints: EndpointPool, addresses: list[str], frontends: Sequence[str] = ()) -> None:
         self._endpoints = endpoints
         self._addresses = addresses
+        self._frontends = frontends
 
     @property
     def cluster_id(self) -> str:
@@ -80,11 +86,39 @@ class Cluster:
         made: access_pb.CreateClientTokenResponse = self.ask_access("CreateClientToken", request)
         return made
 
-    def revoke(self, serial: str) -> None:
-        """Have all services take that certificate or token no more. Raises what the supernodes refuse it with."""
-        self.ask_access(
-            "RevokeCredential", access_pb.RevokeCredentialRequest(request_id=secrets.token_bytes(16), serial=serial)
-        )
+    def revoke(self, serial: str) -> int:
+        """Have all services take that certificate or token no more. Raises what the supernodes refuse it with.
+
+        Gives the version of access from which on it is so.
+        """
+        request = access_pb.RevokeCredentialRequest(request_id=secrets.token_bytes(16), serial=serial)
+        return int(self.ask_access("RevokeCredential", request).version)
+
+    def parts_behind(self, version: int, *, of_rules: bool = False) -> dict[str, str]:
+        """Wait until all parts judge callers by that version of access; see `in_force`.
+
+        `of_rules`: leave front-ends out, which judge by no rules.
+        """
+        try:
+            members = [one for one in self.members().supernodes if one.endpoint.target]
+            hosts = list(self._live_hosts())
+        except StampedeError as error:  # the change itself is made
+            return {"the cluster": error.message}
+        judges = [
+            *(Judge(f"supernode {one.supernode_id}", one.endpoint.target, ping_supernode) for one in members),
+            *(Judge(f"front-end {one}", one, ping_frontend) for one in self._frontends if not of_rules),
+            *(Judge(f"host {one.name}", one.gatekeepers[0].target, ping_host) for one in hosts),
+        ]
+        return parts_behind(self._endpoints, judges, version)
+
+    def _live_hosts(self) -> Iterator[HostRecord]:
+        request = directory_pb.ListHostsRequest()
+        for _ in range(HOST_PAGES_MAX):
+            page = self._first(lambda endpoint: endpoint.call(endpoint.directory.ListHosts, request, CALL_SECONDS))
+            yield from (one for one in page.hosts if one.alive and one.gatekeepers)
+            if not page.next_page_token:
+                return
+            request.page_token = page.next_page_token
 
     def revoked_serials(self) -> Sequence[str]:
         """All that were revoked."""
@@ -189,8 +223,10 @@ def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
     target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=None, zone=None)
     endpoints = EndpointPool(target.credentials)
     try:
-        addresses = _same_cluster(endpoints, target.frontends) if member else _bound(endpoints, target.frontends)
-        yield Cluster(endpoints, addresses)
+        if member:
+            yield Cluster(endpoints, _same_cluster(endpoints, target.frontends))
+        else:
+            yield Cluster(endpoints, _bound(endpoints, target.frontends), target.frontends)
     finally:
         endpoints.close()
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from stampede_rt.cli.arguments import VerbParser, add_verb
-from stampede_rt.cli.output import print_facts, print_rows
+from stampede_rt.cli.output import print_behind, print_facts, print_rows
 from stampede_rt.errors import InvalidArgument
 
 VERBS = (
@@ -61,12 +61,16 @@ def run_rm(arguments: argparse.Namespace) -> int:
 
 
 def _change(arguments: argparse.Namespace, rpc: str, outcomes: tuple[str, str]) -> int:
-    from stampede_rt.v1 import access_service_pb2 as pb  # here and below: gRPC takes 0.1 s to load
+    from stampede_rt.administration.running_cluster import reached  # here and below: gRPC takes 0.1 s to load
+    from stampede_rt.v1 import access_service_pb2 as pb
 
     request = getattr(pb, f"{rpc}Request")(
         request_id=secrets.token_bytes(16), rule=_rule(arguments), dry_run=arguments.dry_run
     )
-    answer = _asked(arguments, rpc, request)
+    with reached(arguments.url, None) as cluster:
+        answer = cluster.ask_access(rpc, request)
+        if not arguments.dry_run:
+            print_behind(cluster.parts_behind(answer.version, of_rules=True))
     did, did_not = outcomes
     changed = getattr(answer, did)
     effects = [_effect_row(effect) for effect in answer.effects]

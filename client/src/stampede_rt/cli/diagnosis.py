@@ -18,7 +18,14 @@ def diagnose(
 ) -> list[CheckResult]:
     """Return all findings: first each part, then what concerns them together."""
     parts = [_of_part(one, certificate_s_min) for one in seen]
-    of_all = [*_frontends(seen), *_quorum(seen), *_hosts(seen), *map(_holdings, held), *clock_findings(seen)]
+    of_all = [
+        *_frontends(seen),
+        *_quorum(seen),
+        *_hosts(seen),
+        *map(_holdings, held),
+        *_denials(seen),
+        *clock_findings(seen),
+    ]
     return [*parts, *of_all, *_versions(seen, own_version), *_levels(seen)]
 
 
@@ -178,6 +185,16 @@ def _holdings(held: Inventory) -> CheckResult:
         f"another host: the next put into a {held.kind} does that"
     )
     return CheckResult(f"{held.kind}s", "-", f"{len(held.lost)} of {held.count} lost", advice)
+
+
+def _denials(seen: Sequence[Observation]) -> Iterator[CheckResult]:
+    """The denied calls, for people to judge: a rule that works denies, too. No line if there were none."""
+    denying = [one for one in seen if one.denials]
+    if not denying:
+        return
+    count, last = sum(one.denials for one in denying), min(one.denied_ago_nanos or 0 for one in denying)
+    where = joined([f"{one.part} ({one.denials})" for one in denying])
+    yield CheckResult("access", "-", f"{count} calls denied, the last one {roughly(last)} ago, at {where}")
 
 
 def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[CheckResult]:

@@ -171,6 +171,8 @@ class Examination:
                 lease_held=getattr(response, "lease_held", True),
                 **(_load(response) if part.kind == HOST else {}),
                 **(_levels(response) if part.kind == SUPERNODE else {}),
+                denials=response.access.denials,
+                denied_ago_nanos=_optional(response.access, "denied_ago_nanos"),
                 round_trip_nanos=round_trip,
                 clock_offset_nanos=response.time_unix_nano - (sent + round_trip // 2),
                 version=response.version,

@@ -18,6 +18,8 @@ class Observation:
     - `lost_for_nanos`: the time since the directory ended the lease of a host that did not deregister.
     - `refused_items`: what a host refused as Overloaded since its start, the last one `refused_ago_nanos` ago;
       `refused_calls`: calls that it refused or ended so, the last one `refused_call_ago_nanos` ago.
+    - `denials`: calls that it denied since its start, for the caller's proof, role or the rules of access, the last one
+      `denied_ago_nanos` ago.
     - `is_member`: whether the other supernodes list this one.
     - `refuses_caller`: it runs, but a secret or certificate, this caller's or its own, does not fit.
     - `refused_because`: why other supernodes refuse its store.
@@ -40,6 +42,8 @@ class Observation:
     refused_ago_nanos: int | None = None
     refused_calls: int = 0
     refused_call_ago_nanos: int | None = None
+    denials: int = 0
+    denied_ago_nanos: int | None = None
     held_bytes: int = 0
     memory_bytes_max: int = 0
     refuses_caller: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -53,6 +54,12 @@ def print_facts(facts: Mapping[str, Any], form: str) -> None:
     width = max(len(key) for key in facts)
     for key, value in facts.items():
         print(f"{key.replace('_', ' '):<{width}}  {_cell(value)}")
+
+
+def print_behind(behind: Mapping[str, str]) -> None:
+    """Warn of the parts of a cluster that do not judge yet by a change of access, each with the reason."""
+    for name, why in behind.items():
+        print(f"stampede: not in force yet at {escaped(name)}: {escaped(why)}", file=sys.stderr)
 
 
 def item_row(item: Item) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked
-from stampede_rt.cli.output import print_facts
+from stampede_rt.cli.output import print_behind, print_facts
 from stampede_rt.errors import StampedeError
 from stampede_rt.values.timeline import format_instant, parse_duration
 
@@ -58,8 +58,8 @@ def run_revoke(arguments: argparse.Namespace) -> int:
     from stampede_rt.administration.running_cluster import reached
 
     with reached(arguments.url, None) as cluster:
-        cluster.revoke(arguments.serial)
-    print(f"{arguments.serial} is revoked: open streams of its bearers end now, and it opens nothing any more.")
+        print_behind(cluster.parts_behind(cluster.revoke(arguments.serial)))
+    print(f"{arguments.serial} is revoked: open streams of its bearers have ended, and it opens nothing any more.")
     return 0
 
 

@@ -60,14 +60,16 @@ class AddAccessRuleRequest(_message.Message):
     def __init__(self, request_id: _Optional[bytes] = ..., rule: _Optional[_Union[_access_pb2.AccessRule, _Mapping]] = ..., dry_run: bool = ...) -> None: ...
 
 class AddAccessRuleResponse(_message.Message):
-    __slots__ = ("added", "rules", "effects")
+    __slots__ = ("added", "rules", "effects", "version")
     ADDED_FIELD_NUMBER: _ClassVar[int]
     RULES_FIELD_NUMBER: _ClassVar[int]
     EFFECTS_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
     added: bool
     rules: int
     effects: _containers.RepeatedCompositeFieldContainer[AccessEffect]
-    def __init__(self, added: bool = ..., rules: _Optional[int] = ..., effects: _Optional[_Iterable[_Union[AccessEffect, _Mapping]]] = ...) -> None: ...
+    version: int
+    def __init__(self, added: bool = ..., rules: _Optional[int] = ..., effects: _Optional[_Iterable[_Union[AccessEffect, _Mapping]]] = ..., version: _Optional[int] = ...) -> None: ...
 
 class RemoveAccessRuleRequest(_message.Message):
     __slots__ = ("request_id", "rule", "dry_run")
@@ -80,14 +82,16 @@ class RemoveAccessRuleRequest(_message.Message):
     def __init__(self, request_id: _Optional[bytes] = ..., rule: _Optional[_Union[_access_pb2.AccessRule, _Mapping]] = ..., dry_run: bool = ...) -> None: ...
 
 class RemoveAccessRuleResponse(_message.Message):
-    __slots__ = ("removed", "rules", "effects")
+    __slots__ = ("removed", "rules", "effects", "version")
     REMOVED_FIELD_NUMBER: _ClassVar[int]
     RULES_FIELD_NUMBER: _ClassVar[int]
     EFFECTS_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
     removed: bool
     rules: int
     effects: _containers.RepeatedCompositeFieldContainer[AccessEffect]
-    def __init__(self, removed: bool = ..., rules: _Optional[int] = ..., effects: _Optional[_Iterable[_Union[AccessEffect, _Mapping]]] = ...) -> None: ...
+    version: int
+    def __init__(self, removed: bool = ..., rules: _Optional[int] = ..., effects: _Optional[_Iterable[_Union[AccessEffect, _Mapping]]] = ..., version: _Optional[int] = ...) -> None: ...
 
 class AccessEffect(_message.Message):
     __slots__ = ("verb", "kind", "name", "allowed")
@@ -146,10 +150,12 @@ class RevokeCredentialRequest(_message.Message):
     def __init__(self, request_id: _Optional[bytes] = ..., serial: _Optional[str] = ...) -> None: ...
 
 class RevokeCredentialResponse(_message.Message):
-    __slots__ = ("revoked",)
+    __slots__ = ("revoked", "version")
     REVOKED_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
     revoked: bool
-    def __init__(self, revoked: bool = ...) -> None: ...
+    version: int
+    def __init__(self, revoked: bool = ..., version: _Optional[int] = ...) -> None: ...
 
 class ListRevokedCredentialsRequest(_message.Message):
     __slots__ = ()

@@ -22,12 +22,13 @@ _runtime_version.ValidateProtobufRuntimeVersion(
 _sym_db = _symbol_database.Default()
 
 
+from stampede_rt.v1 import access_pb2 as stampede__rt_dot_v1_dot_access__pb2
 from stampede_rt.v1 import channel_pb2 as stampede__rt_dot_v1_dot_channel__pb2
 from stampede_rt.v1 import directory_pb2 as stampede__rt_dot_v1_dot_directory__pb2
 from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/directory_service.proto\x12\x0estampede_rt.v1\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1estampede_rt/v1/directory.proto\x1a\x1astampede_rt/v1/queue.proto\"\x1d\n\x1b\x44irectoryServicePingRequest\"\x9b\x03\n\x1c\x44irectoryServicePingResponse\x12\x16\n\x0etime_unix_nano\x18\x01 \x01(\x10\x12\x14\n\x0csupernode_id\x18\x02 \x01(\t\x12\r\n\x05ready\x18\x03 \x01(\x08\x12\x12\n\ncluster_id\x18\x04 \x01(\t\x12\x0f\n\x07version\x18\x05 \x01(\t\x12_\n\x12refused_supernodes\x18\x06 \x03(\x0b\x32\x43.stampede_rt.v1.DirectoryServicePingResponse.RefusedSupernodesEntry\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x07 \x03(\t\x12\x15\n\rfeature_level\x18\x08 \x01(\r\x12\x1d\n\x15highest_feature_level\x18\t \x01(\r\x12\x12\n\ntoken_keys\x18\n \x03(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x0b \x01(\x06\x1a\x38\n\x16RefusedSupernodesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01\"\x84\x01\n\x12OpenChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12)\n\x04spec\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\x12\x0e\n\x06\x63reate\x18\x04 \x01(\x08\x12\x11\n\thost_name\x18\x05 \x01(\t\"\x80\x01\n\x13OpenChannelResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12(\n\x04host\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x0f\n\x07\x63reated\x18\x03 \x01(\x08\"V\n\x15ResolveChannelRequest\x12\x14\n\nchannel_id\x18\x01 \x01(\x0cH\x00\x12\x0e\n\x04name\x18\x02 \x01(\tH\x00\x12\x10\n\x08stale_ok\x18\x03 \x01(\x08\x42\x05\n\x03key\"\x89\x01\n\x16ResolveChannelResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12(\n\x04host\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x15\n\rapplied_index\x18\x03 \x01(\x04\"a\n\x13ListChannelsRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\x12\x10\n\x08stale_ok\x18\x04 \x01(\x08\"\xa2\x01\n\x14ListChannelsResponse\x12/\n\x08\x63hannels\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12)\n\x05hosts\x18\x02 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x17\n\x0fnext_page_token\x18\x03 \x01(\t\x12\x15\n\rapplied_index\x18\x04 \x01(\x04\"x\n\x14UpdateChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12)\n\x04spec\x18\x04 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\"G\n\x15UpdateChannelResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\">\n\x14\x44\x65leteChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\"\x17\n\x15\x44\x65leteChannelResponse\"\xea\x01\n\x13RegisterHostRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x0c\n\x04name\x18\x03 \x01(\t\x12-\n\x0bgatekeepers\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\x18\n\x10\x62oot_incarnation\x18\x05 \x01(\x06\x12\x0f\n\x07version\x18\x06 \x01(\t\x12\x18\n\x10protocol_version\x18\x07 \x01(\r\x12\x1a\n\x12registration_epoch\x18\t \x01(\x04J\x04\x08\x08\x10\tR\ncluster_id\"\x81\x02\n\x14RegisterHostResponse\x12(\n\x04host\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x17\n\x0flease_ttl_nanos\x18\x02 \x01(\x03\x12/\n\x08\x63hannels\x18\x03 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x12\n\ncluster_id\x18\x04 \x01(\t\x12\x18\n\x10protocol_version\x18\x05 \x01(\r\x12+\n\x06queues\x18\x06 \x03(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x07 \x03(\t\"T\n\x15RenewHostLeaseRequest\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06J\x04\x08\x03\x10\x04R\ncluster_id\"q\n\x16RenewHostLeaseResponse\x12\x17\n\x0flease_ttl_nanos\x18\x01 \x01(\x03\x12\x0e\n\x06tenure\x18\x02 \x01(\x04\x12\x12\n\ncluster_id\x18\x03 \x01(\t\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x04 \x03(\t\"V\n\x15\x44\x65registerHostRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\"\x18\n\x16\x44\x65registerHostResponse\"P\n\x12ResolveHostRequest\x12\x11\n\x07host_id\x18\x01 \x01(\x0cH\x00\x12\x0e\n\x04name\x18\x02 \x01(\tH\x00\x12\x10\n\x08stale_ok\x18\x03 \x01(\x08\x42\x05\n\x03key\"V\n\x13ResolveHostResponse\x12(\n\x04host\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\"a\n\x10ListHostsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\x12\x14\n\x0cinclude_dead\x18\x03 \x01(\x08\x12\x10\n\x08stale_ok\x18\x04 \x01(\x08\"n\n\x11ListHostsResponse\x12)\n\x05hosts\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x15\n\rapplied_index\x18\x03 \x01(\x04\"\x17\n\x15ListSupernodesRequest\"\x89\x01\n\x16ListSupernodesResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\x0c\n\x04term\x18\x02 \x01(\x04\x12\x15\n\rapplied_index\x18\x03 \x01(\x04\x12\x15\n\rfeature_level\x18\x04 \x01(\r\"\x95\x01\n\x0cWatchRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x13\n\x0b\x61\x66ter_index\x18\x02 \x01(\x04\x12\x15\n\rinclude_hosts\x18\x03 \x01(\x08\x12\x16\n\x0einclude_groups\x18\x04 \x01(\x08\x12\x16\n\x0einclude_queues\x18\x05 \x01(\x08\x12\x16\n\x0einclude_access\x18\x06 \x01(\x08\"X\n\rWatchResponse\x12\x30\n\x07\x63hanges\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.DirectoryChange\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\x32\xb5\t\n\x10\x44irectoryService\x12\x61\n\x04Ping\x12+.stampede_rt.v1.DirectoryServicePingRequest\x1a,.stampede_rt.v1.DirectoryServicePingResponse\x12V\n\x0bOpenChannel\x12\".stampede_rt.v1.OpenChannelRequest\x1a#.stampede_rt.v1.OpenChannelResponse\x12_\n\x0eResolveChannel\x12%.stampede_rt.v1.ResolveChannelRequest\x1a&.stampede_rt.v1.ResolveChannelResponse\x12Y\n\x0cListChannels\x12#.stampede_rt.v1.ListChannelsRequest\x1a$.stampede_rt.v1.ListChannelsResponse\x12\\\n\rUpdateChannel\x12$.stampede_rt.v1.UpdateChannelRequest\x1a%.stampede_rt.v1.UpdateChannelResponse\x12\\\n\rDeleteChannel\x12$.stampede_rt.v1.DeleteChannelRequest\x1a%.stampede_rt.v1.DeleteChannelResponse\x12Y\n\x0cRegisterHost\x12#.stampede_rt.v1.RegisterHostRequest\x1a$.stampede_rt.v1.RegisterHostResponse\x12_\n\x0eRenewHostLease\x12%.stampede_rt.v1.RenewHostLeaseRequest\x1a&.stampede_rt.v1.RenewHostLeaseResponse\x12_\n\x0e\x44\x65registerHost\x12%.stampede_rt.v1.DeregisterHostRequest\x1a&.stampede_rt.v1.DeregisterHostResponse\x12V\n\x0bResolveHost\x12\".stampede_rt.v1.ResolveHostRequest\x1a#.stampede_rt.v1.ResolveHostResponse\x12P\n\tListHosts\x12 .stampede_rt.v1.ListHostsRequest\x1a!.stampede_rt.v1.ListHostsResponse\x12_\n\x0eListSupernodes\x12%.stampede_rt.v1.ListSupernodesRequest\x1a&.stampede_rt.v1.ListSupernodesResponse\x12\x46\n\x05Watch\x12\x1c.stampede_rt.v1.WatchRequest\x1a\x1d.stampede_rt.v1.WatchResponse0\x01\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n&stampede_rt/v1/directory_service.proto\x12\x0estampede_rt.v1\x1a\x1bstampede_rt/v1/access.proto\x1a\x1cstampede_rt/v1/channel.proto\x1a\x1estampede_rt/v1/directory.proto\x1a\x1astampede_rt/v1/queue.proto\"\x1d\n\x1b\x44irectoryServicePingRequest\"\xbb\x03\n\x1c\x44irectoryServicePingResponse\x12\x16\n\x0etime_unix_nano\x18\x01 \x01(\x10\x12\x14\n\x0csupernode_id\x18\x02 \x01(\t\x12\r\n\x05ready\x18\x03 \x01(\x08\x12\x12\n\ncluster_id\x18\x04 \x01(\t\x12\x0f\n\x07version\x18\x05 \x01(\t\x12_\n\x12refused_supernodes\x18\x06 \x03(\x0b\x32\x43.stampede_rt.v1.DirectoryServicePingResponse.RefusedSupernodesEntry\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x07 \x03(\t\x12\x15\n\rfeature_level\x18\x08 \x01(\r\x12\x1d\n\x15highest_feature_level\x18\t \x01(\r\x12\x18\n\x10\x62oot_incarnation\x18\x0b \x01(\x06\x12,\n\x06\x61\x63\x63\x65ss\x18\x0c \x01(\x0b\x32\x1c.stampede_rt.v1.AccessStatus\x1a\x38\n\x16RefusedSupernodesEntry\x12\x0b\n\x03key\x18\x01 \x01(\t\x12\r\n\x05value\x18\x02 \x01(\t:\x02\x38\x01J\x04\x08\n\x10\x0b\"\x84\x01\n\x12OpenChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12)\n\x04spec\x18\x03 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\x12\x0e\n\x06\x63reate\x18\x04 \x01(\x08\x12\x11\n\thost_name\x18\x05 \x01(\t\"\x80\x01\n\x13OpenChannelResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12(\n\x04host\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x0f\n\x07\x63reated\x18\x03 \x01(\x08\"V\n\x15ResolveChannelRequest\x12\x14\n\nchannel_id\x18\x01 \x01(\x0cH\x00\x12\x0e\n\x04name\x18\x02 \x01(\tH\x00\x12\x10\n\x08stale_ok\x18\x03 \x01(\x08\x42\x05\n\x03key\"\x89\x01\n\x16ResolveChannelResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12(\n\x04host\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x15\n\rapplied_index\x18\x03 \x01(\x04\"a\n\x13ListChannelsRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x11\n\tpage_size\x18\x02 \x01(\r\x12\x12\n\npage_token\x18\x03 \x01(\t\x12\x10\n\x08stale_ok\x18\x04 \x01(\x08\"\xa2\x01\n\x14ListChannelsResponse\x12/\n\x08\x63hannels\x18\x01 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12)\n\x05hosts\x18\x02 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x17\n\x0fnext_page_token\x18\x03 \x01(\t\x12\x15\n\rapplied_index\x18\x04 \x01(\x04\"x\n\x14UpdateChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\x12\r\n\x05\x65poch\x18\x03 \x01(\x04\x12)\n\x04spec\x18\x04 \x01(\x0b\x32\x1b.stampede_rt.v1.ChannelSpec\"G\n\x15UpdateChannelResponse\x12.\n\x07\x63hannel\x18\x01 \x01(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\">\n\x14\x44\x65leteChannelRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x12\n\nchannel_id\x18\x02 \x01(\x0c\"\x17\n\x15\x44\x65leteChannelResponse\"\xea\x01\n\x13RegisterHostRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x0c\n\x04name\x18\x03 \x01(\t\x12-\n\x0bgatekeepers\x18\x04 \x03(\x0b\x32\x18.stampede_rt.v1.Endpoint\x12\x18\n\x10\x62oot_incarnation\x18\x05 \x01(\x06\x12\x0f\n\x07version\x18\x06 \x01(\t\x12\x18\n\x10protocol_version\x18\x07 \x01(\r\x12\x1a\n\x12registration_epoch\x18\t \x01(\x04J\x04\x08\x08\x10\tR\ncluster_id\"\x81\x02\n\x14RegisterHostResponse\x12(\n\x04host\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x17\n\x0flease_ttl_nanos\x18\x02 \x01(\x03\x12/\n\x08\x63hannels\x18\x03 \x03(\x0b\x32\x1d.stampede_rt.v1.ChannelRecord\x12\x12\n\ncluster_id\x18\x04 \x01(\t\x12\x18\n\x10protocol_version\x18\x05 \x01(\r\x12+\n\x06queues\x18\x06 \x03(\x0b\x32\x1b.stampede_rt.v1.QueueRecord\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x07 \x03(\t\"T\n\x15RenewHostLeaseRequest\x12\x0f\n\x07host_id\x18\x01 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x02 \x01(\x06J\x04\x08\x03\x10\x04R\ncluster_id\"q\n\x16RenewHostLeaseResponse\x12\x17\n\x0flease_ttl_nanos\x18\x01 \x01(\x03\x12\x0e\n\x06tenure\x18\x02 \x01(\x04\x12\x12\n\ncluster_id\x18\x03 \x01(\t\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x04 \x03(\t\"V\n\x15\x44\x65registerHostRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0f\n\x07host_id\x18\x02 \x01(\x0c\x12\x18\n\x10\x62oot_incarnation\x18\x03 \x01(\x06\"\x18\n\x16\x44\x65registerHostResponse\"P\n\x12ResolveHostRequest\x12\x11\n\x07host_id\x18\x01 \x01(\x0cH\x00\x12\x0e\n\x04name\x18\x02 \x01(\tH\x00\x12\x10\n\x08stale_ok\x18\x03 \x01(\x08\x42\x05\n\x03key\"V\n\x13ResolveHostResponse\x12(\n\x04host\x18\x01 \x01(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\"a\n\x10ListHostsRequest\x12\x11\n\tpage_size\x18\x01 \x01(\r\x12\x12\n\npage_token\x18\x02 \x01(\t\x12\x14\n\x0cinclude_dead\x18\x03 \x01(\x08\x12\x10\n\x08stale_ok\x18\x04 \x01(\x08\"n\n\x11ListHostsResponse\x12)\n\x05hosts\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.HostRecord\x12\x17\n\x0fnext_page_token\x18\x02 \x01(\t\x12\x15\n\rapplied_index\x18\x03 \x01(\x04\"\x17\n\x15ListSupernodesRequest\"\x89\x01\n\x16ListSupernodesResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\x0c\n\x04term\x18\x02 \x01(\x04\x12\x15\n\rapplied_index\x18\x03 \x01(\x04\x12\x15\n\rfeature_level\x18\x04 \x01(\r\"\x95\x01\n\x0cWatchRequest\x12\x11\n\tname_glob\x18\x01 \x01(\t\x12\x13\n\x0b\x61\x66ter_index\x18\x02 \x01(\x04\x12\x15\n\rinclude_hosts\x18\x03 \x01(\x08\x12\x16\n\x0einclude_groups\x18\x04 \x01(\x08\x12\x16\n\x0einclude_queues\x18\x05 \x01(\x08\x12\x16\n\x0einclude_access\x18\x06 \x01(\x08\"X\n\rWatchResponse\x12\x30\n\x07\x63hanges\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.DirectoryChange\x12\x15\n\rapplied_index\x18\x02 \x01(\x04\x32\xb5\t\n\x10\x44irectoryService\x12\x61\n\x04Ping\x12+.stampede_rt.v1.DirectoryServicePingRequest\x1a,.stampede_rt.v1.DirectoryServicePingResponse\x12V\n\x0bOpenChannel\x12\".stampede_rt.v1.OpenChannelRequest\x1a#.stampede_rt.v1.OpenChannelResponse\x12_\n\x0eResolveChannel\x12%.stampede_rt.v1.ResolveChannelRequest\x1a&.stampede_rt.v1.ResolveChannelResponse\x12Y\n\x0cListChannels\x12#.stampede_rt.v1.ListChannelsRequest\x1a$.stampede_rt.v1.ListChannelsResponse\x12\\\n\rUpdateChannel\x12$.stampede_rt.v1.UpdateChannelRequest\x1a%.stampede_rt.v1.UpdateChannelResponse\x12\\\n\rDeleteChannel\x12$.stampede_rt.v1.DeleteChannelRequest\x1a%.stampede_rt.v1.DeleteChannelResponse\x12Y\n\x0cRegisterHost\x12#.stampede_rt.v1.RegisterHostRequest\x1a$.stampede_rt.v1.RegisterHostResponse\x12_\n\x0eRenewHostLease\x12%.stampede_rt.v1.RenewHostLeaseRequest\x1a&.stampede_rt.v1.RenewHostLeaseResponse\x12_\n\x0e\x44\x65registerHost\x12%.stampede_rt.v1.DeregisterHostRequest\x1a&.stampede_rt.v1.DeregisterHostResponse\x12V\n\x0bResolveHost\x12\".stampede_rt.v1.ResolveHostRequest\x1a#.stampede_rt.v1.ResolveHostResponse\x12P\n\tListHosts\x12 .stampede_rt.v1.ListHostsRequest\x1a!.stampede_rt.v1.ListHostsResponse\x12_\n\x0eListSupernodes\x12%.stampede_rt.v1.ListSupernodesRequest\x1a&.stampede_rt.v1.ListSupernodesResponse\x12\x46\n\x05Watch\x12\x1c.stampede_rt.v1.WatchRequest\x1a\x1d.stampede_rt.v1.WatchResponse0\x01\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -36,60 +37,60 @@ if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
   _globals['_DIRECTORYSERVICEPINGRESPONSE_REFUSEDSUPERNODESENTRY']._loaded_options = None
   _globals['_DIRECTORYSERVICEPINGRESPONSE_REFUSEDSUPERNODESENTRY']._serialized_options = b'8\001'
-  _globals['_DIRECTORYSERVICEPINGREQUEST']._serialized_start=148
-  _globals['_DIRECTORYSERVICEPINGREQUEST']._serialized_end=177
-  _globals['_DIRECTORYSERVICEPINGRESPONSE']._serialized_start=180
-  _globals['_DIRECTORYSERVICEPINGRESPONSE']._serialized_end=591
-  _globals['_DIRECTORYSERVICEPINGRESPONSE_REFUSEDSUPERNODESENTRY']._serialized_start=535
-  _globals['_DIRECTORYSERVICEPINGRESPONSE_REFUSEDSUPERNODESENTRY']._serialized_end=591
-  _globals['_OPENCHANNELREQUEST']._serialized_start=594
-  _globals['_OPENCHANNELREQUEST']._serialized_end=726
-  _globals['_OPENCHANNELRESPONSE']._serialized_start=729
-  _globals['_OPENCHANNELRESPONSE']._serialized_end=857
-  _globals['_RESOLVECHANNELREQUEST']._serialized_start=859
-  _globals['_RESOLVECHANNELREQUEST']._serialized_end=945
-  _globals['_RESOLVECHANNELRESPONSE']._serialized_start=948
-  _globals['_RESOLVECHANNELRESPONSE']._serialized_end=1085
-  _globals['_LISTCHANNELSREQUEST']._serialized_start=1087
-  _globals['_LISTCHANNELSREQUEST']._serialized_end=1184
-  _globals['_LISTCHANNELSRESPONSE']._serialized_start=1187
-  _globals['_LISTCHANNELSRESPONSE']._serialized_end=1349
-  _globals['_UPDATECHANNELREQUEST']._serialized_start=1351
-  _globals['_UPDATECHANNELREQUEST']._serialized_end=1471
-  _globals['_UPDATECHANNELRESPONSE']._serialized_start=1473
-  _globals['_UPDATECHANNELRESPONSE']._serialized_end=1544
-  _globals['_DELETECHANNELREQUEST']._serialized_start=1546
-  _globals['_DELETECHANNELREQUEST']._serialized_end=1608
-  _globals['_DELETECHANNELRESPONSE']._serialized_start=1610
-  _globals['_DELETECHANNELRESPONSE']._serialized_end=1633
-  _globals['_REGISTERHOSTREQUEST']._serialized_start=1636
-  _globals['_REGISTERHOSTREQUEST']._serialized_end=1870
-  _globals['_REGISTERHOSTRESPONSE']._serialized_start=1873
-  _globals['_REGISTERHOSTRESPONSE']._serialized_end=2130
-  _globals['_RENEWHOSTLEASEREQUEST']._serialized_start=2132
-  _globals['_RENEWHOSTLEASEREQUEST']._serialized_end=2216
-  _globals['_RENEWHOSTLEASERESPONSE']._serialized_start=2218
-  _globals['_RENEWHOSTLEASERESPONSE']._serialized_end=2331
-  _globals['_DEREGISTERHOSTREQUEST']._serialized_start=2333
-  _globals['_DEREGISTERHOSTREQUEST']._serialized_end=2419
-  _globals['_DEREGISTERHOSTRESPONSE']._serialized_start=2421
-  _globals['_DEREGISTERHOSTRESPONSE']._serialized_end=2445
-  _globals['_RESOLVEHOSTREQUEST']._serialized_start=2447
-  _globals['_RESOLVEHOSTREQUEST']._serialized_end=2527
-  _globals['_RESOLVEHOSTRESPONSE']._serialized_start=2529
-  _globals['_RESOLVEHOSTRESPONSE']._serialized_end=2615
-  _globals['_LISTHOSTSREQUEST']._serialized_start=2617
-  _globals['_LISTHOSTSREQUEST']._serialized_end=2714
-  _globals['_LISTHOSTSRESPONSE']._serialized_start=2716
-  _globals['_LISTHOSTSRESPONSE']._serialized_end=2826
-  _globals['_LISTSUPERNODESREQUEST']._serialized_start=2828
-  _globals['_LISTSUPERNODESREQUEST']._serialized_end=2851
-  _globals['_LISTSUPERNODESRESPONSE']._serialized_start=2854
-  _globals['_LISTSUPERNODESRESPONSE']._serialized_end=2991
-  _globals['_WATCHREQUEST']._serialized_start=2994
-  _globals['_WATCHREQUEST']._serialized_end=3143
-  _globals['_WATCHRESPONSE']._serialized_start=3145
-  _globals['_WATCHRESPONSE']._serialized_end=3233
-  _globals['_DIRECTORYSERVICE']._serialized_start=3236
-  _globals['_DIRECTORYSERVICE']._serialized_end=4441
+  _globals['_DIRECTORYSERVICEPINGREQUEST']._serialized_start=177
+  _globals['_DIRECTORYSERVICEPINGREQUEST']._serialized_end=206
+  _globals['_DIRECTORYSERVICEPINGRESPONSE']._serialized_start=209
+  _globals['_DIRECTORYSERVICEPINGRESPONSE']._serialized_end=652
+  _globals['_DIRECTORYSERVICEPINGRESPONSE_REFUSEDSUPERNODESENTRY']._serialized_start=590
+  _globals['_DIRECTORYSERVICEPINGRESPONSE_REFUSEDSUPERNODESENTRY']._serialized_end=646
+  _globals['_OPENCHANNELREQUEST']._serialized_start=655
+  _globals['_OPENCHANNELREQUEST']._serialized_end=787
+  _globals['_OPENCHANNELRESPONSE']._serialized_start=790
+  _globals['_OPENCHANNELRESPONSE']._serialized_end=918
+  _globals['_RESOLVECHANNELREQUEST']._serialized_start=920
+  _globals['_RESOLVECHANNELREQUEST']._serialized_end=1006
+  _globals['_RESOLVECHANNELRESPONSE']._serialized_start=1009
+  _globals['_RESOLVECHANNELRESPONSE']._serialized_end=1146
+  _globals['_LISTCHANNELSREQUEST']._serialized_start=1148
+  _globals['_LISTCHANNELSREQUEST']._serialized_end=1245
+  _globals['_LISTCHANNELSRESPONSE']._serialized_start=1248
+  _globals['_LISTCHANNELSRESPONSE']._serialized_end=1410
+  _globals['_UPDATECHANNELREQUEST']._serialized_start=1412
+  _globals['_UPDATECHANNELREQUEST']._serialized_end=1532
+  _globals['_UPDATECHANNELRESPONSE']._serialized_start=1534
+  _globals['_UPDATECHANNELRESPONSE']._serialized_end=1605
+  _globals['_DELETECHANNELREQUEST']._serialized_start=1607
+  _globals['_DELETECHANNELREQUEST']._serialized_end=1669
+  _globals['_DELETECHANNELRESPONSE']._serialized_start=1671
+  _globals['_DELETECHANNELRESPONSE']._serialized_end=1694
+  _globals['_REGISTERHOSTREQUEST']._serialized_start=1697
+  _globals['_REGISTERHOSTREQUEST']._serialized_end=1931
+  _globals['_REGISTERHOSTRESPONSE']._serialized_start=1934
+  _globals['_REGISTERHOSTRESPONSE']._serialized_end=2191
+  _globals['_RENEWHOSTLEASEREQUEST']._serialized_start=2193
+  _globals['_RENEWHOSTLEASEREQUEST']._serialized_end=2277
+  _globals['_RENEWHOSTLEASERESPONSE']._serialized_start=2279
+  _globals['_RENEWHOSTLEASERESPONSE']._serialized_end=2392
+  _globals['_DEREGISTERHOSTREQUEST']._serialized_start=2394
+  _globals['_DEREGISTERHOSTREQUEST']._serialized_end=2480
+  _globals['_DEREGISTERHOSTRESPONSE']._serialized_start=2482
+  _globals['_DEREGISTERHOSTRESPONSE']._serialized_end=2506
+  _globals['_RESOLVEHOSTREQUEST']._serialized_start=2508
+  _globals['_RESOLVEHOSTREQUEST']._serialized_end=2588
+  _globals['_RESOLVEHOSTRESPONSE']._serialized_start=2590
+  _globals['_RESOLVEHOSTRESPONSE']._serialized_end=2676
+  _globals['_LISTHOSTSREQUEST']._serialized_start=2678
+  _globals['_LISTHOSTSREQUEST']._serialized_end=2775
+  _globals['_LISTHOSTSRESPONSE']._serialized_start=2777
+  _globals['_LISTHOSTSRESPONSE']._serialized_end=2887
+  _globals['_LISTSUPERNODESREQUEST']._serialized_start=2889
+  _globals['_LISTSUPERNODESREQUEST']._serialized_end=2912
+  _globals['_LISTSUPERNODESRESPONSE']._serialized_start=2915
+  _globals['_LISTSUPERNODESRESPONSE']._serialized_end=3052
+  _globals['_WATCHREQUEST']._serialized_start=3055
+  _globals['_WATCHREQUEST']._serialized_end=3204
+  _globals['_WATCHRESPONSE']._serialized_start=3206
+  _globals['_WATCHRESPONSE']._serialized_end=3294
+  _globals['_DIRECTORYSERVICE']._serialized_start=3297
+  _globals['_DIRECTORYSERVICE']._serialized_end=4502
 # @@protoc_insertion_point(module_scope)

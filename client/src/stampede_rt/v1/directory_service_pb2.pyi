@@ -1,3 +1,4 @@
+from stampede_rt.v1 import access_pb2 as _access_pb2
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from stampede_rt.v1 import directory_pb2 as _directory_pb2
 from stampede_rt.v1 import queue_pb2 as _queue_pb2
@@ -14,7 +15,7 @@ class DirectoryServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class DirectoryServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids", "feature_level", "highest_feature_level", "token_keys", "boot_incarnation")
+    __slots__ = ("time_unix_nano", "supernode_id", "ready", "cluster_id", "version", "refused_supernodes", "former_cluster_ids", "feature_level", "highest_feature_level", "boot_incarnation", "access")
     class RefusedSupernodesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -31,8 +32,8 @@ class DirectoryServicePingResponse(_message.Message):
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
     FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
     HIGHEST_FEATURE_LEVEL_FIELD_NUMBER: _ClassVar[int]
-    TOKEN_KEYS_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    ACCESS_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     supernode_id: str
     ready: bool
@@ -42,9 +43,9 @@ class DirectoryServicePingResponse(_message.Message):
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
     feature_level: int
     highest_feature_level: int
-    token_keys: _containers.RepeatedScalarFieldContainer[bytes]
     boot_incarnation: int
-    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., feature_level: _Optional[int] = ..., highest_feature_level: _Optional[int] = ..., token_keys: _Optional[_Iterable[bytes]] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
+    access: _access_pb2.AccessStatus
+    def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., feature_level: _Optional[int] = ..., highest_feature_level: _Optional[int] = ..., boot_incarnation: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ...) -> None: ...
 
 class OpenChannelRequest(_message.Message):
     __slots__ = ("request_id", "name", "spec", "create", "host_name")

@@ -22,20 +22,21 @@ _runtime_version.ValidateProtobufRuntimeVersion(
 _sym_db = _symbol_database.Default()
 
 
+from stampede_rt.v1 import access_pb2 as stampede__rt_dot_v1_dot_access__pb2
 from stampede_rt.v1 import directory_pb2 as stampede__rt_dot_v1_dot_directory__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n%stampede_rt/v1/frontend_service.proto\x12\x0estampede_rt.v1\x1a\x1estampede_rt/v1/directory.proto\"Y\n\x0b\x42indRequest\x12\x11\n\tpeer_name\x18\x01 \x01(\t\x12\x0c\n\x04zone\x18\x02 \x01(\t\x12\x18\n\x10protocol_version\x18\x03 \x01(\r\x12\x0f\n\x07version\x18\x04 \x01(\t\"\xb6\x01\n\x0c\x42indResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\x12\n\ncluster_id\x18\x02 \x01(\t\x12\x18\n\x10protocol_version\x18\x03 \x01(\r\x12\x0f\n\x07version\x18\x04 \x01(\t\x12\x16\n\x0etime_unix_nano\x18\x05 \x01(\x10\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x06 \x03(\t2T\n\x0f\x46rontendService\x12\x41\n\x04\x42ind\x12\x1b.stampede_rt.v1.BindRequest\x1a\x1c.stampede_rt.v1.BindResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n%stampede_rt/v1/frontend_service.proto\x12\x0estampede_rt.v1\x1a\x1bstampede_rt/v1/access.proto\x1a\x1estampede_rt/v1/directory.proto\"Y\n\x0b\x42indRequest\x12\x11\n\tpeer_name\x18\x01 \x01(\t\x12\x0c\n\x04zone\x18\x02 \x01(\t\x12\x18\n\x10protocol_version\x18\x03 \x01(\r\x12\x0f\n\x07version\x18\x04 \x01(\t\"\xe4\x01\n\x0c\x42indResponse\x12\x33\n\nsupernodes\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.SupernodeRecord\x12\x12\n\ncluster_id\x18\x02 \x01(\t\x12\x18\n\x10protocol_version\x18\x03 \x01(\r\x12\x0f\n\x07version\x18\x04 \x01(\t\x12\x16\n\x0etime_unix_nano\x18\x05 \x01(\x10\x12\x1a\n\x12\x66ormer_cluster_ids\x18\x06 \x03(\t\x12,\n\x06\x61\x63\x63\x65ss\x18\x07 \x01(\x0b\x32\x1c.stampede_rt.v1.AccessStatus2T\n\x0f\x46rontendService\x12\x41\n\x04\x42ind\x12\x1b.stampede_rt.v1.BindRequest\x1a\x1c.stampede_rt.v1.BindResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.frontend_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_BINDREQUEST']._serialized_start=89
-  _globals['_BINDREQUEST']._serialized_end=178
-  _globals['_BINDRESPONSE']._serialized_start=181
-  _globals['_BINDRESPONSE']._serialized_end=363
-  _globals['_FRONTENDSERVICE']._serialized_start=365
-  _globals['_FRONTENDSERVICE']._serialized_end=449
+  _globals['_BINDREQUEST']._serialized_start=118
+  _globals['_BINDREQUEST']._serialized_end=207
+  _globals['_BINDRESPONSE']._serialized_start=210
+  _globals['_BINDRESPONSE']._serialized_end=438
+  _globals['_FRONTENDSERVICE']._serialized_start=440
+  _globals['_FRONTENDSERVICE']._serialized_end=524
 # @@protoc_insertion_point(module_scope)

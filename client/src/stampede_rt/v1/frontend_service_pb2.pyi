@@ -1,3 +1,4 @@
+from stampede_rt.v1 import access_pb2 as _access_pb2
 from stampede_rt.v1 import directory_pb2 as _directory_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
@@ -20,17 +21,19 @@ class BindRequest(_message.Message):
     def __init__(self, peer_name: _Optional[str] = ..., zone: _Optional[str] = ..., protocol_version: _Optional[int] = ..., version: _Optional[str] = ...) -> None: ...
 
 class BindResponse(_message.Message):
-    __slots__ = ("supernodes", "cluster_id", "protocol_version", "version", "time_unix_nano", "former_cluster_ids")
+    __slots__ = ("supernodes", "cluster_id", "protocol_version", "version", "time_unix_nano", "former_cluster_ids", "access")
     SUPERNODES_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     PROTOCOL_VERSION_FIELD_NUMBER: _ClassVar[int]
     VERSION_FIELD_NUMBER: _ClassVar[int]
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     FORMER_CLUSTER_IDS_FIELD_NUMBER: _ClassVar[int]
+    ACCESS_FIELD_NUMBER: _ClassVar[int]
     supernodes: _containers.RepeatedCompositeFieldContainer[_directory_pb2.SupernodeRecord]
     cluster_id: str
     protocol_version: int
     version: str
     time_unix_nano: int
     former_cluster_ids: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, supernodes: _Optional[_Iterable[_Union[_directory_pb2.SupernodeRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., version: _Optional[str] = ..., time_unix_nano: _Optional[int] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
+    access: _access_pb2.AccessStatus
+    def __init__(self, supernodes: _Optional[_Iterable[_Union[_directory_pb2.SupernodeRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., version: _Optional[str] = ..., time_unix_nano: _Optional[int] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ...) -> None: ...

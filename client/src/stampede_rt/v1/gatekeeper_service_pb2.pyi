@@ -1,3 +1,4 @@
+from stampede_rt.v1 import access_pb2 as _access_pb2
 from stampede_rt.v1 import channel_pb2 as _channel_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
@@ -22,7 +23,7 @@ class GatekeeperServicePingRequest(_message.Message):
     def __init__(self) -> None: ...
 
 class GatekeeperServicePingResponse(_message.Message):
-    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos")
+    __slots__ = ("time_unix_nano", "host_id", "name", "lease_held", "version", "refused_items", "refused_ago_nanos", "held_bytes", "memory_bytes_max", "refused_calls", "refused_call_ago_nanos", "access")
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
@@ -34,6 +35,7 @@ class GatekeeperServicePingResponse(_message.Message):
     MEMORY_BYTES_MAX_FIELD_NUMBER: _ClassVar[int]
     REFUSED_CALLS_FIELD_NUMBER: _ClassVar[int]
     REFUSED_CALL_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    ACCESS_FIELD_NUMBER: _ClassVar[int]
     time_unix_nano: int
     host_id: bytes
     name: str
@@ -45,7 +47,8 @@ class GatekeeperServicePingResponse(_message.Message):
     memory_bytes_max: int
     refused_calls: int
     refused_call_ago_nanos: int
-    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ...) -> None: ...
+    access: _access_pb2.AccessStatus
+    def __init__(self, time_unix_nano: _Optional[int] = ..., host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., lease_held: bool = ..., version: _Optional[str] = ..., refused_items: _Optional[int] = ..., refused_ago_nanos: _Optional[int] = ..., held_bytes: _Optional[int] = ..., memory_bytes_max: _Optional[int] = ..., refused_calls: _Optional[int] = ..., refused_call_ago_nanos: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ...) -> None: ...
 
 class DataEndpoint(_message.Message):
     __slots__ = ("transport", "target")

@@ -92,8 +92,9 @@ class ChannelHost:
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         groups = GroupDirectory(self._supernodes)
         self.groups = GroupStore(identity, self.store, groups, dial, lambda: of_lease.cluster_id)
-        self._access = AccessWatch(self._supernodes, access or AccessControl())
-        self._gatekeeper = GatekeeperServicer(self.store, identity)
+        access = access or AccessControl()
+        self._access = AccessWatch(self._supernodes, access)
+        self._gatekeeper = GatekeeperServicer(self.store, identity, access)
         self._streams = OpenStreams()
         self._on_serving = on_serving
         self._on_defect = on_defect

@@ -56,7 +56,7 @@ async def serve(settings: FrontendSettings) -> None:
     )
     roster = SupernodeRoster(tuple(dict.fromkeys(settings.supernodes)))
     async with Prober(roster, credentials, explain=credentials.explain, access=server.access) as prober:
-        servicer = FrontendServicer(roster, prober, SystemClock(), default_zone=settings.zone)
+        servicer = FrontendServicer(roster, prober, SystemClock(), server.access, default_zone=settings.zone)
         frontend_service_pb2_grpc.add_FrontendServiceServicer_to_server(servicer, server.grpc)
         address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
         await server.start()

@@ -13,11 +13,11 @@ import grpc
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
+from stampede_rt_frontend.access_follower import AccessFollower
 from stampede_rt_frontend.ranking import Supernode
 from stampede_rt_frontend.roster import MemberList, ProbeAnswer, SupernodeRoster
 from stampede_rt_frontend.status_log import StatusLog
 from stampede_rt_runtime.access.control import AccessControl
-from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.dial import naming_cluster
 
 logger = logging.getLogger(__name__)
@@ -30,7 +30,8 @@ _RETRY_SECONDS_MIN = 0.05  # a supernode that is just starting is found soon; th
 class Prober:
     """Keeps a Roster fresh, with one task and one connection per supernode. Use as an async context manager.
 
-    `explain` may know better than gRPC why a supernode cannot be talked to. `access` is told the keys of client tokens.
+    `explain` may know better than gRPC why a supernode cannot be talked to. `access` is told the keys of client
+    tokens, and what was revoked.
     """
 
     def __init__(
@@ -44,7 +45,7 @@ class Prober:
         self._roster = roster
         self._explain = explain
         self._dial = naming_cluster(dial, lambda: roster.cluster_id)
-        self._access = access or AccessControl()
+        self._access = AccessFollower(access or AccessControl())
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._strangers: dict[str, str] = {}  # target -> the other cluster that it was last told to belong to
         self._changed = asyncio.Condition()
@@ -102,8 +103,8 @@ class Prober:
                 self._strangers[target] = answer.cluster_id
                 logger.warning("another cluster's supernode", extra={"target": target, "cluster_id": answer.cluster_id})
             if answer.ready and accepted:
-                self._access.tell(AccessState(cluster_id=answer.cluster_id, token_keys=answer.token_keys))
                 self._roster.listed(await _list(stub))
+                await self._access.heard(answer.cluster_id, answer.access_version, channel)
                 self._match_tasks()
         except grpc.aio.AioRpcError as error:
             why = str(await self._better(target, from_rpc_error(error, target)))
@@ -143,7 +144,7 @@ async def _ping(channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.Dire
         ready=said.ready,
         round_trip_nanos=took if connected else None,
         former_cluster_ids=tuple(said.former_cluster_ids),
-        token_keys=tuple(said.token_keys),
+        access_version=said.access.version,
     )
 
 

@@ -23,7 +23,7 @@ class ProbeAnswer:
     ready: bool
     round_trip_nanos: int | None
     former_cluster_ids: tuple[str, ...] = ()
-    token_keys: tuple[bytes, ...] = ()
+    access_version: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -8,6 +8,8 @@ from stampede_rt.v1 import directory_pb2, frontend_service_pb2, frontend_service
 from stampede_rt_frontend.probe import Prober
 from stampede_rt_frontend.ranking import Supernode, rank
 from stampede_rt_frontend.roster import SupernodeRoster
+from stampede_rt_runtime.access.control import AccessControl
+from stampede_rt_runtime.access.messages import status_message
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.routes import is_of_another_machine
 from stampede_rt_runtime.rpc import Context, errors_as_status
@@ -19,9 +21,18 @@ WAIT_SECONDS_MAX = 2.0  # a caller that comes while the cluster starts waits so 
 class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
     """Tells callers which supernodes there are."""
 
-    def __init__(self, roster: SupernodeRoster, prober: Prober, clock: HostClock, *, default_zone: str = "") -> None:
+    def __init__(
+        self,
+        roster: SupernodeRoster,
+        prober: Prober,
+        clock: HostClock,
+        access: AccessControl,
+        *,
+        default_zone: str = "",
+    ) -> None:
         self._roster = roster
         self._prober = prober
+        self._access = access
         self._clock = clock
         self._default_zone = default_zone
 
@@ -50,6 +61,7 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
             protocol_version=PROTOCOL_VERSION,
             version=software_version(),
             time_unix_nano=self._clock.time_unix_nano(),
+            access=status_message(self._access),
         )
 
 

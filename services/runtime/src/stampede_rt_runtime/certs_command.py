@@ -190,9 +190,9 @@ def _revoke(arguments: argparse.Namespace) -> list[str]:
     with reached(arguments.url, None) as cluster:
         if not serials:
             return list(cluster.revoked_serials()) or ["nothing is revoked"]
-        for serial in serials:
-            cluster.revoke(serial)
-    return [f"{one} is revoked: open streams of its bearers end now, and it opens nothing any more" for one in serials]
+        behind = cluster.parts_behind(max([cluster.revoke(serial) for serial in serials]))
+    done = [f"{one} is revoked: open streams of its bearers end, and it opens nothing any more" for one in serials]
+    return done + [f"not yet at {name}: {why}" for name, why in behind.items()]
 
 
 def _serial_of(text: str) -> str:

@@ -11,8 +11,6 @@ from collections.abc import AsyncIterator, Coroutine, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import grpc
-
 from stampede_rt.administration.options import ADMINISTRATIVE_VERBS
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import access_service_pb2_grpc, directory_service_pb2_grpc, membership_service_pb2_grpc
@@ -85,7 +83,7 @@ async def serve(settings: SupernodeSettings) -> None:
     async with _open_log(settings, founding, server, credentials, replica) as log:
         tune_garbage_collection()
         parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
-        _register(parts, server.grpc)
+        _register(parts, server)
         server.access.draw_from(lambda: replica.read(access_state))
         await server.start()
         work = [
@@ -178,17 +176,17 @@ def _assemble(
     )
 
 
-def _register(parts: _Parts, server: grpc.aio.Server) -> None:
-    log, replica, submission, clock = parts.log, parts.replica, parts.submission, parts.clock
+def _register(parts: _Parts, server: ServiceServer) -> None:
+    replica, clock, calls = parts.replica, parts.clock, DirectoryCalls(parts.replica, parts.submission)
     servicer = DirectoryServicer(
-        replica, submission, parts.leases, parts.watches, parts.members, clock, parts.own_cluster
+        replica, parts.submission, parts.leases, parts.watches, parts.members, clock, parts.own_cluster, server.access
     )
-    directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server)
-    loads = LoadKeeper(log, replica, clock=clock)
-    register_record_services(server, DirectoryCalls(replica, submission), loads, parts.leases, parts.watches)
-    access = AccessServicer(DirectoryCalls(replica, submission), clock.time_unix_nano)
-    access_service_pb2_grpc.add_AccessServiceServicer_to_server(access, server)
-    membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(parts.membership, server)
+    directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(servicer, server.grpc)
+    loads = LoadKeeper(parts.log, replica, clock=clock)
+    register_record_services(server.grpc, calls, loads, parts.leases, parts.watches)
+    access = AccessServicer(calls, clock.time_unix_nano)
+    access_service_pb2_grpc.add_AccessServiceServicer_to_server(access, server.grpc)
+    membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(parts.membership, server.grpc)
 
 
 @contextlib.asynccontextmanager

@@ -12,7 +12,8 @@ from stampede_rt_channel_host.channels.listing import page_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.records import channel_message, policy_change
-from stampede_rt_runtime.access.control import allowed_to, check_known
+from stampede_rt_runtime.access.control import AccessControl, allowed_to, check_known
+from stampede_rt_runtime.access.messages import status_message
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.globs import matcher
 from stampede_rt_runtime.rpc import Context, errors_as_status
@@ -25,9 +26,10 @@ GLOB_LENGTH_MAX = 256
 class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     """Binds callers to channels, and changes channels here and in the directory."""
 
-    def __init__(self, store: ChannelStore, identity: HostIdentity) -> None:
+    def __init__(self, store: ChannelStore, identity: HostIdentity, access: AccessControl) -> None:
         self._store = store
         self._identity = identity
+        self._access = access
         self.target = ""  # where data travels; known once the server listens, before which no lease is held
 
     async def Ping(  # noqa: N802
@@ -47,6 +49,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
             memory_bytes_max=memory.bytes_max,
             refused_calls=self._store.refused_calls.count,
             refused_call_ago_nanos=self._store.refused_calls.ago_nanos(),
+            access=status_message(self._access),
         )
 
     @errors_as_status

@@ -13,8 +13,7 @@ from stampede_rt.v1 import access_service_pb2, access_service_pb2_grpc
 from stampede_rt_channel_host.cluster.supernodes import Supernodes
 from stampede_rt_channel_host.core.records import RecordedChange
 from stampede_rt_runtime.access.control import AccessControl
-from stampede_rt_runtime.access.messages import rule_from
-from stampede_rt_runtime.access.rules import AccessRules
+from stampede_rt_runtime.access.messages import state_from
 from stampede_rt_runtime.access.state import AccessState
 
 logger = logging.getLogger(__name__)
@@ -67,13 +66,7 @@ class AccessWatch:
             if not _knows_no_rules(error):
                 raise
             return AccessState()
-        return AccessState(
-            version=told.version,
-            cluster_id=told.cluster_id,
-            rules=AccessRules(map(rule_from, told.rules)),
-            token_keys=tuple(told.token_keys),
-            revoked_serials=frozenset(told.revoked_serials),
-        )
+        return state_from(told)
 
 
 def _knows_no_rules(error: StampedeError) -> bool:

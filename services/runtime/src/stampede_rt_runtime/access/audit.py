@@ -25,10 +25,16 @@ class AuditLog:
         self._clock_s = clock_s
         self._last: OrderedDict[str, tuple[float, int]] = OrderedDict()  # when a line was written, and left out since
         self.denials = 0
+        self._denied_s: float | None = None
+
+    def denied_ago_nanos(self) -> int | None:
+        """How long ago the last denial was; None: there was none."""
+        return None if self._denied_s is None else round((self._clock_s() - self._denied_s) * 1e9)
 
     def denied(self, caller: Caller | None, address: str, verb: str, name: str) -> None:
         """`caller` None: it brought no proof that is accepted. `verb`: of the rules, or the method's name."""
         self.denials += 1
+        self._denied_s = self._clock_s()
         left_out = self._turn(address.rpartition(":")[0] if caller is None else caller.name)
         if left_out is not None:
             logger.warning("denied", extra=_facts(caller, address, verb, name, "denied") | {"left_out": left_out})

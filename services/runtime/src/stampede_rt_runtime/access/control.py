@@ -74,6 +74,12 @@ class AccessControl:
             if number % CALLS_PER_TURN == 0:
                 await asyncio.sleep(0)
 
+    @property
+    def version(self) -> int:
+        """The log position of the last change that callers are judged by; 0: none is known."""
+        state = self.refresh()
+        return 0 if state is None else state.version
+
     def refresh(self) -> AccessState | None:
         """The state as it is now; None: it is not known yet."""
         if self._source is not None:

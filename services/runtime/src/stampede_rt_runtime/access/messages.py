@@ -6,7 +6,10 @@ from collections.abc import Mapping
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import access_pb2 as pb
-from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessVerb
+from stampede_rt.v1 import access_service_pb2
+from stampede_rt_runtime.access.control import AccessControl
+from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessRules, AccessVerb
+from stampede_rt_runtime.access.state import AccessState
 
 VERBS: Mapping[AccessVerb, pb.AccessVerb] = {verb: getattr(pb, f"ACCESS_VERB_{verb.name}") for verb in AccessVerb}
 KINDS: Mapping[AccessKind, pb.AccessKind] = {kind: getattr(pb, f"ACCESS_KIND_{kind.name}") for kind in AccessKind}
@@ -48,3 +51,32 @@ def kind_from(number: int) -> AccessKind:
     if number not in _KINDS_FROM:
         raise InvalidArgument(f"this service knows no kind {number} of access; name one of AccessKind")
     return _KINDS_FROM[number]
+
+
+def state_message(state: AccessState) -> access_service_pb2.GetAccessStateResponse:
+    """The state as supernodes tell it to other ports."""
+    return access_service_pb2.GetAccessStateResponse(
+        version=state.version,
+        cluster_id=state.cluster_id,
+        rules=map(rule_message, state.rules.rules),
+        token_keys=state.token_keys,
+        revoked_serials=sorted(state.revoked_serials),
+    )
+
+
+def state_from(message: access_service_pb2.GetAccessStateResponse) -> AccessState:
+    """Raises InvalidArgument for a rule of a verb or kind that is not known."""
+    return AccessState(
+        version=message.version,
+        cluster_id=message.cluster_id,
+        rules=AccessRules(map(rule_from, message.rules)),
+        token_keys=tuple(message.token_keys),
+        revoked_serials=frozenset(message.revoked_serials),
+    )
+
+
+def status_message(control: AccessControl) -> pb.AccessStatus:
+    """What a port tells of itself."""
+    return pb.AccessStatus(
+        version=control.version, denials=control.audit.denials, denied_ago_nanos=control.audit.denied_ago_nanos()
+    )

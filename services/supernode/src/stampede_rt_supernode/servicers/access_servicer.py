@@ -10,7 +10,15 @@ from typing import NamedTuple
 from stampede_rt.v1 import access_service_pb2 as pb
 from stampede_rt.v1 import access_service_pb2_grpc
 from stampede_rt_runtime.access.control import audit_change
-from stampede_rt_runtime.access.messages import KINDS, VERBS, kind_from, rule_from, rule_message, verb_from
+from stampede_rt_runtime.access.messages import (
+    KINDS,
+    VERBS,
+    kind_from,
+    rule_from,
+    rule_message,
+    state_message,
+    verb_from,
+)
 from stampede_rt_runtime.access.rules import AccessRule, AccessRules, check_rule
 from stampede_rt_runtime.access.tokens import KEY_BYTES, VALID_NANOS_DEFAULT, TokenClaims, check_claims, make_token
 from stampede_rt_runtime.rpc import Context, errors_as_status
@@ -32,8 +40,9 @@ SERIAL_BYTES = 8
 
 
 class _Change(NamedTuple):
-    """The rules before and after, and what that does."""
+    """The rules before and after, and what that does. `version`: of the last change before."""
 
+    version: int
     before: AccessRules
     after: AccessRules
     effects: list[pb.AccessEffect]
@@ -76,11 +85,14 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         """With dry_run a question, which needs no entry in the log."""
         operation = commands.AddAccessRule(rule=rule_from(request.rule))
         change = await self._change(context, operation, lambda rules: with_rule(rules, operation.rule))
-        added = change.after is not change.before
+        added, version = change.after is not change.before, change.version
         if not request.dry_run:
-            added = (await self._calls.submit(context, operation, commands.AccessRuleAdded, request.request_id)).added
+            done = await self._calls.submit(context, operation, commands.AccessRuleAdded, request.request_id)
+            added, version = done.added, done.version
             audit_change("add rule", str(operation.rule))
-        return pb.AddAccessRuleResponse(added=added, rules=len(change.after.rules), effects=change.effects)
+        return pb.AddAccessRuleResponse(
+            added=added, rules=len(change.after.rules), effects=change.effects, version=version
+        )
 
     @errors_as_status
     async def RemoveAccessRule(
@@ -89,12 +101,14 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         """With dry_run a question, which needs no entry in the log."""
         operation = commands.RemoveAccessRule(rule=rule_from(request.rule))
         change = await self._change(context, operation, lambda rules: without_rule(rules, operation.rule))
-        removed = len(change.after.rules) < len(change.before.rules)
+        removed, version = len(change.after.rules) < len(change.before.rules), change.version
         if not request.dry_run:
             done = await self._calls.submit(context, operation, commands.AccessRuleRemoved, request.request_id)
-            removed = done.removed
+            removed, version = done.removed, done.version
             audit_change("remove rule", str(operation.rule))
-        return pb.RemoveAccessRuleResponse(removed=removed, rules=len(change.after.rules), effects=change.effects)
+        return pb.RemoveAccessRuleResponse(
+            removed=removed, rules=len(change.after.rules), effects=change.effects, version=version
+        )
 
     async def _change(
         self,
@@ -109,7 +123,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
             before = directory.access.rules
             after = change(before)
             effects = effects_on(directory.tables, before, after, operation.rule)
-            return _Change(before, after, [_effect_message(effect) for effect in effects])
+            return _Change(directory.access.version, before, after, [_effect_message(effect) for effect in effects])
 
         return await self._calls.read(context, judge)
 
@@ -138,7 +152,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         operation = commands.RevokeCredential(serial=request.serial)
         done = await self._calls.submit(context, operation, commands.CredentialRevoked, request.request_id)
         audit_change("revoke", request.serial)
-        return pb.RevokeCredentialResponse(revoked=done.revoked)
+        return pb.RevokeCredentialResponse(revoked=done.revoked, version=done.version)
 
     @errors_as_status
     async def ListRevokedCredentials(
@@ -149,14 +163,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
 
     @errors_as_status
     async def GetAccessState(self, request: pb.GetAccessStateRequest, context: Context) -> pb.GetAccessStateResponse:
-        state = await self._calls.read(context, access_state, stale_ok=request.stale_ok)
-        return pb.GetAccessStateResponse(
-            version=state.version,
-            cluster_id=state.cluster_id,
-            rules=map(rule_message, state.rules.rules),
-            token_keys=state.token_keys,
-            revoked_serials=sorted(state.revoked_serials),
-        )
+        return state_message(await self._calls.read(context, access_state, stale_ok=request.stale_ok))
 
 
 def _effect_message(effect: AccessEffect) -> pb.AccessEffect:

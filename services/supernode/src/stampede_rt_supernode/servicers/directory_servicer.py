@@ -8,7 +8,8 @@ from collections.abc import AsyncIterator
 
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
-from stampede_rt_runtime.access.control import allowed_to, check_known
+from stampede_rt_runtime.access.control import AccessControl, allowed_to, check_known
+from stampede_rt_runtime.access.messages import status_message
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.rpc import Context, errors_as_status
@@ -21,7 +22,6 @@ from stampede_rt_supernode.codecs.record_codec import (
     policy_from,
 )
 from stampede_rt_supernode.core import page_tokens
-from stampede_rt_supernode.core.access.queries import access_state
 from stampede_rt_supernode.core.callers import check_protocol
 from stampede_rt_supernode.core.channels.commands import (
     ChannelDeleted,
@@ -62,6 +62,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         members: Members,
         clock: HostClock,
         own_cluster: OwnCluster,
+        access: AccessControl,
     ) -> None:
         self._replica = replica
         self._calls = DirectoryCalls(replica, submission)
@@ -71,6 +72,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         self._members = members
         self._clock = clock
         self._own_cluster = own_cluster
+        self._access = access
 
     async def Ping(self, request: pb.DirectoryServicePingRequest, context: Context) -> pb.DirectoryServicePingResponse:
         """Say what this supernode knows by itself. The answer needs no leader."""
@@ -85,7 +87,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             refused_supernodes=self._members.refused(),
             feature_level=self._replica.feature_level,
             highest_feature_level=self._replica.highest_level,
-            token_keys=self._replica.read(access_state).token_keys,
+            access=status_message(self._access),
         )
 
     @errors_as_status

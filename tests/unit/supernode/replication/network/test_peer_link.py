@@ -51,7 +51,7 @@ def timeout_now(term: int) -> pb.RaftMessage:
 
 
 class Inbox:
-    """Stands for a replica: keeps what it is told."""
+    """Stands for a replica: keeps what it is told, on the loop of the test."""
 
     roster = ROSTER
     feature_level = 1
@@ -59,9 +59,17 @@ class Inbox:
     def __init__(self) -> None:
         self.events: list[NetworkEvent] = []
         self.promise = Promise(0, 0)
+        self._changed = asyncio.Event()
 
     def deliver(self, event: NetworkEvent) -> None:
         self.events.append(event)
+        self._changed.set()
+
+    async def heard(self, kind: type[NetworkEvent]) -> None:
+        """Wait for an event of that kind."""
+        while not any(isinstance(event, kind) for event in self.events):
+            self._changed.clear()
+            await self._changed.wait()
 
     def promise_of(self, member_id: str) -> Promise:
         return self.promise
@@ -92,11 +100,9 @@ async def test_a_members_stream_that_a_newer_one_replaces_ends_and_is_heard_no_m
         new = await opened_stream(channel)
         assert await old.code() is grpc.StatusCode.UNAVAILABLE
         await new.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
-        while not any(isinstance(event, Received) for event in inbox.events):  # noqa: ASYNC110 - nothing announces it
-            await asyncio.sleep(0.005)
+        await inbox.heard(Received)
         new.cancel()
-        while not any(isinstance(event, StreamEnded) for event in inbox.events):  # noqa: ASYNC110
-            await asyncio.sleep(0.005)
+        await inbox.heard(StreamEnded)
     await server.stop(None)
     kinds = [type(event) for event in inbox.events]
     assert kinds == [StreamOpened, StreamOpened, Received, StreamEnded]
@@ -126,11 +132,9 @@ async def test_a_copy_that_is_refused_beside_a_member_that_is_heard_is_said_once
             inbox.promise = Promise(1, promised)
             told.add(await greeted_by_an_older_copy(channel))
         await call.write(pb.RaftServiceExchangeRequest(messages=[timeout_now(7)]))
-        while not any(isinstance(event, Received) for event in inbox.events):  # noqa: ASYNC110 - nothing announces it
-            await asyncio.sleep(0.005)
+        await inbox.heard(Received)
         call.cancel()
-        while not any(isinstance(event, StreamEnded) for event in inbox.events):  # noqa: ASYNC110
-            await asyncio.sleep(0.005)
+        await inbox.heard(StreamEnded)
         assert servicer.refused() == {}
         # Alone, it may be the member itself.
         await greeted_by_an_older_copy(channel)
@@ -147,6 +151,7 @@ class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
 
     def __init__(self) -> None:
         self.streams: list[list[int]] = []
+        self.heard_second = asyncio.Event()
 
     async def Exchange(  # noqa: N802
         self, requests: Any, context: Any
@@ -157,6 +162,8 @@ class Peer(_pb_grpc.RaftServiceServicer):  # type: ignore[misc]
             if request.HasField("hello"):
                 yield pb.RaftServiceExchangeResponse(protocol_version=PROTOCOL_VERSION)
             heard += [message.timeout_now.term for message in request.messages]
+            if 2 in heard:
+                self.heard_second.set()
 
 
 async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() -> None:
@@ -185,8 +192,7 @@ async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() 
     )
     running = asyncio.create_task(link.run())
     async with asyncio.timeout(10):
-        while not any(2 in heard for heard in peer.streams):  # noqa: ASYNC110 - nothing announces it
-            await asyncio.sleep(0.005)
+        await peer.heard_second.wait()
     running.cancel()
     await asyncio.gather(running, return_exceptions=True)
     await server.stop(None)

@@ -1,0 +1,63 @@
+"""Waits until a change of rules, or a revocation, holds at every part of a running cluster."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+from stampede_rt._sync.endpoints import EndpointPool
+from stampede_rt.errors import StampedeError
+from stampede_rt.transports.grpc_sync import ServerEndpoint
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.version import PROTOCOL_VERSION, VERSION
+
+IN_FORCE_SECONDS = 5.0  # hosts and supernodes hear of changes within milliseconds, front-ends ask each second
+CALL_SECONDS = 1.0
+PAUSE_SECONDS = 0.02
+
+
+class Judge(NamedTuple):
+    """A part of the cluster that judges callers, and the call by which it tells what it judges by."""
+
+    name: str
+    target: str
+    ask: Callable[[ServerEndpoint], Any]
+
+
+def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int) -> dict[str, str]:
+    """Wait until all judge by that version of access, IN_FORCE_SECONDS at most. Gives those that do not, and why."""
+    waiting, deadline_s = list(judges), time.monotonic() + IN_FORCE_SECONDS
+    while True:  # until none is behind, or the time is up
+        reasons = {one: _why_behind(endpoints, one, version) for one in waiting}
+        waiting = [one for one in waiting if reasons[one]]
+        if not waiting or time.monotonic() > deadline_s:
+            return {one.name: reasons[one] for one in waiting}
+        time.sleep(PAUSE_SECONDS)
+
+
+def _why_behind(endpoints: EndpointPool, one: Judge, version: int) -> str:
+    """Empty: it is not."""
+    try:
+        known = one.ask(endpoints.to(one.target)).access.version
+    except StampedeError as error:
+        return error.message
+    return "" if known >= version else f"it judges by version {known} of access, and {version} is in the directory"
+
+
+def ping_supernode(endpoint: ServerEndpoint) -> Any:
+    """Ask a supernode."""
+    return endpoint.call(endpoint.directory.Ping, directory_pb.DirectoryServicePingRequest(), CALL_SECONDS)
+
+
+def ping_frontend(endpoint: ServerEndpoint) -> Any:
+    """Ask a front-end."""
+    request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
+    return endpoint.call(endpoint.frontend.Bind, request, CALL_SECONDS)
+
+
+def ping_host(endpoint: ServerEndpoint) -> Any:
+    """Ask a host."""
+    return endpoint.call(endpoint.gatekeeper.Ping, gatekeeper_pb.GatekeeperServicePingRequest(), CALL_SECONDS)

@@ -1,0 +1,45 @@
+"""Keeps this front-end's copy of the access state (token keys, revoked serials) equal to the directory's."""
+
+from __future__ import annotations
+
+import logging
+
+import grpc
+
+from stampede_rt.v1 import access_service_pb2, access_service_pb2_grpc
+from stampede_rt_runtime.access.control import AccessControl
+from stampede_rt_runtime.access.messages import state_from
+from stampede_rt_runtime.access.state import AccessState
+
+logger = logging.getLogger(__name__)
+
+CALL_SECONDS_MAX = 1.0
+_REQUEST = access_service_pb2.GetAccessStateRequest(stale_ok=True)
+
+
+class AccessFollower:
+    """Asks a supernode for the state when its answer to a probe tells a later version."""
+
+    def __init__(self, control: AccessControl) -> None:
+        self._control = control
+        self._known: AccessState | None = None
+
+    async def heard(self, cluster_id: str, version: int, channel: grpc.aio.Channel) -> None:
+        """The supernode behind `channel` has answered a probe. If it does not tell the state, the next probe asks."""
+        if not self._is_news(cluster_id, version):
+            return
+        state = AccessState(cluster_id=cluster_id)
+        if version:
+            try:
+                stub = access_service_pb2_grpc.AccessServiceStub(channel)
+                state = state_from(await stub.GetAccessState(_REQUEST, timeout=CALL_SECONDS_MAX))
+            except grpc.aio.AioRpcError as error:
+                logger.info("a supernode did not tell the state of access", extra={"why": error.details()})
+                return
+        if self._is_news(state.cluster_id, state.version):  # another supernode may have told more meanwhile
+            self._known = state
+            self._control.tell(state)
+
+    def _is_news(self, cluster_id: str, version: int) -> bool:
+        known = self._known
+        return known is None or known.cluster_id != cluster_id or version > known.version

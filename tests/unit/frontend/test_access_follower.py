@@ -1,0 +1,68 @@
+"""How a front-end hears of token keys and revocations: it asks when an answer to a probe tells a later version."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import grpc
+
+from stampede_rt.v1 import access_service_pb2, access_service_pb2_grpc
+from stampede_rt_frontend.access_follower import AccessFollower
+from stampede_rt_runtime.access.control import AccessControl
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.server import serving
+
+
+class Told(access_service_pb2_grpc.AccessServiceServicer):
+    """A supernode's word. `version` 0: it refuses to tell."""
+
+    def __init__(self) -> None:
+        self.version, self.asked = 7, 0
+
+    async def GetAccessState(self, request: Any, context: Any) -> access_service_pb2.GetAccessStateResponse:  # noqa: N802
+        self.asked += 1
+        if not self.version:
+            await context.abort(grpc.StatusCode.UNAVAILABLE, "not now")
+        return access_service_pb2.GetAccessStateResponse(version=self.version, cluster_id="c", revoked_serials=["a1"])
+
+
+@asynccontextmanager
+async def followed() -> AsyncIterator[tuple[Told, AccessControl, AccessFollower, grpc.aio.Channel]]:
+    told, control = Told(), AccessControl()
+    async with (
+        serving(lambda server: access_service_pb2_grpc.add_AccessServiceServicer_to_server(told, server)) as server,
+        dial(server.address, secret=None) as channel,
+    ):
+        yield told, control, AccessFollower(control), channel
+
+
+async def test_a_later_version_is_asked_for_once_and_an_earlier_one_never() -> None:
+    async with followed() as (told, control, follower, channel):
+        for version in (7, 7, 6, 0):
+            await follower.heard("c", version, channel)
+        assert (told.asked, control.version) == (1, 7)
+        told.version = 9
+        await follower.heard("c", 8, channel)
+        state = control.refresh()
+        assert state is not None
+        assert (told.asked, state.version, state.revoked_serials) == (2, 9, frozenset({"a1"}))
+
+
+async def test_a_cluster_that_takes_the_place_of_another_has_versions_of_its_own() -> None:
+    async with followed() as (told, control, follower, channel):
+        await follower.heard("former", 0, channel)
+        assert (told.asked, control.version) == (0, 0)
+        await follower.heard("c", 7, channel)
+        assert (told.asked, control.version) == (1, 7)
+
+
+async def test_a_supernode_that_does_not_tell_is_asked_again() -> None:
+    async with followed() as (told, control, follower, channel):
+        told.version = 0
+        await follower.heard("c", 7, channel)
+        assert control.refresh() is None
+        told.version = 7
+        await follower.heard("c", 7, channel)
+        assert (told.asked, control.version) == (2, 7)
