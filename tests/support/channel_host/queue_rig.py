@@ -18,6 +18,7 @@ from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.clock import HostClock, SystemClock
 from stampede_rt_runtime.dial import dial, dial_from_any_loop
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.quotas.accounts import Accounts
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.channel_host.fake_queue_directory import FakeQueueDirectory
 from tests.support.channel_host.rig import payloads_of
@@ -38,6 +39,7 @@ class QueueRig:
         options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
         self.connection = grpc.aio.insecure_channel(target, options=options)
         self.stub = QueueServiceStub(self.connection)
+        self.accounts = Accounts()  # those of its port
 
     def open(self, name: str = "q", **spec: Any) -> OpenedQueue:
         """A queue that the directory positions at this host."""
@@ -225,6 +227,7 @@ async def host_of(
     memory_bytes_max: int = 2**30,
 ) -> AsyncIterator[QueueRig]:
     """A host that has entered the directory; it leaves at the end of the block."""
+    server = ServiceServer(secret=None)
     host = ChannelHost(
         HostIdentity(host_id=host_id, name=name, boot_incarnation=7),
         frontends=[directory.target],
@@ -234,9 +237,10 @@ async def host_of(
         memory_bytes_max=memory_bytes_max,
         on_serving=lambda serving: None,
         on_defect=_fail,
+        access=server.access,
     )
-    server = ServiceServer(secret=None)
     rig = QueueRig(directory, host, server.bind("localhost:0"))
+    rig.accounts = server.access.accounts
     host.add_to(server.grpc)
     await server.start()
     await host.enter(rig.target)

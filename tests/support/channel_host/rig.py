@@ -19,6 +19,7 @@ from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.clock import HostClock, SystemClock
 from stampede_rt_runtime.dial import dial, dial_from_any_loop
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.quotas.accounts import Accounts
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.channel_host.fake_directory import FakeDirectory
 
@@ -40,6 +41,7 @@ class Rig:
         self.connection = grpc.aio.insecure_channel(target, options=options)
         self.channels = ChannelServiceStub(self.connection)
         self.gate = GatekeeperServiceStub(self.connection)
+        self.accounts = Accounts()  # those of its port
 
     def now(self) -> int:
         return self.host.store.now()
@@ -181,8 +183,10 @@ async def running_host(
             on_serving=lambda serving: None,
             on_defect=_fail,
             refused_calls=server.refused_calls,
+            access=server.access,
         )
         rig = Rig(directory, host, server.bind("localhost:0"))
+        rig.accounts = server.access.accounts
         host.add_to(server.grpc)
         await server.start()
         await host.enter(rig.target)

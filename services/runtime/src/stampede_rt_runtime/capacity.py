@@ -1,4 +1,5 @@
-"""How many calls a port serves at a time, and that callers' streams leave room for the cluster's own calls."""
+"""How many calls a port serves at a time, of one caller and of all, and that callers' streams leave room for the
+cluster's own calls."""
 
 from __future__ import annotations
 
@@ -11,10 +12,12 @@ from grpc.aio import AbortError
 
 from stampede_rt.errors import Overloaded
 from stampede_rt.status import abort, error_in
+from stampede_rt_runtime.access.control import current_account
 from stampede_rt_runtime.handlers import guarded, is_stream
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.overload import RefusedCalls
+from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.requests import reading_late
 from stampede_rt_runtime.roles import roles_for
 from stampede_rt_runtime.rpc import Context
@@ -54,9 +57,28 @@ class Slots:
 # A host counts by items what it refuses on these streams.
 COUNTED_BY_ITEMS = frozenset({"/stampede_rt.v1.ChannelService/Put", "/stampede_rt.v1.QueueService/Enqueue"})
 
+SUBSCRIPTIONS = frozenset(
+    f"/stampede_rt.v1.{name}"
+    for name in (
+        "ChannelService/Subscribe", "GroupService/SubscribeCuts", "GroupService/SubscribeMatches", "QueueService/Take",
+        "DirectoryService/Watch", "PeerService/WatchPeers",
+    )
+)  # fmt: skip
+
+
+def quotas_of(method: str, *, is_stream: bool, for_members: bool) -> tuple[Quota, ...]:
+    """The quotas that each call of a method counts towards."""
+    if for_members:
+        return ()
+    if method in SUBSCRIPTIONS:
+        return Quota.STREAMS, Quota.SUBSCRIPTIONS
+    return (Quota.STREAMS,) if is_stream else (Quota.WAITING_CALLS,)
+
 
 class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Lets a call in if there is a slot for it, and refuses it otherwise. Its requests are read and parsed after that.
+    """Lets a call in if its caller has room in its quotas and the port has a slot, and refuses it otherwise.
+
+    The call's requests are read and parsed after that.
 
     It must be the innermost interceptor: those around it look at the caller first.
     """
@@ -78,13 +100,19 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
         method, streams = handler_call_details.method, is_stream(handler)
         for_members = Role.CLIENT not in roles_for(method) and bool(roles_for(method))
 
+        quotas = quotas_of(method, is_stream=streams, for_members=for_members)
+
         @contextlib.asynccontextmanager
         async def slot(context: Context) -> AsyncIterator[None]:
+            account = current_account()
             try:
+                for quota in quotas:
+                    account.check(quota)
                 give_back = self._slots.take(is_stream=streams, for_members=for_members)
             except Overloaded as error:
                 self._refused.note(error)
                 await abort(context, error)
+            account.take(quotas)
             try:
                 yield
             except AbortError:
@@ -92,6 +120,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
                     self._note(context)
                 raise
             finally:
+                account.give_back(quotas)
                 give_back()
 
         return guarded(reading_late(method, handler), slot)

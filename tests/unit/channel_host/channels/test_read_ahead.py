@@ -11,6 +11,8 @@ from grpc.aio import EOF
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
+from stampede_rt_runtime.quotas.accounts import Account, unlimited
+from stampede_rt_runtime.quotas.limits import Quota
 from tests.support.channel_host.rig import run_of, running_host
 
 
@@ -33,7 +35,7 @@ async def turns() -> None:
 
 async def test_what_is_read_ahead_is_charged_until_it_is_taken_or_nobody_asks_any_more() -> None:
     memory, requests = MemoryBudget(2**30), Requests(bytes(2**20))
-    ahead = ReadAhead(requests.read, memory)
+    ahead = ReadAhead(requests.read, memory, unlimited())
     await ahead.next()
     assert memory.used_bytes == 0
     ahead.go_on()
@@ -47,20 +49,34 @@ async def test_what_is_read_ahead_is_charged_until_it_is_taken_or_nobody_asks_an
 
 async def test_nothing_is_read_ahead_on_any_stream_when_the_hosts_memory_is_used_up() -> None:
     memory, requests = MemoryBudget(3 * 2**20), Requests(bytes(2**20))
-    streams = [ReadAhead(requests.read, memory) for _ in range(10)]
+    streams = [ReadAhead(requests.read, memory, unlimited()) for _ in range(10)]
     for one in streams:
         one.go_on()
     await turns()
     assert memory.used_bytes <= 3 * 2**20 + len(streams) * 2**20  # one request more on each
     before = requests.reads
     Charge(memory).set(3 * 2**20)
-    late = ReadAhead(requests.read, memory)
+    late = ReadAhead(requests.read, memory, unlimited())
     late.go_on()
     await turns()
     assert requests.reads == before
     assert (await late.next())[0] is not EOF
     for one in streams:
         one.close()
+
+
+async def test_nothing_is_read_ahead_for_a_caller_whose_bytes_in_flight_are_used_up() -> None:
+    account = Account("cam", dict.fromkeys(Quota, 2 * 2**20))
+    requests = Requests(bytes(2**20))
+    ahead = [ReadAhead(requests.read, MemoryBudget(2**30), account) for _ in range(2)]
+    for one in ahead:
+        one.go_on()
+    await turns()
+    assert not account.has_room(Quota.BYTES_IN_FLIGHT)
+    assert requests.reads <= 2 + len(ahead)  # one request more on each
+    for one in ahead:
+        one.close()
+    assert account.is_idle
 
 
 def large_blocks(size: int) -> int:

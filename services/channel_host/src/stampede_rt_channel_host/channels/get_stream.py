@@ -30,8 +30,9 @@ from stampede_rt_channel_host.core.channel import (
     emptying,
     first_of,
 )
-from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.rpc import Context
 
 CALLS_MAX = 1024
@@ -79,10 +80,12 @@ class GetStream:
         self._groups = groups
         self._context = context
         self._stream = stream
+        self._account = current_account()
         self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: being answered
         self._plans = GetPlans()
         self._idle = asyncio.Event()
-        self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin)
+        self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
+        self._under_way = self._account.hold(Quota.WAITING_CALLS)
         self._held_back: dict[int, _Begun] = {}  # released, and looked at again once there is room for their answers
 
     async def run(self) -> None:
@@ -96,6 +99,7 @@ class GetStream:
                 await self._idle.wait()
             await self._outbox.finish()
         finally:
+            self._under_way.set(0)
             self._outbox.close()
             for get in self._calls.values():
                 if get is not None:
@@ -111,12 +115,14 @@ class GetStream:
             self._refuse(call.call_id, call.refusal)
         else:
             self._cancel(call.call_id)
+        self._under_way.set(len(self._calls))
 
     def _begin(self, call_id: int, plan: GetPlan) -> None:
         if call_id in self._calls:
             raise InvalidArgument(f"call {call_id} is under way on this stream; choose another id")
         if len(self._calls) >= CALLS_MAX:
             raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, the limit; open another stream")
+        self._account.check(Quota.WAITING_CALLS)
         hosted, now = self._store.find(plan.channel_id, plan.epoch), self._store.now()
         check_access(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
         if plan.group is not None:
@@ -224,10 +230,14 @@ class GetStream:
 
     def _answer(self, begun: _Begun, answer: ReadAnswer, now: int, cut: int | None = None) -> None:
         self._calls[begun.call_id] = None
+        kept_bytes = _kept_bytes(answer)
+        if not self._account.has_room(Quota.BYTES_IN_FLIGHT, kept_bytes):
+            self._let_go(answer)
+            self._refuse(begun.call_id, self._account.exceeded(Quota.BYTES_IN_FLIGHT, kept_bytes))
+            return
         summary = summary_of(answer, now, cut)
         messages = get_responses(begun.call_id, answer, summary, without_payloads=begun.plan.without_payloads)
-        on_sent, kept_bytes = begun.hosted.count_delivered, _kept_bytes(answer)
-        self._outbox.add(begun.call_id, messages, on_sent, kept_bytes, answer.slices)
+        self._outbox.add(begun.call_id, messages, begun.hosted.count_delivered, kept_bytes, answer.slices)
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
         """Not entered among the calls: a refused id may be one that is under way."""
@@ -245,6 +255,7 @@ class GetStream:
     def _ended(self, call_id: int) -> None:
         if self._calls.get(call_id) is None:  # else the id was used again by a call that waits
             self._calls.pop(call_id, None)
+        self._under_way.set(len(self._calls))
         if not self._calls:
             self._idle.set()
 

@@ -10,6 +10,8 @@ from typing import NamedTuple
 from stampede_rt_channel_host.channels.frames import EncodedMessage
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import Pieces, Slice, emptying, run_to_end
+from stampede_rt_runtime.quotas.accounts import Account, unlimited
+from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.rpc import Context
 
 ANSWERS_QUEUED_MAX = 256
@@ -47,9 +49,12 @@ class Outbox:
         on_end: Callable[[int], None],
         on_room: Callable[[], None] = lambda: None,
         begin: Callable[[Pieces[None]], None] = run_to_end,
+        account: Account | None = None,
     ) -> None:
-        """`begin` does long work that nobody waits for (`PieceScheduler.begin`)."""
+        """`begin` does long work that nobody waits for (`PieceScheduler.begin`). What is queued is in flight for
+        `account`; None: nobody's."""
         self._context = context
+        self._in_flight = (account or unlimited()).hold(Quota.BYTES_IN_FLIGHT)
         self._stream = stream
         self.queued_bytes = 0
         self._on_end = on_end
@@ -71,7 +76,7 @@ class Outbox:
     ) -> None:  # fmt: skip
         """Queue an answer, which was made of `slices`; `flush` or `kick` writes it."""
         self._answers.append(_Answer(call_id, kept_bytes, emptying(slices), messages, on_sent))
-        self.queued_bytes += kept_bytes
+        self._count(kept_bytes)
 
     def drop(self, call_id: int) -> None:
         """Write no more of a call."""
@@ -119,6 +124,7 @@ class Outbox:
             self._begin(answer.emptying)
         if self._task is not None:
             self._task.cancel()
+        self._in_flight.set(0)
 
     async def _write_all(self) -> None:
         try:
@@ -138,8 +144,12 @@ class Outbox:
             self._let_go(answer)
             self._on_end(answer.call_id)
 
+    def _count(self, more_bytes: int) -> None:
+        self.queued_bytes += more_bytes
+        self._in_flight.set(self.queued_bytes)
+
     def _let_go(self, answer: _Answer) -> None:
-        self.queued_bytes -= answer.kept_bytes
+        self._count(-answer.kept_bytes)
         if self.has_room:
             self._room.set()
             self._on_room()

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from grpc.aio import EOF
 
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt_channel_host.channels.acks import refused
@@ -17,7 +17,7 @@ from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
@@ -56,7 +56,8 @@ class PutStream:
         self._closed = False
         self._news = asyncio.Event()
         self._room = asyncio.Event()
-        self._requests = ReadAhead(context.read, store.memory)
+        self._account = current_account()
+        self._requests = ReadAhead(context.read, store.memory, self._account)
 
     async def run(self) -> None:
         """Until the caller has closed its side and every run is acked. Raises InvalidArgument for what is no put."""
@@ -122,9 +123,12 @@ class PutStream:
         if ack is not None:
             return ack
         self._news.set()  # the acks before it do not wait
-        self._requests.go_on()
         try:
-            return await run.wait(hosted.puts.give_up)
+            with self._account.waiting(run.charged_bytes):
+                self._requests.go_on()
+                return await run.wait(hosted.puts.give_up)
+        except Overloaded as error:
+            return hosted.puts.refuse(run, error)
         finally:
             hosted.puts.withdraw(run)
 

@@ -223,6 +223,16 @@ class ChannelPuts:
             run.finish(self._refuse_rest(run, now))
             self.changed(now)
 
+    def refuse(self, run: IncomingRun, error: Overloaded) -> pb.PutAck:
+        """A run that stands in line may not wait: it would be too much for its caller."""
+        now = self._now()
+        self._count_overloaded(run, error)
+        self._leave_line(run)
+        self._fail(run, error, now)
+        self.changed(now)
+        assert run.ack is not None, "what failed is finished"
+        return run.ack
+
     def withdraw(self, run: IncomingRun) -> None:
         """Nobody waits for the run any more: what is not accepted yet never will be.
 

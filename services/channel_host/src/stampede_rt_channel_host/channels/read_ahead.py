@@ -11,6 +11,8 @@ from typing import Any
 from grpc.aio import EOF
 
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+from stampede_rt_runtime.quotas.accounts import Account
+from stampede_rt_runtime.quotas.limits import Quota
 
 AHEAD_REQUESTS_MAX = 1024
 AHEAD_BYTES_MAX = 4 * 2**20  # one request more, whatever its size
@@ -19,13 +21,16 @@ AHEAD_BYTES_MAX = 4 * 2**20  # one request more, whatever its size
 class ReadAhead:
     """Gives requests in their order. Beyond the bounds nothing more is read: flow control holds the caller back.
 
-    What is read ahead counts as memory of the host, and nothing is when that is used up.
+    What is read ahead counts as memory of the host and as bytes in flight of its caller. Nothing is read ahead when
+    either is used up.
     """
 
-    def __init__(self, read: Callable[[], Awaitable[Any]], memory: MemoryBudget) -> None:
+    def __init__(self, read: Callable[[], Awaitable[Any]], memory: MemoryBudget, account: Account) -> None:
         self._read = read
         self._memory = memory
         self._charge = Charge(memory)
+        self._account = account
+        self._in_flight = account.hold(Quota.BYTES_IN_FLIGHT)
         self._came: deque[tuple[Any, float]] = deque()
         self._bytes = 0
         self._task: asyncio.Task[None] | None = None
@@ -74,11 +79,13 @@ class ReadAhead:
             len(self._came) < AHEAD_REQUESTS_MAX
             and self._bytes < AHEAD_BYTES_MAX
             and self._memory.used_bytes < self._memory.bytes_max
+            and self._account.has_room(Quota.BYTES_IN_FLIGHT)
         )
 
     def _count(self, more_bytes: int) -> None:
         self._bytes += more_bytes
         self._charge.set(self._bytes)
+        self._in_flight.set(self._bytes)
 
     def close(self) -> None:
         """Nobody asks any more."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from grpc.aio import EOF
@@ -15,12 +17,13 @@ from stampede_rt_channel_host.channels.acks import refused
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.core.queue import Enqueue
 from stampede_rt_channel_host.queues.access import check_queue_access
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.incoming import EnqueueRun, answer, check_forwards, check_number, enqueue_of
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
-from stampede_rt_runtime.access.control import check_not_judged
+from stampede_rt_runtime.access.control import check_not_judged, current_account
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
@@ -45,7 +48,8 @@ class EnqueueStream:
         self._closed = False
         self._news = asyncio.Event()
         self._room = asyncio.Event()
-        self._requests = ReadAhead(context.read, store.memory)
+        self._account = current_account()
+        self._requests = ReadAhead(context.read, store.memory, self._account)
 
     async def run(self) -> None:
         """Until the caller has closed its side and every run is acked.
@@ -123,13 +127,16 @@ class EnqueueStream:
             elif error.reason in _ENDING:
                 raise
             return refused(message.first_number, 0, error, self._store.now())
-        await hosted.enqueue(run, self._waits)
+        await hosted.enqueue(run, lambda: self._waiting(run))
         return answer(run, self._store.now(), hosted.queue.incarnation)
 
-    def _waits(self) -> None:
-        """A run has to wait for room. The acks before it do not."""
+    @contextmanager
+    def _waiting(self, run: Enqueue) -> Iterator[None]:
+        """A run has to wait for room. The acks before it do not. Raises Overloaded."""
         self._news.set()
-        self._requests.go_on()
+        with self._account.waiting(run.charged_bytes):
+            self._requests.go_on()
+            yield
 
     async def _add(self, ack: channel_service_pb2.PutAck) -> None:
         while len(self._acks) >= ACKS_QUEUED_MAX:

@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import random
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Protocol
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, StampedeError
@@ -93,9 +94,9 @@ class HostedQueue:
         self.record, self.epoch = record, record.epoch
         self._follow_up()
 
-    async def enqueue(self, run: Enqueue, on_wait: Callable[[], None]) -> None:
-        """Put a run; returns when it is through, and blocks while it waits for room: `on_wait` is called before. Cut
-        short, it is withdrawn.
+    async def enqueue(self, run: Enqueue, waiting: Callable[[], AbstractContextManager[None]]) -> None:
+        """Put a run; returns when it is through, and blocks while it waits for room, inside `waiting`. Cut short, it
+        is withdrawn.
 
         Raises InvalidArgument, Overloaded.
         """
@@ -106,20 +107,26 @@ class HostedQueue:
             if not run.is_through:
                 done = self._waiting[run] = asyncio.get_running_loop().create_future()
         except Overloaded as error:
-            self.queue.reject_overloaded(len(run.lengths))
-            self._memory.refused(display_name(self.record), len(run.lengths), error)
+            self._count_overloaded(run, error)
             raise
         finally:
             self._follow_up()  # what was due is looked after, even if the run is refused
         if done is None:
             return
-        on_wait()
         try:
-            await done
+            with waiting():
+                await done
+        except Overloaded as error:
+            self._count_overloaded(run, error)
+            raise
         finally:
             if self._waiting.pop(run, None) is not None:
                 self.queue.withdraw(run, self._now())
                 self._follow_up()
+
+    def _count_overloaded(self, run: Enqueue, error: Overloaded) -> None:
+        self.queue.reject_overloaded(len(run.lengths))
+        self._memory.refused(display_name(self.record), len(run.lengths), error)
 
     def refuse_unread(self, error: StampedeError) -> None:
         """Count a run that could not be read."""

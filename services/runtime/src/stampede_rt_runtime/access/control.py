@@ -18,6 +18,8 @@ from stampede_rt_runtime.access.caller import Caller
 from stampede_rt_runtime.access.rules import NO_RULES, AccessKind, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.access.tokens import TokenClaims, check_not_over, is_token, read_token
+from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
+from stampede_rt_runtime.quotas.subjects import subject_of
 
 logger = logging.getLogger(__name__)
 
@@ -49,6 +51,7 @@ class AccessControl:
         self._judging: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
         self._sweep: asyncio.TimerHandle | None = None
         self.audit = AuditLog()
+        self.accounts = Accounts()
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
         """From now on `source` gives the state."""
@@ -57,6 +60,8 @@ class AccessControl:
     def tell(self, state: AccessState) -> None:
         """The state from now on. Open streams of those who lost what they were granted end."""
         former, self._state = self._state, state
+        if former is None or former.quotas is not state.quotas:
+            self.accounts.tell(state.quotas)
         if former is not None and former.token_keys != state.token_keys:
             self._tokens.clear()
         if self._open and (former is None or former.version != state.version):
@@ -124,8 +129,20 @@ class AccessControl:
     @contextlib.asynccontextmanager
     async def serving(self, caller: Caller, context: Any) -> AsyncIterator[None]:
         """Run a call of `caller`. It ends when what it rests on does."""
-        call = OpenCall(self, caller, context)
+        account = self.accounts.of(subject_of(caller, context.peer()))
+        call = OpenCall(self, caller, context, account)
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
+        self.accounts.enter(account)
+        try:
+            async with self._resting_on(call):
+                yield
+        finally:
+            self.accounts.leave(account)
+
+    @contextlib.asynccontextmanager
+    async def _resting_on(self, call: OpenCall) -> AsyncIterator[None]:
+        """What the call rests on, its credential and its rights, may end before it does."""
+        caller = call.caller
         if not (caller.is_judged or caller.serial or caller.ends_unix_nano):
             yield
             return
@@ -137,7 +154,7 @@ class AccessControl:
             if call.error is None:
                 raise
             call.task.uncancel()
-            await abort(context, call.error)
+            await abort(call.context, call.error)
         finally:
             self._open.discard(call)
 
@@ -158,14 +175,15 @@ class AccessControl:
 class OpenCall:
     """One call that is being served, and what it was granted."""
 
-    def __init__(self, control: AccessControl, caller: Caller, context: Any) -> None:
+    def __init__(self, control: AccessControl, caller: Caller, context: Any, account: Account) -> None:
         task = asyncio.current_task()
         assert task is not None, "handlers run in tasks"
         self.task = task
         self.caller = caller
+        self.account = account
         self.error: StampedeError | None = None
         self._control = control
-        self._context = context
+        self.context = context
         self._is_judged = caller.is_judged
         self._granted: dict[Grant, None] = {}
 
@@ -198,12 +216,12 @@ class OpenCall:
 
     def denied(self, error: PermissionDenied, verb: str, kind: AccessKind, name: str) -> PermissionDenied:
         """`error`, which the audit log has heard of."""
-        self._control.audit.denied(self.caller, self._context.peer(), verb, f"{kind} {name}")
+        self._control.audit.denied(self.caller, self.context.peer(), verb, f"{kind} {name}")
         return error
 
     def changed(self, what: str, name: str) -> None:
         """The audit log is to hear of what the call has changed."""
-        self._control.audit.changed(self.caller, self._context.peer(), what, name)
+        self._control.audit.changed(self.caller, self.context.peer(), what, name)
 
 
 _CURRENT: ContextVar[OpenCall | None] = ContextVar("call", default=None)
@@ -213,6 +231,12 @@ def current_caller() -> Caller | None:
     """The caller of the call that is being served; None outside of a server, as in tests of single methods."""
     call = _CURRENT.get()
     return None if call is None else call.caller
+
+
+def current_account() -> Account:
+    """What the caller of the call that is being served uses; outside of a server, one without limits."""
+    call = _CURRENT.get()
+    return unlimited() if call is None else call.account
 
 
 def check_access(verb: AccessVerb, kind: AccessKind, name: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stampede_rt_runtime.access.rules import NO_RULES, AccessRules
+from stampede_rt_runtime.quotas.limits import NO_SETTINGS, QuotaTable
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -19,3 +20,4 @@ class AccessState:
     rules: AccessRules = field(default=NO_RULES)
     token_keys: tuple[bytes, ...] = ()
     revoked_serials: frozenset[str] = frozenset()
+    quotas: QuotaTable = field(default=NO_SETTINGS)

@@ -1,0 +1,91 @@
+"""The quotas of callers: their kinds, their defaults, and the settings that an operator makes. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt_runtime.globs import matcher
+
+SETTINGS_MAX = 1000
+PATTERN_CHARACTERS_MAX = 256
+LIMIT_MAX = 2**62
+_WHO = re.compile(r"@?[A-Za-z0-9._/:*?-]+", re.ASCII)
+
+
+class Quota(StrEnum):
+    """One kind of quota. Each host and each supernode counts for itself."""
+
+    STREAMS = "streams"
+    SUBSCRIPTIONS = "subscriptions"
+    WAITING_CALLS = "waiting-calls"
+    BYTES_IN_FLIGHT = "bytes-in-flight"
+
+
+DEFAULTS: Mapping[Quota, int] = {
+    Quota.STREAMS: 3072,  # of the 4096 of a port
+    Quota.SUBSCRIPTIONS: 2048,
+    Quota.WAITING_CALLS: 16_384,
+    Quota.BYTES_IN_FLIGHT: 512 * 2**20,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class QuotaSetting:
+    """The limit of one quota, for the callers that `who`, a pattern, matches."""
+
+    who: str
+    quota: Quota
+    limit: int
+
+    def __str__(self) -> str:
+        return f"{self.who} {self.quota}={self.limit}"
+
+
+def check_who(who: str) -> None:
+    """Raises InvalidArgument for a pattern that matches no caller."""
+    if not 0 < len(who) <= PATTERN_CHARACTERS_MAX or _WHO.fullmatch(who) is None:
+        raise InvalidArgument(
+            f"who of a quota is {who[:64]!r}; write the name of a client, or @ADDRESS for callers that have none, such "
+            "as @10.0.0.7, with '*' for any run of characters and '?' for one"
+        )
+
+
+def check_setting(setting: QuotaSetting) -> None:
+    """Raises InvalidArgument."""
+    check_who(setting.who)
+    if not 0 <= setting.limit <= LIMIT_MAX:
+        raise InvalidArgument(f"{setting.quota} is {setting.limit}; it is 0 to {LIMIT_MAX}")
+
+
+class QuotaTable:
+    """All settings of a cluster. Of several that match a caller, the one with the most literal characters holds; of
+    equals the lowest limit."""
+
+    def __init__(self, settings: Iterable[QuotaSetting] = ()) -> None:
+        self.settings = tuple(settings)
+        self._by_weight = sorted(self.settings, key=_weight, reverse=True)
+
+    def setting_for(self, subject: str, quota: Quota) -> QuotaSetting | None:
+        """The setting that holds for a caller; None: the default does."""
+        found = (one for one in self._by_weight if one.quota is quota and matcher(one.who)(subject))
+        return next(found, None)
+
+    def limits_of(self, subject: str, defaults: Mapping[Quota, int] = DEFAULTS) -> dict[Quota, int]:
+        """The limits of a caller."""
+        limits = dict(defaults)
+        for one in reversed(self._by_weight):  # what holds comes last
+            if matcher(one.who)(subject):
+                limits[one.quota] = one.limit
+        return limits
+
+
+def _weight(setting: QuotaSetting) -> tuple[bool, int, int]:
+    wildcards = setting.who.count("*") + setting.who.count("?")
+    return wildcards == 0, len(setting.who) - wildcards, -setting.limit
+
+
+NO_SETTINGS = QuotaTable()

@@ -1,0 +1,142 @@
+"""A host's callers that come to their quotas, over gRPC with the generated stubs. All of them go by this machine's
+address, since the host asks for no credential."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import channel_pb2, error_pb2
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt_runtime.quotas.limits import Quota
+from tests.support.channel_host.queue_rig import run_of as queue_run_of
+from tests.support.channel_host.queue_rig import running_queue_host
+from tests.support.channel_host.rig import FOREVER, Opened, Rig, S, run_of, running_host
+
+REFUSED = error_pb2.ERROR_REASON_OVERLOADED
+
+
+@pytest.fixture
+async def rig() -> AsyncIterator[Rig]:
+    async with running_host() as rig:
+        yield rig
+
+
+async def refusal_of(call: Any) -> Overloaded:
+    with pytest.raises(grpc.aio.AioRpcError) as caught:
+        await call.read()
+    assert caught.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+    error = from_rpc_error(caught.value, "")
+    assert isinstance(error, Overloaded)
+    return error
+
+
+def full_channel() -> channel_pb2.ChannelSpec:
+    retention = channel_pb2.RetentionPolicy(max_items=1, max_age_nanos=600 * S)
+    return channel_pb2.ChannelSpec(retention=retention, on_full=channel_pb2.ON_FULL_BLOCK)
+
+
+async def subscribed(channel: Opened) -> Any:
+    call = channel.subscribe()
+    assert (await call.read()).HasField("opened")
+    return call
+
+
+async def test_subscriptions_beyond_the_quota_are_refused_and_other_streams_are_not(rig: Rig) -> None:
+    rig.accounts.set_default(Quota.SUBSCRIPTIONS, 2)
+    channel = await rig.open()
+    held = [await subscribed(channel) for _ in range(2)]
+    error = await refusal_of(channel.subscribe())
+    assert error.metadata["quota"] == "subscriptions"
+    assert "stampede quota set @" in error.message
+    (ack,) = await channel.put(run_of(b"x"))
+    assert ack.first_seq == 1
+    held[0].cancel()
+    await channel.until(lambda status: status.subscriptions == 1)
+    await subscribed(channel)
+
+
+async def test_streams_beyond_the_quota_are_refused_and_single_calls_are_not(rig: Rig) -> None:
+    rig.accounts.set_default(Quota.STREAMS, 1)
+    channel = await rig.open()
+    held = await subscribed(channel)
+    assert (await refusal_of(rig.channels.Get())).metadata["quota"] == "streams"
+    assert (await channel.status()).subscriptions == 1
+    held.cancel()
+
+
+async def test_blocked_gets_beyond_the_quota_are_refused_and_those_that_end_make_room(rig: Rig) -> None:
+    rig.accounts.set_default(Quota.WAITING_CALLS, 2)
+    channel = await rig.open()
+    call = rig.channels.Get()
+    for call_id in (1, 2, 3):
+        await call.write(channel.newest_request(call_id, wait_nanos=FOREVER))
+    response = await call.read()
+    assert response.call_id == 3
+    assert (response.error.reason, response.error.metadata["quota"]) == (REFUSED, "waiting-calls")
+    await channel.put(run_of(b"x"))
+    assert {(await call.read()).call_id for _ in range(2)} == {1, 2}
+    await call.write(channel.newest_request(4))
+    assert (await call.read()).summary.complete is not None
+    call.cancel()
+
+
+async def test_a_stream_of_gets_that_is_cut_gives_back_what_waited_on_it(rig: Rig) -> None:
+    rig.accounts.set_default(Quota.WAITING_CALLS, 5)
+    channel = await rig.open()
+    call = rig.channels.Get()
+    for call_id in range(4):
+        await call.write(channel.newest_request(call_id + 1, wait_nanos=FOREVER))
+    await channel.until(lambda status: status.waiting_gets == 4)
+    call.cancel()
+    await channel.until(lambda status: status.waiting_gets == 0)
+    await channel.until(lambda status: not rig.accounts.uses())
+
+
+async def test_a_put_that_would_wait_beyond_the_quota_is_refused_and_one_that_finds_room_is_taken(rig: Rig) -> None:
+    channel, other = await rig.open(spec=full_channel()), await rig.open("other")
+    await channel.put(run_of(b"x"))
+    rig.accounts.set_default(Quota.BYTES_IN_FLIGHT, 10_000)
+    call = rig.channels.Put()
+    known = {"channel_id": channel.channel_id, "epoch": channel.epoch}
+    await call.write(pb.PutRequest(puts=[run_of(bytes(9_000), number=2)], **known))
+    await channel.until(lambda status: status.waiting_puts == 1)
+    (ack,) = await channel.put(run_of(bytes(9_000)))
+    assert (ack.error.reason, ack.error.metadata["quota"]) == (REFUSED, "bytes-in-flight")
+    (ack,) = await other.put(run_of(bytes(9_000)))
+    assert ack.first_seq == 1
+    status = await channel.status()
+    assert (status.waiting_puts, status.counters.rejected_overloaded) == (1, 1)
+    call.cancel()
+    await channel.until(lambda status: status.waiting_puts == 0)
+
+
+async def test_answers_that_nobody_reads_count_as_bytes_in_flight() -> None:
+    async with running_host() as rig:
+        channel = await rig.open()
+        for number in range(8):
+            await channel.put(run_of(bytes(2**20), number=number + 1))
+        rig.accounts.set_default(Quota.BYTES_IN_FLIGHT, 9 * 2**20)
+        silent = [rig.channels.Get() for _ in range(3)]
+        for call in silent:
+            for call_id in (1, 2):
+                await call.write(channel.get_request(call_id))
+        await channel.until(lambda status: any(use.refused for use in rig.accounts.uses()))
+        for call in silent:
+            call.cancel()
+
+
+async def test_an_enqueue_that_would_wait_beyond_the_quota_ends_its_stream() -> None:
+    async with running_queue_host() as rig:
+        queue = rig.open(max_items=1)
+        await queue.put(b"x")
+        rig.accounts.set_default(Quota.WAITING_CALLS, 0)
+        call = rig.stub.Enqueue(iter((queue.enqueue_request(queue_run_of(b"y")),)))
+        assert (await refusal_of(call)).metadata["quota"] == "waiting-calls"
+        rig.accounts.set_default(Quota.WAITING_CALLS, 10)
+        assert (await queue.status()).counters.rejected_overloaded == 1

@@ -1,0 +1,108 @@
+"""What callers use of a port, and when they are refused more."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt_runtime.quotas.accounts import IDLE_KEPT_MAX, Account, Accounts
+from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota, QuotaSetting, QuotaTable
+
+
+def account(**limits: int) -> Account:
+    return Account("cam-1", {**DEFAULTS, **{Quota(name.replace("_", "-")): limit for name, limit in limits.items()}})
+
+
+def test_a_caller_uses_as_much_as_its_limit_and_no_more() -> None:
+    one = account(streams=2)
+    for _ in range(2):
+        one.check(Quota.STREAMS)
+        one.take([Quota.STREAMS])
+    with pytest.raises(Overloaded):
+        one.check(Quota.STREAMS)
+    one.give_back([Quota.STREAMS])
+    one.check(Quota.STREAMS)
+
+
+def test_a_refusal_names_the_quota_the_use_the_limit_and_the_way_out() -> None:
+    one = account(bytes_in_flight=10)
+    one.hold(Quota.BYTES_IN_FLIGHT).set(7)
+    with pytest.raises(Overloaded) as caught:
+        one.check(Quota.BYTES_IN_FLIGHT, 4)
+    assert caught.value.message == (
+        "cam-1 has 7 bytes in flight at this port and wants 4 more; its quota bytes-in-flight is 10; put and read less "
+        "at once, or have an operator raise it (stampede quota set cam-1 bytes-in-flight=LIMIT)"
+    )
+    assert caught.value.metadata == {"quota": "bytes-in-flight", "subject": "cam-1", "used": "7", "limit": "10"}
+
+
+def test_holds_add_up_and_what_is_set_to_nothing_is_given_back() -> None:
+    one = account(bytes_in_flight=10)
+    first, second = one.hold(Quota.BYTES_IN_FLIGHT), one.hold(Quota.BYTES_IN_FLIGHT)
+    first.set(4)
+    second.set(5)
+    first.set(3)
+    assert one.has_room(Quota.BYTES_IN_FLIGHT, 2)
+    assert not one.has_room(Quota.BYTES_IN_FLIGHT, 3)
+    first.set(0)
+    second.set(0)
+    assert one.is_idle
+
+
+def test_a_call_that_may_not_wait_leaves_nothing_behind() -> None:
+    one = account(waiting_calls=1, bytes_in_flight=5)
+    with pytest.raises(Overloaded), one.waiting(6):
+        raise AssertionError("it must not wait")
+    assert one.is_idle
+    with one.waiting(5), pytest.raises(Overloaded), one.waiting(0):
+        raise AssertionError("it must not wait")
+    assert one.is_idle
+
+
+def test_a_change_of_the_settings_binds_those_who_are_there() -> None:
+    accounts = Accounts()
+    one = accounts.of("cam-1")
+    one.take([Quota.STREAMS])
+    accounts.tell(QuotaTable([QuotaSetting("cam-*", Quota.STREAMS, 1)]))
+    with pytest.raises(Overloaded):
+        one.check(Quota.STREAMS)
+    accounts.tell(QuotaTable())
+    one.check(Quota.STREAMS)
+
+
+def test_a_default_of_this_process_stays_when_settings_change() -> None:
+    accounts = Accounts()
+    accounts.set_default(Quota.STREAMS, 1)
+    accounts.tell(QuotaTable([QuotaSetting("other", Quota.STREAMS, 5)]))
+    accounts.of("cam").take([Quota.STREAMS])
+    assert not accounts.of("cam").has_room(Quota.STREAMS)
+
+
+def test_members_are_bound_by_no_quota() -> None:
+    accounts = Accounts()
+    accounts.tell(QuotaTable([QuotaSetting("*", quota, 0) for quota in Quota]))
+    accounts.of(None).check(Quota.STREAMS)
+
+
+def test_callers_that_use_nothing_are_forgotten_once_many_others_came_and_those_that_use_something_are_not() -> None:
+    accounts = Accounts()
+    busy, holding = accounts.of("busy"), accounts.of("holding")
+    accounts.enter(busy)
+    holding.hold(Quota.BYTES_IN_FLIGHT).set(1)
+    for number in range(3 * IDLE_KEPT_MAX):
+        one = accounts.of(f"passer-{number}")
+        accounts.enter(one)
+        accounts.leave(one)
+    assert len(accounts) <= IDLE_KEPT_MAX + 2
+    assert accounts.of("busy") is busy
+    assert accounts.of("holding") is holding
+
+
+def test_it_tells_who_uses_how_much_and_who_was_refused() -> None:
+    accounts = Accounts()
+    one = accounts.of("cam")
+    accounts.of("idle")
+    one.take([Quota.STREAMS])
+    one.exceeded(Quota.WAITING_CALLS, 1)
+    found = [(use.subject, use.quota, use.used, use.refused) for use in accounts.uses()]
+    assert found == [("cam", Quota.STREAMS, 1, 0), ("cam", Quota.WAITING_CALLS, 0, 1)]

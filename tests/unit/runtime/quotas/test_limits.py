@@ -1,0 +1,53 @@
+"""The settings of quotas, and which of them holds for whom."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, Quota, QuotaSetting, QuotaTable, check_setting
+
+
+def table(*settings: tuple[str, int]) -> QuotaTable:
+    return QuotaTable(QuotaSetting(who, Quota.STREAMS, limit) for who, limit in settings)
+
+
+def test_without_a_setting_the_defaults_hold() -> None:
+    assert QuotaTable().limits_of("cam-1") == dict(DEFAULTS)
+
+
+def test_of_the_settings_that_match_the_one_that_says_most_of_the_name_holds() -> None:
+    settings = table(("*", 1), ("cam-*", 2), ("cam-1*", 3), ("cam-1", 4))
+    limits = {who: settings.limits_of(who)[Quota.STREAMS] for who in ("x", "cam-2", "cam-12", "cam-1")}
+    assert limits == {"x": 1, "cam-2": 2, "cam-12": 3, "cam-1": 4}
+    for who, limit in limits.items():
+        found = settings.setting_for(who, Quota.STREAMS)
+        assert found is not None
+        assert found.limit == limit
+
+
+def test_a_whole_name_holds_before_a_longer_pattern() -> None:
+    settings = table(("cam-1", 1), ("c?m-1*", 2), ("cam-1?*", 3))
+    assert settings.limits_of("cam-1")[Quota.STREAMS] == 1
+
+
+def test_of_two_that_say_equally_much_the_lower_limit_holds_in_whatever_order_they_were_made() -> None:
+    for settings in (table(("cam*", 5), ("*cam", 3)), table(("*cam", 3), ("cam*", 5))):
+        assert settings.limits_of("cam")[Quota.STREAMS] == 3
+
+
+def test_a_setting_leaves_the_other_quotas_as_they_are() -> None:
+    limits = table(("*", 1)).limits_of("cam")
+    assert limits == {**DEFAULTS, Quota.STREAMS: 1}
+    assert table(("*", 1)).setting_for("cam", Quota.WAITING_CALLS) is None
+
+
+@pytest.mark.parametrize("who", ["cam-*", "@10.0.0.*", "@fe80:1:2:3::/64", "@clients", "*"])
+def test_names_and_addresses_and_patterns_of_them_can_be_set(who: str) -> None:
+    check_setting(QuotaSetting(who, Quota.STREAMS, 0))
+
+
+@pytest.mark.parametrize(("who", "limit"), [("", 1), ("a b", 1), ("x" * 257, 1), ("a", -1), ("a", LIMIT_MAX + 1)])
+def test_what_matches_nobody_or_is_no_limit_is_refused(who: str, limit: int) -> None:
+    with pytest.raises(InvalidArgument):
+        check_setting(QuotaSetting(who, Quota.STREAMS, limit))

@@ -1,0 +1,48 @@
+"""Whom a quota is counted for."""
+
+from __future__ import annotations
+
+import pytest
+
+from stampede_rt_runtime.access.caller import ANYONE, Caller, CallerKind, by_secret
+from stampede_rt_runtime.identity import Role
+from stampede_rt_runtime.quotas.subjects import subject_of
+
+PEER = "ipv4:10.0.0.3:5012"
+
+
+def named(kind: CallerKind, role: Role) -> Caller:
+    return Caller(kind=kind, roles=frozenset({role}), name="one")
+
+
+@pytest.mark.parametrize("kind", [CallerKind.CERTIFICATE, CallerKind.TOKEN])
+def test_a_client_with_a_name_goes_by_it_wherever_it_calls_from(kind: CallerKind) -> None:
+    assert subject_of(named(kind, Role.CLIENT), PEER) == "one"
+
+
+@pytest.mark.parametrize("role", [Role.HOST, Role.SUPERNODE, Role.FRONTEND, Role.OPERATOR])
+def test_members_of_the_cluster_and_operators_have_no_quota(role: Role) -> None:
+    assert subject_of(named(CallerKind.CERTIFICATE, role), PEER) is None
+
+
+@pytest.mark.parametrize("caller", [by_secret(of_cluster=False), by_secret(of_cluster=True), ANYONE])
+def test_who_brings_no_name_goes_by_its_address(caller: Caller) -> None:
+    assert subject_of(caller, PEER) == "@10.0.0.3"
+
+
+@pytest.mark.parametrize(
+    ("peer", "subject"),
+    [
+        ("ipv6:%5B::1%5D:5", "@::1"),
+        ("ipv6:[::1]:5", "@::1"),
+        ("ipv6:%5B2001:db8:1:2:aaaa::7%5D:5", "@2001:db8:1:2::/64"),
+        ("ipv6:%5B2001:db8:1:2:bbbb::8%5D:5", "@2001:db8:1:2::/64"),
+        ("ipv6:%5Bfe80::1%25eth0%5D:5", "@fe80::/64"),
+        ("ipv6:%5B::ffff:10.0.0.3%5D:5", "@10.0.0.3"),
+        ("ipv6:%5Bnonsense%5D:5", "@nonsense"),
+        ("unix:", "@unix"),
+        ("", "@unknown"),
+    ],
+)
+def test_a_machine_that_commands_many_addresses_is_one(peer: str, subject: str) -> None:
+    assert subject_of(by_secret(of_cluster=False), peer) == subject
