@@ -30,7 +30,7 @@ _ANYWHERE = frozenset({"0.0.0.0", "::"})
 
 
 class _Service:
-    """One host process, from its start to its end."""
+    """One host process, from start to end."""
 
     def __init__(self, settings: HostSettings) -> None:
         self._settings = settings
@@ -44,10 +44,11 @@ class _Service:
             judge_cluster=self._home.judge,
         )
         self._failed = False
-        self._health: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
+        # kept here, because the loop keeps only weak references to its tasks
+        self._health: asyncio.Task[None] | None = None
 
     async def run(self) -> int:
-        """Serve until a stop signal; gives the exit code. Raises what keeps the host from starting."""
+        """Serve until a stop signal. Returns the exit code. Raises the error that keeps the host from starting."""
         settings = self._settings
         _tune_garbage_collection()
         host = self._make_host()
@@ -59,7 +60,7 @@ class _Service:
         if self._credentials.tls is not None:
             self._credentials.tls.require_address(advertise)
         await self._server.start()
-        running = asyncio.create_task(self._server.run(host.leave))  # from here on a stop signal is heeded
+        running = asyncio.create_task(self._server.run(host.leave))  # from here on the host handles stop signals
         entering = asyncio.create_task(host.enter(advertise))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
         failure: BaseException | None = None
@@ -113,25 +114,25 @@ class _Service:
             self._health = asyncio.create_task(self._server.set_serving(serving))
 
     def _end(self, _failure: BaseException) -> None:
-        """A host whose own tasks die must not linger half alive; it was logged where it was noticed."""
+        """Stop the process, because one of its own tasks failed. The failing part has logged the reason."""
         self._failed = True
         self._server.stopping.set()
 
 
 def _tune_garbage_collection() -> None:
-    """Items are freed by their last reference; only what refers in circles needs the collector.
+    """Have the collector run less often. The last reference frees an item; only reference cycles need the collector.
 
-    With Python's defaults it walks over every held item time and again: 80 ms at a stretch for 400,000 of them, as
-    measured, during which nobody is served.
+    With Python's defaults the collector walks over every held item again and again. It stops the host for 80 ms at a
+    time with 400,000 items, as measured.
     """
     gc.freeze()
     gc.set_threshold(5_000, 5, 1_000)
 
 
 def where_to_listen(settings: HostSettings, *, secured: bool) -> str:
-    """For a host that is not told: where those who come by its front-ends can call it. Any free port.
+    """The address for a host without `--listen`: one that the callers of its front-ends can reach, and any free port.
 
-    Raises NotAllowed if that is open to other machines and nobody said that this is wanted.
+    Raises NotAllowed if other machines could reach that address without certificates and no setting allows it.
     """
     own = address_towards(settings.frontend)
     if own != "localhost" and not (secured or settings.allow_insecure_anywhere):
@@ -145,10 +146,10 @@ def where_to_listen(settings: HostSettings, *, secured: bool) -> str:
 
 
 def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[str]) -> str:
-    """Where others find a host that listens at `address`, which may stand for all of its machine's addresses.
+    """The address at which others reach a host that listens at `address`, which may mean all addresses of its machine.
 
-    `certified`: the names and addresses in its certificate. Raises SettingsError if it can be called from its own
-    machine alone, while its front-ends are elsewhere.
+    `certified`: the names and addresses in its certificate. Raises SettingsError if only its own machine can reach it
+    while its front-ends are on other machines.
     """
     own_address = parse_address(address)
     if own_address.host in _ANYWHERE:
@@ -165,7 +166,7 @@ def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[st
 
 
 async def serve(settings: HostSettings) -> int:
-    """Serve until a stop signal; gives the exit code. Raises what keeps the host from starting."""
+    """Serve until a stop signal. Returns the exit code. Raises the error that keeps the host from starting."""
     return await _Service(settings).run()
 
 

@@ -1,4 +1,4 @@
-"""The acks that tell a producer what became of its runs. Channels and queues use the same ones."""
+"""The acks that tell a producer what happened to its runs. Channels and queues use the same acks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from stampede_rt_channel_host.core.judging import Judged
 
 
 def ack_of(first_number: int, judged: Judged, incarnation: int) -> pb.PutAck:
-    """The ack of a run every item of which is judged."""
+    """The ack of a run whose items are all judged."""
     ack = pb.PutAck(
         first_number=first_number,
         items=judged.items,
@@ -31,7 +31,7 @@ def ack_of(first_number: int, judged: Judged, incarnation: int) -> pb.PutAck:
 
 
 def refused(first_number: int, items: int, error: StampedeError, now: int, incarnation: int = 0) -> pb.PutAck:
-    """The ack of a run that was refused as a whole."""
+    """The ack of a run that the host refused as a whole."""
     return pb.PutAck(
         first_number=first_number,
         items=items,

@@ -12,20 +12,21 @@ from stampede_rt_channel_host.core.channel import ConsumerStanding, Pieces
 
 
 def channel_status(hosted: HostedChannel, now: Callable[[], int]) -> Pieces[channel_pb2.ChannelStatus]:
-    """Everything at the moment of the last piece; what consumers have waiting may be a little older."""
+    """The status as of the last piece. The numbers of items that consumers have waiting may be a little older."""
     consumers = yield from hosted.channel.counting_consumers(now())
     return _status(hosted, consumers, now())
 
 
 def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: int) -> channel_pb2.ChannelStatus:
-    counters = _counters(hosted, now)  # first: it brings the bounds up to `now`
+    counters = _counters(hosted, now)  # first, because it brings the bounds up to `now`
     channel = hosted.channel
     return channel_pb2.ChannelStatus(
         record=channel_message(hosted.record),
         counters=counters,
         newest_unix_nano=channel.newest,
         oldest_unix_nano=channel.oldest,
-        frontier_unix_nano=None if channel.frontier is None else clamp(channel.frontier),  # a span may end behind int64
+        # a span may end after the greatest int64
+        frontier_unix_nano=None if channel.frontier is None else clamp(channel.frontier),
         advance_unix_nano=channel.advanced_to,
         subscriptions=len(hosted.listeners) + len(hosted.group_readers),
         waiting_gets=len(hosted.gets) + len(hosted.group_gets),

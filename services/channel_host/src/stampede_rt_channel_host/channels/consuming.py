@@ -1,4 +1,4 @@
-"""One request to consume items, a part of them at a time: of thousands in no order each has to be entered by itself."""
+"""Performs one request to consume items, in pieces: thousands of unordered seqs each need an entry of their own."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ SEQS_PER_PIECE = 256
 
 
 def consuming(store: ChannelStore, request: pb.ConsumeRequest) -> Pieces[pb.ConsumeResponse]:
-    """Use items up for one consumer, and let puts in that waited for room. Nothing is used up of a request that makes
-    no sense.
+    """Consume items for one consumer, and let in the puts that waited for room.
 
-    Raises StaleBinding, InvalidArgument, ChannelFull, and IncarnationLost if the seqs are those of another incarnation.
+    An invalid request consumes nothing. Raises StaleBinding, InvalidArgument, ChannelFull, and IncarnationLost if the
+    seqs belong to another incarnation.
     """
     hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
     yield from hosted.channel.catching_up(store.now())
@@ -29,7 +29,7 @@ def consuming(store: ChannelStore, request: pb.ConsumeRequest) -> Pieces[pb.Cons
 
 
 def _find(store: ChannelStore, request: pb.ConsumeRequest) -> HostedChannel:
-    """Between two parts the channel may go."""
+    """The channel of the request. Call it before each piece: the channel may leave the host between two pieces."""
     hosted = store.find(request.channel_id, request.epoch)
     if request.incarnation not in (0, hosted.record.incarnation):
         raise refusals.other_incarnation(hosted.record.name, request.incarnation, hosted.record.incarnation)

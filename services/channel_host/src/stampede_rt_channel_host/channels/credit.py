@@ -1,5 +1,7 @@
-"""The credit of a reader (decision 0064): the reader grants it as it takes items, and the host spends it as it
-sends."""
+"""The credit of a reader (decision 0064).
+
+The reader grants credit as it takes items. The host spends it as it sends.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,10 @@ CREDIT_MAX = 2**62
 
 
 class Credit:
-    """Of one stream. `left` may be below 0: the last item may have taken more than there was.
+    """The credit of one stream.
 
-    `is_final`: the reader has closed its side, and grants no more.
+    `left` may be below 0, because the last message may have cost more than the credit left. `is_final`: the reader has
+    closed its side, and grants no more.
     """
 
     def __init__(self, on_news: Callable[[], None]) -> None:
@@ -24,21 +27,21 @@ class Credit:
 
     @property
     def is_over(self) -> bool:
-        """Nothing may be sent any more."""
+        """Whether the host may send nothing any more."""
         return self.is_final and self.left <= 0
 
     def grant(self, amount: int) -> None:
-        """The reader takes so much more."""
+        """Add the credit that the reader granted."""
         if amount:
             self.left = min(self.left + amount, CREDIT_MAX)
             self._on_news()
 
     def spend(self, amount: int) -> None:
-        """So much was sent."""
+        """Take off the credit that a sent message costs."""
         self.left -= amount
 
     def end(self) -> None:
-        """The reader grants no more."""
+        """Note that the reader grants no more."""
         self.is_final = True
         self._on_news()
 

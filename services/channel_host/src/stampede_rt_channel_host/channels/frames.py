@@ -1,6 +1,7 @@
-"""Messages that carry runs, framed by hand: the stored bytes are copied once, into the message, and never parsed.
+"""Encodes messages that carry runs by hand.
 
-The result is what `raw_run.proto`'s messages would serialize to; the tests hold the two against each other.
+The host copies the stored bytes once, into the message, and never parses them. The result equals the serialized
+messages of `raw_run.proto`. The tests compare the two.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, drained
 
 MESSAGE_BYTES_MAX = 2**20  # of runs; a single item may be larger
-MESSAGE_RUNS_MAX = 512  # so that a message of many small ones is made within a millisecond or two
+MESSAGE_RUNS_MAX = 512  # a limit, so that a message of many small runs is made within two milliseconds
 
 _LENGTH_DELIMITED = 2
 _RUN = bytes((1 << 3 | _LENGTH_DELIMITED,))  # RawDeliveredRun.run
@@ -29,7 +30,7 @@ _SUBSCRIBE_RUNS = bytes((3 << 3 | _LENGTH_DELIMITED,))
 
 
 class EncodedMessage(NamedTuple):
-    """A message of an answer, with the payload bytes it carries; `is_last` ends the answer."""
+    """One message of an answer, and the number of payload bytes in it. `is_last`: the answer ends with it."""
 
     encoded: bytes
     payload_bytes: int
@@ -37,7 +38,7 @@ class EncodedMessage(NamedTuple):
 
 
 def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
-    """The encoded run of a slice: the stored bytes as they are wherever the whole run is meant."""
+    """The encoded run of a slice. A slice that covers its whole run gives the stored bytes as they are."""
     run = part.run
     if part.is_whole and not without_payloads:
         return run.body
@@ -52,8 +53,8 @@ def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
 def get_responses(
     call_id: int, answer: ReadAnswer, summary: pb.GetSummary, *, without_payloads: bool
 ) -> Iterator[EncodedMessage]:
-    """The messages that answer a call, made one by one; the last one has the summary."""
-    head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves a zero away
+    """The messages that answer a call, made one at a time. The last one has the summary."""
+    head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves out fields of value zero
     parts, runs, size, payload_bytes = [head], 0, 0, 0
     next_time, rest = answer.next_time, drained(answer.slices)
     following = next(rest, None)
@@ -80,9 +81,9 @@ def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
 
 
 class SharedMessages:
-    """The last message that a channel's subscriptions sent: readers that keep up all send the same one.
+    """The last message that a channel's subscriptions sent. Readers that keep up all send the same message.
 
-    Bounded by one message.
+    Keeps one message at most.
     """
 
     def __init__(self) -> None:
@@ -92,7 +93,7 @@ class SharedMessages:
     def encode(
         self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
     ) -> EncodedMessage:
-        """A SubscribeResponse with the fields of `about`, which is encoded, and runs. Kept for other readers."""
+        """A SubscribeResponse with the runs and the encoded fields `about`. Kept for the channel's other readers."""
         key = (slices, about, without_payloads)
         if key == self._key and self._message is not None:  # runs compare by identity
             return self._message
@@ -103,7 +104,7 @@ class SharedMessages:
 
 
 def _subscribe_response(slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> bytes:
-    """The order of fields on the wire does not matter to protobuf."""
+    """The encoded response. Its fields need no order, because protobuf accepts any order on the wire."""
     parts = [about]
     for part, next_time in slices:
         _add_run(parts, _SUBSCRIBE_RUNS, run_bytes(part, without_payloads=without_payloads), next_time)

@@ -1,4 +1,4 @@
-"""GatekeeperService, the door of the host (paper, section 4.1): checks, asks the store, encodes."""
+"""GatekeeperService: the first service of a host that a client calls (paper, section 4.1)."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ GLOB_LENGTH_MAX = 256
 
 
 class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
-    """Binds callers to channels, and changes channels here and in the directory."""
+    """Binds callers to channels, and changes channels at the host and in the directory."""
 
     def __init__(self, store: ChannelStore, identity: HostIdentity, access: AccessControl) -> None:
         self._store = store
         self._identity = identity
         self._access = access
-        self.target = ""  # where data travels; known once the server listens, before which no lease is held
+        # the address for data; known once the server listens, and the host has no lease before that
+        self.target = ""
 
     async def Ping(  # noqa: N802
         self, request: pb.GatekeeperServicePingRequest, context: Context
     ) -> pb.GatekeeperServicePingResponse:
-        """The clock that stamps items, and who answers."""
+        """The host's name and the clock that stamps items."""
         memory = self._store.memory
         return pb.GatekeeperServicePingResponse(
             time_unix_nano=self._store.now(),
@@ -54,7 +55,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
 
     @errors_as_status
     async def BindChannel(self, request: pb.BindChannelRequest, context: Context) -> pb.BindChannelResponse:  # noqa: N802
-        """Where the channel's data travels. Asks the directory about what is new here."""
+        """The address of the channel's data. Asks the directory if the channel, epoch or spec is new at this host."""
         _check_id(request.channel_id)
         hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
         check_known(AccessKind.CHANNEL, hosted.record.name)
@@ -63,7 +64,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
 
     @errors_as_status
     async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802
-        """Delete the channel in the directory, then here. Readers are told."""
+        """Delete the channel in the directory, then at this host. The host tells the readers."""
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
         since_s = _first_sent_s(context)
@@ -74,7 +75,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     async def ConfigureChannel(  # noqa: N802
         self, request: pb.ConfigureChannelRequest, context: Context
     ) -> pb.ConfigureChannelResponse:
-        """Change the set-up in the directory, then here; it holds when this returns."""
+        """Change the set-up in the directory, then at this host. The change holds when the call returns."""
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
         hosted = await self._store.configure(
@@ -86,7 +87,10 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     async def ListHostedChannels(  # noqa: N802
         self, request: pb.ListHostedChannelsRequest, context: Context
     ) -> pb.ListHostedChannelsResponse:
-        """A page of the channels that were bound here, in the order of names; a page token is the last page's end."""
+        """A page of the channels that callers bound at this host, by name.
+
+        The page token is the last name of the page.
+        """
         matches = _glob(request.name_glob)
         size = min(request.page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
         is_shown = allowed_to(AccessVerb.LIST, AccessKind.CHANNEL)

@@ -1,6 +1,6 @@
-"""The requests of one stream of gets, each decoded once.
+"""Decodes the requests of one stream of gets, and keeps the decoded ones.
 
-Readers ask the same again and again, such as for the newest item of one channel: only the call id differs.
+A reader often repeats a request, for example for the newest item of one channel. Only the call id differs then.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ from stampede_rt_channel_host.channels.requests import group_of, parse, query_of
 from stampede_rt_channel_host.core.channel import Query
 
 PLANS_MAX = 64
-REQUEST_BYTES_MAX = 4096  # a plan is kept under the bytes that asked for it; no request of the contract has 512
+REQUEST_BYTES_MAX = 4096  # the bytes of a request are the key of its plan; no request of the contract has 512 bytes
 _CALL_ID_TAG = 1 << 3  # GetRequest.call_id, varint
 _VARINT_BYTES_MAX = 10
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GetPlan:
-    """One get without its call id. `wait_nanos` 0: it may not block; below 0: without limit."""
+    """One get without its call id.
+
+    `wait_nanos`: 0 means that the get may not wait, below 0 that it may wait without limit.
+    """
 
     channel_id: bytes
     epoch: int
@@ -33,7 +36,7 @@ class GetPlan:
 
 @dataclass(frozen=True, slots=True)
 class GetCall:
-    """One request on the stream: a plan, a refusal of what cannot be planned, or (both None) a cancellation."""
+    """One request on the stream: a plan, or the error of a request that has no plan, or a cancellation (both None)."""
 
     call_id: int
     plan: GetPlan | None
@@ -41,13 +44,13 @@ class GetCall:
 
 
 class GetPlans:
-    """Of one stream; a full cache starts anew."""
+    """The plans of one stream. A full cache is emptied."""
 
     def __init__(self) -> None:
         self._plans: dict[bytes, GetPlan] = {}
 
     def read(self, raw: bytes) -> GetCall:
-        """The request. Raises InvalidArgument if the bytes are none, or too many."""
+        """Decode one request. Raises InvalidArgument if the bytes are no request, or more than REQUEST_BYTES_MAX."""
         if len(raw) > REQUEST_BYTES_MAX:
             raise InvalidArgument(f"the get request has {len(raw)} bytes; it has at most {REQUEST_BYTES_MAX}")
         call_id, rest = _split(raw)
@@ -64,7 +67,8 @@ class GetPlans:
             return GetCall(request.call_id, None, error)
         if len(self._plans) >= PLANS_MAX:
             self._plans.clear()
-        if not pb.GetRequest.FromString(rest).call_id:  # nothing of the id is left in what stands for the plan
+        # true if `rest` has no call id, so that the plan fits every call with these bytes
+        if not pb.GetRequest.FromString(rest).call_id:
             self._plans[rest] = plan
         return GetCall(request.call_id, plan)
 
@@ -81,7 +85,7 @@ def _plan(request: pb.GetRequest) -> GetPlan:
 
 
 def _split(raw: bytes) -> tuple[int, bytes]:
-    """The call id, if it comes first, as every serializer writes it, and the rest; else 0 and all of it."""
+    """The call id and the rest, if the id comes first, as every serializer writes it; else 0 and all bytes."""
     if not raw or raw[0] != _CALL_ID_TAG:
         return 0, raw
     call_id = 0

@@ -1,4 +1,4 @@
-"""One stream of gets: many calls at once, each answered by itself; what can be answered at once costs no task."""
+"""Serves one stream of gets: many calls at once, each with its own answer. A get that needs no wait starts no task."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ CALLS_MAX = 1024
 
 
 class _Begun:
-    """One get of a channel, from its beginning to its answer."""
+    """One get of a channel, from its start to its answer."""
 
     __slots__ = ("_begun_at", "_polled_at", "call_id", "hosted", "pending", "plan")
 
@@ -52,28 +52,28 @@ class _Begun:
         self._polled_at: int | None = None  # the count of the channel's changes
 
     def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
-        """The answer as the channel is now, or when to look again; of a blocking get."""
+        """Look at the channel for a blocking get. Returns the answer, or when to look again, or unfinished work."""
         assert self.pending is not None, "only a blocking get is polled"
         self._polled_at = self.hosted.changes
         return first_of(self.hosted.channel.polling(self.pending, now))
 
     def released(self) -> None:
-        """It was looked at with the channel as it was a while ago."""
+        """Note that a change released the get: the next look must see the channel as it is then."""
         self._polled_at = None
 
     @property
     def is_outdated(self) -> bool:
-        """The channel has changed since the last poll, so that what it found may hold no more."""
+        """Whether the channel has changed since the last poll, so that its finding may be out of date."""
         return self._polled_at != self.hosted.changes
 
     def wait_nanos(self, now: int) -> int:
-        """How long it may still wait; below 0: without limit."""
+        """How long the get may still wait, in nanoseconds; below 0: without limit."""
         wait_nanos = self.plan.wait_nanos
         return wait_nanos if wait_nanos < 0 else max(0, self._begun_at + wait_nanos - now)
 
 
 class GetStream:
-    """Serves one stream. A call is under way until its last message is written or it is cancelled."""
+    """Serves one stream. A call is under way until its last message is written or the caller cancels it."""
 
     def __init__(self, store: ChannelStore, groups: GroupAccess, context: Context, stream: OpenStream) -> None:
         self._store = store
@@ -81,15 +81,18 @@ class GetStream:
         self._context = context
         self._stream = stream
         self._account = current_account()
-        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: being answered
+        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: its answer is being sent
         self._plans = GetPlans()
         self._idle = asyncio.Event()
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
         self._under_way = self._account.hold(Quota.WAITING_CALLS)
-        self._held_back: dict[int, _Begun] = {}  # released, and looked at again once there is room for their answers
+        self._held_back: dict[int, _Begun] = {}  # released gets that wait for room in the outbox
 
     async def run(self) -> None:
-        """Until the caller has closed its side and every call is answered. Raises InvalidArgument for garbage."""
+        """Serve until the caller has closed its side and every call is answered.
+
+        Raises InvalidArgument for invalid bytes.
+        """
         try:
             while (raw := await self._context.read()) is not EOF:
                 self._take(self._plans.read(raw))
@@ -136,7 +139,7 @@ class GetStream:
         self._go_on(begun, begun.poll(now), now)
 
     def _go_on(self, begun: _Begun, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
-        """Answer, or wait; or, if the answer takes more than a piece, do the rest of them beside the others."""
+        """Send the answer, or let the get wait. A long answer is made in pieces, between the work of others."""
         if isinstance(found, Unfinished):
             self._calls[begun.call_id] = self._stream.spawn(self._finish(begun, found.rest))
         elif isinstance(found, WakeAt):
@@ -164,7 +167,7 @@ class GetStream:
         self._outbox.kick()
 
     def _check_served(self, plan: GetPlan, found: object) -> None:
-        """Raises StaleBinding if the channel went elsewhere, and lets go of what was found there."""
+        """Raises StaleBinding if the channel has left this host, and frees the answer found there."""
         try:
             self._store.find(plan.channel_id, plan.epoch)
         except StampedeError:
@@ -172,7 +175,7 @@ class GetStream:
             raise
 
     def _let_go(self, found: object) -> None:
-        """Nobody is sent it, if it is an answer."""
+        """Free an answer that no caller gets."""
         if isinstance(found, ReadAnswer):
             self._store.scheduler.begin(emptying(found.slices))
 
@@ -187,7 +190,8 @@ class GetStream:
         try:
             began, wait_nanos = self._store.now(), plan.wait_nanos
             found = await self._groups.read(ask, hosted, plan.query, wait_nanos)
-            while not self._outbox.has_room:  # its answer is taken when it can be sent, and kept by nobody
+            # makes the answer when there is room to send it, so that no answer is kept
+            while not self._outbox.has_room:
                 self._let_go(found.answer)
                 del found
                 await self._outbox.room()
@@ -204,12 +208,13 @@ class GetStream:
 
     def _releaser(self, begun: _Begun) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
-            self._calls[begun.call_id] = None  # it waits no more: once it is answered, it is not under way
+            self._calls[begun.call_id] = None  # it waits no more; it stays under way until its answer is sent
             begun.released()
             if isinstance(outcome, StampedeError):
                 self._refuse(begun.call_id, outcome)
             elif self._held_back or not self._outbox.has_room:
-                self._held_back[begun.call_id] = begun  # its answer is taken when it can be sent, and kept by nobody
+                # its answer is made when there is room to send it, so that no answer is kept
+                self._held_back[begun.call_id] = begun
             else:
                 self._go_on(begun, outcome, self._store.now())
             self._outbox.kick()
@@ -217,7 +222,7 @@ class GetStream:
         return release
 
     def _room_came(self) -> None:
-        """Those that were released while there was no room are looked at again, the first one first."""
+        """Look again at the gets that were released while there was no room, in the order of their release."""
         while self._held_back and self._outbox.has_room:
             begun = self._held_back.pop(next(iter(self._held_back)))
             now = self._store.now()
@@ -240,7 +245,7 @@ class GetStream:
         self._outbox.add(begun.call_id, messages, begun.hosted.count_delivered, kept_bytes, answer.slices)
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
-        """Not entered among the calls: a refused id may be one that is under way."""
+        """Send an error. Leaves the table of calls alone: another call may be under way with the refused id."""
         if isinstance(error, Overloaded):
             self._store.refused_calls.note(error)
         self._outbox.add(call_id, get_error(call_id, to_error_message(error)), _count_nothing)
@@ -253,7 +258,7 @@ class GetStream:
         self._outbox.drop(call_id)
 
     def _ended(self, call_id: int) -> None:
-        if self._calls.get(call_id) is None:  # else the id was used again by a call that waits
+        if self._calls.get(call_id) is None:  # if not, a later call that waits has the same id
             self._calls.pop(call_id, None)
         self._under_way.set(len(self._calls))
         if not self._calls:
@@ -261,7 +266,7 @@ class GetStream:
 
 
 def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
-    """The facts that an answer tells beside its items. `cut`: the cut of the group, if the reader read through one."""
+    """The facts about an answer, without its items. `cut`: the cut of the group, if the reader read through a group."""
     return pb.GetSummary(
         interval=resolved_to_message(answer.interval) if answer.interval else None,
         complete=answer.complete,
@@ -276,7 +281,7 @@ def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
 
 
 def _kept_bytes(answer: ReadAnswer) -> int:
-    """The memory that the stored runs behind an answer keep, as far as its bound goes."""
+    """The memory that the stored runs of an answer occupy, counted up to COUNTED_BYTES_MAX."""
     kept_bytes = 0
     for part in answer.slices:
         kept_bytes += len(part.run.body) + ITEM_OVERHEAD_BYTES
@@ -286,4 +291,4 @@ def _kept_bytes(answer: ReadAnswer) -> int:
 
 
 def _count_nothing(payload_bytes: int) -> None:
-    """An error carries no payload."""
+    """The count for an error message, which carries no payload."""

@@ -1,4 +1,7 @@
-"""How the streams of channels reach the groups of the host, which are built on channels."""
+"""The interface through which streams of channels use the host's groups.
+
+Groups are built on channels, not the reverse.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,10 @@ from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupAsk:
-    """Through which group a get reads. `floor`: the highest cut that the reader has seen; `at`: the cut to read at."""
+    """The group through which a get reads.
+
+    `floor`: the highest cut that the reader has seen. `at`: the cut to read at.
+    """
 
     group_id: bytes
     floor: int | None = None
@@ -22,42 +28,48 @@ class GroupAsk:
 
 
 class GroupAnswer(NamedTuple):
-    """An answer, and the cut that was used."""
+    """An answer, and the cut at which the group read it."""
 
     answer: ReadAnswer
     cut: int | None
 
 
 class Cursor(Protocol):
-    """Where a subscription stands; what differs between its modes."""
+    """The place at which a subscription stands. Each mode of subscriptions has its own cursor."""
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
-        """The next part, about `limit_bytes`; empty if there is nothing new."""
+        """The next items, about `limit_bytes` of them; empty if there are no new items."""
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
-        """How far the subscription is."""
+        """The progress of the subscription, as the reader gets it."""
 
     @property
     def skipped(self) -> int:
-        """Items that were passed over, as of the last part."""
+        """The number of items that the subscription passed over, as of the last `take`."""
 
     @property
     def saved(self) -> SavedCursor | None:
-        """From where another goes on; None: from the one before this one, and what came since comes again."""
+        """The place from which another subscription continues.
+
+        None: continue from the place saved before; items repeat then.
+        """
 
 
 class GroupAccess(Protocol):
-    """Reads and subscriptions through a group. All raise GROUP_NOT_FOUND, INVALID_ARGUMENT, IncarnationLost."""
+    """Reads and subscriptions through a group. All methods raise GROUP_NOT_FOUND, INVALID_ARGUMENT, IncarnationLost."""
 
     def read_now(
         self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
     ) -> GroupAnswer | None:
-        """The answer, if there is one at this moment; None: call `read`, which may have to wait."""
+        """The answer, if the group has it at this moment. None: call `read`, which may wait."""
 
     async def read(self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
-        """Block until there is an answer, for `wait_nanos` beside what the cut takes; below 0: without limit."""
+        """Wait for the answer.
+
+        `wait_nanos` bounds the wait for items, beside the wait for the cut; below 0: without limit.
+        """
 
     def subscribe(
         self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: ChannelObserver
     ) -> AbstractAsyncContextManager[Cursor]:
-        """Where a subscription begins; as long as it is entered, `listener` hears of changes of the group."""
+        """Begin a subscription. While its context is entered, `listener` hears of changes of the group."""

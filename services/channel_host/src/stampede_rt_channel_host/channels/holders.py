@@ -1,4 +1,4 @@
-"""Who consumes and takes under which number: nobody else who is judged may consume or settle in its name."""
+"""Remembers the callers of consumer ids and taker ids. No other caller may consume or settle under such an id."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from stampede_rt_runtime.access.control import owner_name
 HOLDERS_MAX = 65_536
 HOLDERS_OF_ONE_MAX = 1024
 
-Key = tuple[bytes, int]  # a channel or queue, and a number there
+Key = tuple[bytes, int]  # the id of a channel or queue, and a consumer or taker id there
 
 
 class Holders:
-    """The callers of consumer and taker ids. The numbers are random, and listings of leases tell them.
+    """The callers of consumer ids and taker ids. An id alone proves nothing: listings of leases show the ids.
 
-    A caller that uses ever more numbers makes its own be forgotten first.
+    The number of entries of one caller is bounded. A caller that uses too many ids loses its own oldest entries.
     """
 
     def __init__(self) -> None:
-        self._owners: OrderedDict[Key, str] = OrderedDict()  # in the order of their first use
+        self._owners: OrderedDict[Key, str] = OrderedDict()  # by first use
         self._of_owner: dict[str, OrderedDict[Key, None]] = {}
 
     def __len__(self) -> int:
         return len(self._owners)
 
     def check(self, thing_id: bytes, holder_id: int, what: str) -> None:
-        """Whether the caller may act under `holder_id` at a channel or queue; the first one of a number is its owner.
+        """Check that the caller may act under `holder_id` at a channel or queue. The first caller of an id owns it.
 
-        `what`: as in "consumer". Raises PermissionDenied.
+        `what` names the id in the error, such as "consumer". Raises PermissionDenied.
         """
         key, caller = (thing_id, holder_id), owner_name()
         owner = self._owners.get(key)

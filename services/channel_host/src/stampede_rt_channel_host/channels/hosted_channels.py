@@ -1,4 +1,4 @@
-"""One channel at its host: the core, the directory's record, and whoever waits for it or listens to it."""
+"""One channel at its host: the core, the directory's record, its waiting callers and its subscriptions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _orders = itertools.count()
 
 
 class HostedChannel:
-    """`record` is the directory's, as last told; its epoch fences, its incarnation is the core's."""
+    """One channel at this host.
+
+    `record` is the latest record from the directory. Requests must name its epoch. Its incarnation is the core's.
+    """
 
     def __init__(
         self,
@@ -33,10 +36,11 @@ class HostedChannel:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
     ) -> None:
-        """`on_touched` hears of every change; `may_serve` says whether the host has its lease; `begin` does long work
-        that nobody waits for (`PieceScheduler.begin`); `limits` are those of all gets of the host.
+        """Set up the channel of `record`.
 
-        Raises InvalidArgument if the record's policy cannot hold.
+        The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
+        long work that nobody waits for (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host.
+        Raises InvalidArgument if the record's policy is not possible.
         """
         self.record = record
         self.epoch: int = record.epoch
@@ -44,28 +48,28 @@ class HostedChannel:
             record.policy,
             incarnation=record.incarnation,
             name=record.name,
-            lost_before=now() if record.epoch > 1 else None,  # it had an owner before, which took nothing along
+            lost_before=now() if record.epoch > 1 else None,  # a former owner had items, and they did not move here
             cut=slice_run,
         )
         self.gets = WaitingGets(self.channel, Coming(self.channel), now, begin=begin, limits=limits)
         self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched, may_serve)
         self.listeners = Observers(begin)  # subscriptions
         self.matches = Observers(begin)  # subscriptions to matches of its items
-        self.followers: dict[ChannelObserver, None] = {}  # groups: they look at each change before another one comes
+        self.followers: dict[ChannelObserver, None] = {}  # groups: each looks at a change before the next one comes
         self.group_gets: set[object] = set()  # blocked gets through groups
         self.group_readers: set[object] = set()  # cut events and matches that take its items
         self.messages = SharedMessages()
         self.delivered_bytes = 0
-        self.due: int | None = None  # when the sweep looks at it; it belongs to `Deadlines`
+        self.due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
         self.order = next(_orders)
         self._charge = Charge(memory)
         self._on_touched = on_touched
         self._now = now
         self.changes = 0
-        """So many times the channel has changed since it is here."""
+        """The number of changes of the channel at this host."""
 
     def update(self, record: RecordedChannel) -> None:
-        """The directory has a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
+        """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
         if record.spec_version != self.record.spec_version:
             now = self._now()
             self.channel.configure(record.policy, now)
@@ -75,66 +79,69 @@ class HostedChannel:
         self._touched()
 
     def advance(self, instant: int) -> int:
-        """Promise that nothing earlier than `instant` will come; gives the highest promise. Raises InFuture."""
+        """Promise that no item before `instant` will come. Returns the highest promise so far. Raises InFuture."""
         now = self._now()
         advanced = self.channel.advance(instant, now)
         self.changed(now)
         return advanced
 
     def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Consumed:
-        """Use items up for one consumer, and let puts in that waited for room. Raises InvalidArgument, ChannelFull."""
+        """Consume items for one consumer, and let in the puts that waited for room.
+
+        Raises InvalidArgument, ChannelFull.
+        """
         now = self._now()
         consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos)
-        self.puts.changed(now)  # which tells of the change, too
+        self.puts.changed(now)  # this also announces the change
         return consumed
 
     def changed(self, now: int) -> None:
-        """After an advance or another policy: everybody looks again."""
+        """Announce an advance or another policy: all that wait for the channel look again."""
         self._announce(now)
         self.puts.changed(now)
 
     def ending(self, error: StampedeError) -> Pieces[None]:
         """End the waits of the channel's callers and the streams of its readers with `error`, in pieces."""
-        for follower in [*self.followers]:  # which only take note
+        for follower in [*self.followers]:  # a follower only notes the error
             follower.end(error)
         listeners, matches = self.listeners.ending(error), self.matches.ending(error)
-        yield from self.puts.ending(error)  # first, so that none of them is taken any more
+        yield from self.puts.ending(error)  # first, so that no waiting put is accepted any more
         yield from listeners
         yield from matches
         yield from self.gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, for good: the channel is not held here any more, and its memory counts no longer."""
+        """As `ending`, but for good: the host gives the channel up, and its memory budget counts it no more."""
         self._charge.set(0)
         self._charge = Charge(MemoryBudget(0))
         self._on_touched = _ignore
         yield from self.ending(error)
-        yield  # those who were interrupted have let go of it
+        yield  # by now the interrupted calls have let go of the channel
         yield from self.channel.emptying()
 
     def collect(self, now: int) -> bool:
-        """Free what time has outdated, a bounded part; True if more is left to do at once."""
+        """Free outdated items, a bounded number at a time. Returns True if more are left to free at once."""
         more = self.channel.collect(now)
         self.puts.expire(now)
         self._charge.set(self.footprint_bytes())
         return more
 
     def next_deadline(self, now: int) -> int | None:
-        """When `collect` is next useful; None: not before something changes. Frees a little, too."""
+        """The time at which `collect` has work again. None: not before the next change. Frees a few items, too."""
         due = (self.channel.next_deadline(now), self.puts.next_expiry())
         self._charge.set(self.footprint_bytes())
         return min((one for one in due if one is not None), default=None)
 
     def count_delivered(self, payload_bytes: int) -> None:
-        """A message with so many payload bytes was sent to a reader."""
+        """Count the payload bytes of a message that was sent to a reader."""
         self.delivered_bytes += payload_bytes
 
     def footprint_bytes(self) -> int:
-        """The memory kept for the channel: items as they are stored, puts that wait, and the facts about producers."""
+        """The bytes kept for the channel: stored items, waiting puts, and the facts about producers."""
         return self.channel.footprint_bytes + self.puts.footprint_bytes
 
     def _touched(self) -> None:
-        """Something was put, consumed or set up."""
+        """Update the memory charge after a put, a consumption or another policy, and report the change."""
         self._charge.set(self.footprint_bytes())
         self._on_touched(self)
 
@@ -149,4 +156,4 @@ class HostedChannel:
 
 
 def _ignore(hosted: HostedChannel) -> None:
-    """Nobody wants to know any more."""
+    """The callback of a channel that has left the host."""

@@ -1,4 +1,4 @@
-"""A page of a host's channels with their status, gathered in pieces: a host may have a hundred thousand."""
+"""Makes a page of a host's channels with their status, in pieces: a host may have a hundred thousand channels."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from stampede_rt_channel_host.core.channel import Pieces
 
 NAMES_PER_PIECE = 256
 STATUSES_PER_PIECE = 32
-"""A status takes about as long as eight names."""
+"""To make a status takes about as long as to match eight names."""
 
 
 class Page(NamedTuple):
-    """Channels in the order of their names; `has_more`: others come behind them."""
+    """Channels by name. `has_more`: other channels follow."""
 
     channels: list[channel_pb2.ChannelStatus]
     has_more: bool
 
 
 def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, size: int) -> Pieces[Page]:
-    """At most `size` channels with names that match, behind the name `after`, each as of when it is looked at."""
+    """At most `size` channels with matching names after the name `after`, each as of the moment of the look at it."""
     shown: list[channel_pb2.ChannelStatus] = []
     while found := store.named_after(after, NAMES_PER_PIECE):
         for hosted in found:

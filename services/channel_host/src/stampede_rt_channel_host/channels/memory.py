@@ -1,4 +1,4 @@
-"""One bound for what all channels and queues of a host keep, and what was refused for want of room."""
+"""The memory budget that all channels and queues of a host share, and a count of the refusals for lack of memory."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ logger = logging.getLogger(__name__)
 
 
 class MemoryBudget:
-    """Each channel and queue reports its memory as it changes, and the budget adds it up. The cost of a question does
-    not grow with their number. The budget calls `reclaim` before it refuses a claim; `reclaim` frees a bounded part of
-    the outdated items."""
+    """The memory of all channels and queues together.
+
+    Each channel and queue reports its memory when it changes, and the budget adds the reports up. So a claim costs the
+    same however many there are. The budget calls `reclaim` before it refuses a claim. `reclaim` frees a bounded number
+    of the outdated items.
+    """
 
     def __init__(
         self,
@@ -30,7 +33,10 @@ class MemoryBudget:
         self._steady_nanos = steady_nanos
 
     def claim(self, wanted_bytes: int) -> None:
-        """Before something is stored, which is charged afterwards. Raises Overloaded if there is no room for it."""
+        """Check that there is room to store `wanted_bytes`.
+
+        Raises Overloaded if not. The owner charges them after it stored them.
+        """
         if self.used_bytes + wanted_bytes <= self.bytes_max:
             return
         self._reclaim()
@@ -42,18 +48,21 @@ class MemoryBudget:
             )
 
     def refused(self, name: str, items: int, error: Overloaded) -> None:
-        """Items for the channel or queue of that name were refused: counted, and logged every few seconds at most."""
+        """Count items that were refused for the channel or queue `name`.
+
+        Writes a log line every few seconds at most.
+        """
         untold = self.overload.note(items, self._steady_nanos())
         if untold is not None:
             logger.warning("puts are refused", extra={"items": untold, "last_for": name, "why": error.message})
 
     def refused_ago_nanos(self) -> int | None:
-        """How long ago items were refused last; None: none were."""
+        """The time since the last refusal, in nanoseconds; None: there was no refusal."""
         return self.overload.ago_nanos(self._steady_nanos())
 
 
 class Charge:
-    """The memory that one channel or queue is charged."""
+    """The memory that the budget counts for one channel or queue."""
 
     __slots__ = ("_budget", "_bytes")
 
@@ -62,6 +71,6 @@ class Charge:
         self._bytes = 0
 
     def set(self, footprint_bytes: int) -> None:
-        """So much is kept now."""
+        """Report the bytes kept now."""
         self._budget.used_bytes += footprint_bytes - self._bytes
         self._bytes = footprint_bytes

@@ -1,4 +1,4 @@
-"""The observers of a change. They are woken or ended a few at a time, however many there are."""
+"""The observers of a change. The host wakes or ends a few of them at a time, however many there are."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.core.channel import Pieces, batched, run_to_end
 
 OBSERVERS_PER_PIECE = 16
-"""Each of them may have a message to send in the turn of the event loop behind the one that wakes it."""
+"""Each observer may have a message to send in the loop's next turn."""
 
 Thing = TypeVar("Thing")
 
 
 class ChannelObserver(Protocol):
-    """A subscription, as the channel knows it."""
+    """A subscription, as its channel sees it."""
 
     def wake(self) -> None:
-        """There may be something to send."""
+        """There may be items to send."""
 
     def end(self, error: StampedeError) -> None:
-        """The channel is not served any more."""
+        """The host does not serve the channel any more."""
 
 
 class Backlog(Generic[Thing]):
-    """Things that are to be looked at, each of them once, the first ones at once and the others in pieces.
+    """A list of things to look at, each once: the first ones at once, the others in pieces.
 
-    A thing that waits keeps its place, whatever happens meanwhile: it is looked at after all of that. `look` may add
-    and drop things. `begin` does long work that nobody waits for (`PieceScheduler.begin`).
+    A thing that waits keeps its place if it is added again. `look` may add and drop things. `begin` does long work that
+    nobody waits for (`PieceScheduler.begin`).
     """
 
     def __init__(
@@ -42,14 +42,14 @@ class Backlog(Generic[Thing]):
         self._working = False
 
     def add(self, things: Iterable[Thing]) -> None:
-        """Look at all of these, behind those that wait."""
+        """Look at all these things, after those that already wait."""
         self._waiting.update(dict.fromkeys(things))
         if self._waiting and not self._working:
             self._working = True
             self._begin(self._pieces())
 
     def drop(self, thing: Thing) -> None:
-        """It need not be looked at any more. Idempotent."""
+        """Take a thing off the list. Idempotent."""
         self._waiting.pop(thing, None)
 
     def _pieces(self) -> Pieces[None]:
@@ -60,19 +60,19 @@ class Backlog(Generic[Thing]):
             self._working = False
 
     def _look_at_some(self) -> bool:
-        """True if others are left."""
+        """Look at the next few things. Returns True if others are left."""
         for thing in [*islice(self._waiting, self._per_piece)]:
-            if thing in self._waiting:  # else a look at another one has dropped it
+            if thing in self._waiting:  # if not, the look at another thing has dropped it
                 del self._waiting[thing]
                 self._look(thing)
         return bool(self._waiting)
 
 
 class Observers:
-    """They hear of changes in the order in which they came. One that still waits to be woken hears of several once."""
+    """The observers of one channel. An observer that is not yet woken for a change hears of later changes with it."""
 
     def __init__(self, begin: Callable[[Pieces[None]], None] = run_to_end) -> None:
-        """`begin`: as that of a `Backlog`."""
+        """`begin`: see `Backlog`."""
         self._observers: dict[ChannelObserver, None] = {}
         self._to_wake: Backlog[ChannelObserver] = Backlog(_wake, begin)
 
@@ -80,21 +80,21 @@ class Observers:
         return len(self._observers)
 
     def add(self, observer: ChannelObserver) -> None:
-        """It hears of what happens from now on. Idempotent."""
+        """Tell `observer` of all changes from now on. Idempotent."""
         self._observers[observer] = None
 
     def discard(self, observer: ChannelObserver) -> None:
-        """It hears of nothing any more. Idempotent."""
+        """Tell `observer` of no more changes. Idempotent."""
         self._observers.pop(observer, None)
         self._to_wake.drop(observer)
 
     def wake(self) -> None:
-        """Wake all of them: the first few at once, and the others a few in each turn of the event loop."""
+        """Wake all observers: the first few at once, the others a few in each turn of the event loop."""
         if self._observers:
             self._to_wake.add(self._observers)
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """Those that are there now hear `error`, in pieces."""
+        """Tell `error` to the present observers, in pieces."""
         return self._ending([*self._observers], error)
 
     def _ending(self, observers: Sequence[ChannelObserver], error: StampedeError) -> Pieces[None]:
@@ -102,7 +102,7 @@ class Observers:
             if at:
                 yield
             for observer in part:
-                if observer in self._observers:  # else it has gone since
+                if observer in self._observers:  # if not, it has left meanwhile
                     observer.end(error)
 
 

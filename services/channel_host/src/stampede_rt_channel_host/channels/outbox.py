@@ -1,4 +1,4 @@
-"""The one writer of a stream on which answers come from two sides: the reader's loop, and calls that are released."""
+"""The only writer of a stream of answers. The reader's loop and released gets both hand it their answers."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from stampede_rt_runtime.rpc import Context
 
 ANSWERS_QUEUED_MAX = 256
 QUEUED_BYTES_MAX = 8 * 2**20
-"""Of items that answers refer to, and one answer more."""
+"""The most bytes of items behind the queued answers. One more answer may go beyond it."""
 COUNTED_BYTES_MAX = QUEUED_BYTES_MAX // 2
-"""A larger answer counts as much, so that one of them does not hold up the small ones."""
+"""A larger answer counts as this many bytes, so that one such answer does not block small ones."""
 
 
 class _Answer(NamedTuple):
-    """The messages of one call, made as they are written; `on_sent` hears of each one's payload bytes.
+    """The messages of one call, each made when it is written. `on_sent` gets the payload bytes of each message.
 
-    `kept_bytes`: what the items that it refers to keep of the host's memory, even if retention has let them go.
-    `emptying` lets go of those that were not sent.
+    `kept_bytes`: the bytes of host memory that the answer's items occupy, even after retention has collected them.
+    `emptying` frees the items that were not sent.
     """
 
     call_id: int
@@ -36,10 +36,10 @@ class _Answer(NamedTuple):
 
 
 class Outbox:
-    """Writes answers in turn, one message of each, so that a large one does not hold up the small ones.
+    """Writes one message of each answer in turn, so that a large answer does not block small ones.
 
-    What is queued are references into the store, not copies. `on_end` hears of each call that was answered whole,
-    `on_room` that there is room again after there was none.
+    The queue holds references into the store, not copies. The outbox calls `on_end` for each call that is fully
+    answered, and `on_room` when there is room again after there was none.
     """
 
     def __init__(
@@ -67,19 +67,19 @@ class Outbox:
 
     @property
     def has_room(self) -> bool:
-        """Another answer may be queued, however large it is."""
+        """Whether the outbox takes another answer, however large."""
         return len(self._answers) <= ANSWERS_QUEUED_MAX and self.queued_bytes <= QUEUED_BYTES_MAX
 
     def add(
         self, call_id: int, messages: Iterator[EncodedMessage], on_sent: Callable[[int], None], kept_bytes: int = 0,
         slices: Sequence[Slice] = (),
     ) -> None:  # fmt: skip
-        """Queue an answer, which was made of `slices`; `flush` or `kick` writes it."""
+        """Queue an answer that was made of `slices`. `flush` or `kick` writes it."""
         self._answers.append(_Answer(call_id, kept_bytes, emptying(slices), messages, on_sent))
         self._count(kept_bytes)
 
     def drop(self, call_id: int) -> None:
-        """Write no more of a call."""
+        """Write no further message of a call."""
         for answer in [answer for answer in self._answers if answer.call_id == call_id]:
             self._answers.remove(answer)
             self._let_go(answer)
@@ -87,14 +87,17 @@ class Outbox:
         self._on_end(call_id)
 
     def kick(self) -> None:
-        """Write in the background what is queued."""
+        """Write the queued answers in the background."""
         if self._answers and not self._writing:
             self._writing = True
             self._task = self._stream.spawn(self._write_all())
 
     async def flush(self) -> None:
-        """After the reader's loop has queued something: write a single message right here, which costs no task; leave
-        more to the background, and wait only while too much is queued, so that the caller is held back."""
+        """Write what the reader's loop has queued.
+
+        Writes a single message at once, without a task. Leaves more messages to the background. Waits only while the
+        queue is full, which slows the caller down.
+        """
         if len(self._answers) == 1 and not self._writing:
             self._writing = True
             try:
@@ -111,14 +114,14 @@ class Outbox:
             await self._room.wait()
 
     async def finish(self) -> None:
-        """Return when everything queued is written."""
+        """Return when every queued message is written."""
         while self._answers or self._writing:
             self.kick()
             assert self._task is not None, "the reader's loop, the other writer, is over"
             await self._task
 
     def close(self) -> None:
-        """Write no more."""
+        """Write no further messages, and free the queued answers."""
         answers, self._answers = self._answers, deque()
         for answer in answers:
             self._begin(answer.emptying)
@@ -137,7 +140,7 @@ class Outbox:
         answer = self._answers.popleft()
         message = next(answer.messages)
         if not message.is_last:
-            self._answers.append(answer)  # behind the others
+            self._answers.append(answer)  # after the other answers
         await self._context.write(message.encoded)
         answer.on_sent(message.payload_bytes)
         if message.is_last:

@@ -1,4 +1,4 @@
-"""Long work of a host, such as a get of a million items, a piece at a time (decision 0061)."""
+"""Performs the long work of a host, such as a get of a million items, in pieces (decision 0061)."""
 
 from __future__ import annotations
 
@@ -11,20 +11,23 @@ Result = TypeVar("Result")
 
 
 class PieceScheduler:
-    """Lets all long work of a host have its pieces in turn: one piece of one of them for each turn of the event loop,
-    however many there are."""
+    """Gives all long works of a host their turns.
+
+    Each turn of the event loop performs one piece of one work, however many works there are.
+    """
 
     def __init__(self) -> None:
         self._turn = asyncio.Lock()
-        self._begun: set[asyncio.Task[None]] = set()  # kept here, since the loop holds its tasks weakly
+        # kept here, because the loop keeps only weak references to its tasks
+        self._begun: set[asyncio.Task[None]] = set()
 
     async def do(self, pieces: Pieces[Result]) -> Result:
-        """The result. The first piece, which nearly always is all, is done at once."""
+        """Perform the work, and return its result. Performs the first piece at once; most works have only one."""
         found = first_of(pieces)
         return await self.finish(found.rest) if isinstance(found, Unfinished) else found
 
     def begin(self, pieces: Pieces[None]) -> None:
-        """Do the first piece at once, and the others in turn, which nobody waits for."""
+        """Perform the first piece at once, and the others in turn. Does not wait for them."""
         found = first_of(pieces)
         if isinstance(found, Unfinished):
             task = asyncio.create_task(self.finish(found.rest), name="long work")
@@ -32,9 +35,12 @@ class PieceScheduler:
             task.add_done_callback(self._begun.discard)
 
     async def finish(self, pieces: Pieces[Result]) -> Result:
-        """The result, once all pieces that are left are done. Raises what they raise; cancelled, it abandons them."""
+        """Perform the remaining pieces, and return the result.
+
+        Raises the errors of the pieces. A cancellation drops the rest.
+        """
         try:
-            while True:  # ends with the pieces
+            while True:  # ends with the last piece
                 async with self._turn:
                     try:
                         next(pieces)

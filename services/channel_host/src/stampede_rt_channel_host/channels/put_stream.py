@@ -1,4 +1,7 @@
-"""One stream of puts: runs are judged in order and acked in order; acks gather while the last write is in flight."""
+"""Serves one stream of puts: judges and acks runs in order.
+
+Acks that come during a write go out in the next message.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +24,14 @@ from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
-ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
+# also the most acks in one message, which stays below its size limit even with 256 refused items in each
+ACKS_QUEUED_MAX = 256
 REQUEST_BYTES_MAX = 4 * 2**20
 _FRAMING_BYTES_MAX = 4096
 
 
 class _Put(NamedTuple):
-    """One run of a request. `wait_nanos` None: without limit."""
+    """One run of a request. `wait_nanos` None: it may wait without limit."""
 
     first_number: int
     wait_nanos: int | None
@@ -35,7 +39,7 @@ class _Put(NamedTuple):
 
 
 class _Came(NamedTuple):
-    """The runs of one request that are still to be judged, and when it came, on the monotonic clock."""
+    """The runs of one request that are not yet judged, and the monotonic time at which the request came."""
 
     puts: deque[_Put]
     came_s: float
@@ -43,7 +47,7 @@ class _Came(NamedTuple):
 
 
 class PutStream:
-    """Serves one stream. Behind a run that waits for room the next ones wait, too, each for its own time at most."""
+    """Serves one stream. A run that waits for room blocks the later runs. Each waits no longer than its own limit."""
 
     def __init__(self, store: ChannelStore, context: Context, stream: OpenStream) -> None:
         self._store = store
@@ -60,7 +64,10 @@ class PutStream:
         self._requests = ReadAhead(context.read, store.memory, self._account)
 
     async def run(self) -> None:
-        """Until the caller has closed its side and every run is acked. Raises InvalidArgument for what is no put."""
+        """Serve until the caller has closed its side and every run is acked.
+
+        Raises InvalidArgument for an invalid request.
+        """
         writer = self._stream.spawn(self._write_acks())
         try:
             while (came := self._read_request(*await self._requests.next())) is not None:
@@ -73,7 +80,10 @@ class PutStream:
             self._requests.close()
 
     def _read_request(self, raw: Any, came_s: float) -> _Came | None:
-        """None at the end. A run that waits keeps its own bytes alone: nothing refers to the request behind this."""
+        """Decode a request; None at the end.
+
+        A waiting run keeps only its own bytes in memory, not the whole request's.
+        """
         if raw is EOF:
             return None
         request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
@@ -96,12 +106,12 @@ class PutStream:
                 self._news.set()
                 self._room.clear()
                 await self._room.wait()
-            self._acks.append(ack)  # not in one with an await: the writer takes the list meanwhile
+            self._acks.append(ack)  # two statements, because the writer takes the list during the await
         self._news.set()
-        await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
+        await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _put(self, put: _Put, came_s: float) -> pb.PutAck:
-        """The ack of one run. Blocks while the run waits for room."""
+        """The ack of one run. Waits while the run waits for room."""
         now = self._store.now()
         run: IncomingRun | None = None
         try:
@@ -122,7 +132,7 @@ class PutStream:
             return refused(put.first_number, run.items if run else 0, error, now)
         if ack is not None:
             return ack
-        self._news.set()  # the acks before it do not wait
+        self._news.set()  # send the acks that came before this one now
         try:
             with self._account.waiting(run.charged_bytes):
                 self._requests.go_on()
@@ -137,7 +147,7 @@ class PutStream:
         return IncomingRun(put.run, producer_id=self._producer_id, first_number=put.first_number, wait_nanos=wait_nanos)
 
     async def _write_acks(self) -> None:
-        """All that gathered while the last write was in flight go out in one message."""
+        """Write acks. All acks that came during the last write go out in one message."""
         while not (self._closed and not self._acks):
             if not self._acks:
                 self._news.clear()

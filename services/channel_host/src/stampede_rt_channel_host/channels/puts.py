@@ -1,4 +1,4 @@
-"""Puts into one channel: judged by the core, recognised when retried, and kept in line while the channel is full."""
+"""The puts into one channel. The core judges them. The channel recognises retries, and queues puts while it is full."""
 
 from __future__ import annotations
 
@@ -18,8 +18,11 @@ from stampede_rt_channel_host.core.judging import Judged, Judging
 WAITING_PUTS_MAX = 10_000
 PUTS_PER_PIECE = 128
 ITEMS_OFFERED_MAX = 128
-"""So many items of runs in line one call offers; the last of these runs is offered as a whole."""
-_TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
+"""The items that one call offers of the waiting runs.
+
+The last of these runs is offered whole, even beyond the limit.
+"""
+_TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: the timer must not fire again and again
 
 
 class IncomingRun:
@@ -30,7 +33,7 @@ class IncomingRun:
     )  # fmt: skip
 
     def __init__(self, encoded: bytes, *, producer_id: int, first_number: int, wait_nanos: int | None) -> None:
-        """Raises MalformedRun, or ItemTooLarge for what no channel can hold."""
+        """Raises MalformedRun, or ItemTooLarge for an item larger than any channel can hold."""
         columns = parse_run(encoded)
         self.offer = Offer(times=columns.times, durations=columns.durations, lengths=columns.lengths)
         self.items = len(columns.lengths)
@@ -45,11 +48,11 @@ class IncomingRun:
 
     @property
     def charged_bytes(self) -> int:
-        """The bytes that the host's memory is charged for the run."""
+        """The bytes that the host's memory budget counts for the run."""
         return len(self._encoded) + self.items * ITEM_OVERHEAD_BYTES
 
     def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
-        """The bytes to store, of the items that were accepted (see `core.Seal`)."""
+        """The bytes to store for the accepted items (see `core.Seal`)."""
         rest = range(self.judging.judged_items, self.items)
         positions = rest if kept is None else [rest[position] for position in kept]
         self.judging.accept(positions[0], first_seq, len(positions), stamped_time)
@@ -57,7 +60,7 @@ class IncomingRun:
         return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(positions))
 
     def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
-        """Take in what became of the offer; True if none of its items has to wait."""
+        """Take over the core's verdict on the offer. Returns True if no item has to wait."""
         offered = self.judging.judged_items
         for one in outcome.rejections:
             self.judging.refuse(offered + one.index, one.error)
@@ -69,36 +72,39 @@ class IncomingRun:
         return False
 
     def resume(self, known: Judged, now: int) -> None:
-        """The run came before: only the items behind those that were judged then are still to be put."""
+        """Continue a repeated run: offer only the items after those that were judged before."""
         offered = self.judging.judged_items
         if self.judging.resume(known) and not known.is_whole:
             self.offer = self.offer.rest(known.judged_items - offered, now)
 
     @property
     def undecided_items(self) -> int:
-        """How many of its items are neither accepted nor refused."""
+        """The number of items that are neither accepted nor refused yet."""
         return self.items - self.judging.judged_items
 
     def refuse_rest(self, error: StampedeError) -> None:
-        """Refuse the items that are neither accepted nor refused."""
+        """Refuse the items that are neither accepted nor refused yet."""
         for index in range(self.judging.judged_items, self.items):
             self.judging.refuse(index, error)
         self.judging.judged_items = self.items
 
     def finish(self, ack: pb.PutAck) -> None:
-        """The run is through: whoever waits for it goes on."""
+        """Store the run's ack, and wake the caller that waits for it."""
         self.ack = ack
         self.forget_time()
         if self._done is not None and not self._done.done():
             self._done.set_result(None)
 
     def forget_time(self) -> None:
-        """Its waiting time does not count any more."""
+        """Stop the timer of the run's waiting time."""
         if self._timer is not None:
             self._timer.cancel()
 
     async def wait(self, give_up: Callable[[IncomingRun], None]) -> pb.PutAck:
-        """Block until the run is through; `give_up`, called when its waiting time is over, must finish it."""
+        """Wait until the run has its ack.
+
+        Calls `give_up` at the end of the waiting time; `give_up` must finish the run.
+        """
         loop = asyncio.get_running_loop()
         if self.wait_nanos is not None:
             self._timer = loop.call_later(self.wait_nanos / 1e9, give_up, self)
@@ -110,10 +116,10 @@ class IncomingRun:
 
 
 class ChannelPuts:
-    """The puts of one channel, in the order of their coming: behind one that waits, all wait.
+    """The puts of one channel, in the order of arrival. A put that waits blocks all later ones.
 
-    `on_accepted` is called after each run of which items were accepted, `on_touched` whenever what is kept may have
-    changed.
+    `on_accepted` is called after each run of which the channel accepted items. `on_touched` is called whenever the kept
+    memory may have changed.
     """
 
     def __init__(
@@ -125,26 +131,26 @@ class ChannelPuts:
         on_touched: Callable[[], None],
         may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`may_serve`: whether what waits may be taken now, which hangs on the host's lease."""
+        """`may_serve`: whether the channel may accept waiting puts now, that is, whether the host holds its lease."""
         self._channel = channel
         self._memory = memory
         self._now = now
         self._on_accepted = on_accepted
         self._on_touched = on_touched
         self._may_serve = may_serve
-        self._ending: StampedeError | None = None  # while those in line hear that they are not taken
+        self._ending: StampedeError | None = None  # set while the waiting puts are being refused
         self._retries = RetryWindow()
         self._waiting_bytes = 0
         self._line: deque[IncomingRun] = deque()
         self._timer: asyncio.TimerHandle | None = None
 
     def __len__(self) -> int:
-        """How many runs wait."""
+        """The number of waiting runs."""
         return len(self._line)
 
     @property
     def footprint_bytes(self) -> int:
-        """The bytes kept of runs that wait, and of the producers' last runs."""
+        """The bytes kept of waiting runs and of the producers' latest runs."""
         return self._waiting_bytes + self._retries.footprint_bytes
 
     def expire(self, now: int) -> None:
@@ -152,13 +158,14 @@ class ChannelPuts:
         self._retries.expire(now)
 
     def next_expiry(self) -> int | None:
-        """When `expire` is next useful."""
+        """The time at which `expire` has work again; None: never."""
         return self._retries.next_expiry()
 
     def put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
-        """Judge a run. None: it stands in line; await `run.wait(self.give_up)`, and `withdraw` it if that is cut short.
+        """Judge a run. Returns its ack, or None if it waits for room.
 
-        Raises Overloaded, or InvalidArgument if its numbers overlap another run's.
+        If None: await `run.wait(self.give_up)`, and call `withdraw` if that wait is cancelled. Raises Overloaded, or
+        InvalidArgument if the run's numbers overlap another run's.
         """
         try:
             return self._put(run, now)
@@ -169,7 +176,7 @@ class ChannelPuts:
             self._on_touched()
 
     def _put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
-        if self._ending is not None:  # it may be one that still stands in line, sent again
+        if self._ending is not None:  # the run may be a repetition of one that still waits
             return refused(run.first_number, run.items, self._ending, now, self._channel.incarnation)
         if self._recognise(run, now) or (not self._line and self._claim_and_offer(run, now)):
             assert run.ack is not None, "what does not wait is finished"
@@ -187,15 +194,17 @@ class ChannelPuts:
         return None
 
     def count_unread(self, length_bytes: int, error: StampedeError, now: int) -> None:
-        """Count a run of that many bytes, which could not be read because of `error`."""
-        if isinstance(error, ItemTooLarge):  # the core counts it under its own name
+        """Count a run of that many bytes, which the host could not read because of `error`."""
+        if isinstance(error, ItemTooLarge):  # the core counts it under a reason of its own
             self._channel.put(Offer(times=None, durations=None, lengths=(length_bytes,)), now, _seal_nothing)
         else:
             self._channel.reject_malformed(1)
 
     def changed(self, now: int) -> None:
-        """Room may have been made: offer those in line again, the first one first; of very many, the others in a
-        moment."""
+        """Offer the waiting runs again, in order, because there may be room.
+
+        If there are very many, the rest follow a moment later.
+        """
         offered = 0
         while self._line and self._may_offer:
             if offered >= ITEMS_OFFERED_MAX:
@@ -216,7 +225,7 @@ class ChannelPuts:
         self._waiting_bytes -= run.charged_bytes
 
     def give_up(self, run: IncomingRun) -> None:
-        """The run's waiting time is over."""
+        """Refuse the rest of the run, because its waiting time is over."""
         now = self._now()
         if run in self._line:
             self._leave_line(run)
@@ -234,9 +243,9 @@ class ChannelPuts:
         return run.ack
 
     def withdraw(self, run: IncomingRun) -> None:
-        """Nobody waits for the run any more: what is not accepted yet never will be.
+        """Take a run out of the queue, because its caller waits no more. The channel accepts no further item of it.
 
-        What is in of it is remembered: when the run is sent again, it goes on from there.
+        The channel remembers the accepted items. If the producer sends the run again, the channel continues after them.
         """
         run.forget_time()
         if run in self._line:
@@ -246,7 +255,7 @@ class ChannelPuts:
             self.changed(now)
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """The channel is not served any more: those in line are refused, in pieces, and whatever comes meanwhile."""
+        """Refuse the waiting runs in pieces, and all runs that come meanwhile, because the host gives the channel up."""
         if self._timer is not None:
             self._timer.cancel()
         self._ending = error
@@ -272,9 +281,10 @@ class ChannelPuts:
         self._memory.refused(self._channel.name, run.undecided_items, error)
 
     def _fail(self, run: IncomingRun, error: StampedeError, now: int) -> None:
-        """A run that waits is not taken.
+        """Refuse a run that waits, because of `error`.
 
-        If some of its items are in and it will be sent again, it goes on from there; else only the others are refused.
+        If some of its items are accepted and the producer will repeat the run, the repetition continues after them.
+        Otherwise only the other items are refused.
         """
         if run.judging.accepted_any and not (error.retryable and run.producer_id):
             run.refuse_rest(error)
@@ -284,9 +294,9 @@ class ChannelPuts:
             run.finish(refused(run.first_number, run.items, error, now, self._channel.incarnation))
 
     def _recognise(self, run: IncomingRun, now: int) -> bool:
-        """True if the run came before and was answered: it is through, with the ack of then, whoever waits in line.
+        """Whether the run is a repetition of an answered one. Gives it the former ack, without a wait.
 
-        One of which only the front was judged goes on behind it.
+        If only the first items of the run were judged before, the run continues after them.
         """
         known = self._retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
         if known is None:
@@ -301,7 +311,7 @@ class ChannelPuts:
         return self._offer(run, now)
 
     def _offer(self, run: IncomingRun, now: int) -> bool:
-        """Offer what is left of the run, which has its memory; True if it is through, with its ack."""
+        """Offer the rest of the run, whose memory is claimed. Returns True if the run has its ack."""
         outcome = self._channel.put(run.offer, now, run.seal)
         is_through = run.take_outcome(outcome, now)
         if is_through:
@@ -337,7 +347,7 @@ class ChannelPuts:
 
 
 def check_number(producer_id: int, first_number: int) -> None:
-    """Raises InvalidArgument for a producer that wants its retries recognised and does not count."""
+    """Raises InvalidArgument if a producer has an id, so that its retries are recognised, and no number."""
     if producer_id and not first_number:
         raise InvalidArgument("first_number is 0; a producer with an id numbers its items from 1, or leaves its id out")
 

@@ -1,4 +1,4 @@
-"""Requests of a stream of puts, read on while one of them waits, so that each waits from when it came."""
+"""Reads on in a stream of puts while one put waits, so that the waiting time of each counts from its arrival."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import Quota
 
 AHEAD_REQUESTS_MAX = 1024
-AHEAD_BYTES_MAX = 4 * 2**20  # one request more, whatever its size
+AHEAD_BYTES_MAX = 4 * 2**20  # the last request may exceed it
 
 
 class ReadAhead:
-    """Gives requests in their order. Beyond the bounds nothing more is read: flow control holds the caller back.
+    """Gives the requests in order. At its bounds it stops reading, and flow control slows the caller down.
 
-    What is read ahead counts as memory of the host and as bytes in flight of its caller. Nothing is read ahead when
-    either is used up.
+    The requests read ahead count as memory of the host and as bytes in flight of the caller. When either is used up,
+    nothing is read ahead.
     """
 
     def __init__(self, read: Callable[[], Awaitable[Any]], memory: MemoryBudget, account: Account) -> None:
@@ -39,8 +39,8 @@ class ReadAhead:
         self._news = asyncio.Event()
 
     async def next(self) -> tuple[Any, float]:
-        """The next request, or EOF, and when it came, on the monotonic clock. Raises what reading raised."""
-        self._wanted = True  # a read that has begun is waited for, since it cannot be taken back; no other is begun
+        """The next request or EOF, and the monotonic time at which it came. Raises the errors of reading."""
+        self._wanted = True  # a begun read cannot be cancelled: wait for it, and begin no other
         while not self._came and self._task is not None:
             self._news.clear()
             await self._news.wait()
@@ -53,7 +53,7 @@ class ReadAhead:
         return raw, came_s
 
     def go_on(self) -> None:
-        """The request given last has to wait: read on until the next one is asked for."""
+        """Read on until the next call of `next`, because the last request has to wait."""
         self._wanted = False
         if self._task is None and self._failure is None and not (self._came and self._came[-1][0] is EOF):
             self._task = asyncio.create_task(self._read_on())
@@ -66,7 +66,7 @@ class ReadAhead:
                 if raw is EOF:
                     break
                 self._count(len(raw))
-                del raw  # kept by nobody while the next one is read
+                del raw  # so that the request is not kept in memory while the next one is read
         except Exception as error:  # noqa: BLE001  # it is for whoever asks next
             self._failure = error
         finally:
@@ -88,7 +88,7 @@ class ReadAhead:
         self._in_flight.set(self._bytes)
 
     def close(self) -> None:
-        """Nobody asks any more."""
+        """Stop reading."""
         self._came.clear()
         self._count(-self._bytes)
         if self._task is not None:
@@ -96,5 +96,5 @@ class ReadAhead:
 
 
 def left_nanos(wait_nanos: int, came_s: float) -> int:
-    """The rest of the time that a put may wait, less its wait on its stream so far."""
+    """The time that a put may still wait, in nanoseconds, after its wait on the stream."""
     return max(0, wait_nanos - round((time.monotonic() - came_s) * 1e9))

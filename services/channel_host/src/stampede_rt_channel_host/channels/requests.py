@@ -1,4 +1,4 @@
-"""The requests of ChannelService, checked and turned into the core's values."""
+"""Checks the requests of ChannelService and turns them into the core's values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class _Message(Protocol[M]):
 
 
 def parse(kind: _Message[M], raw: bytes, name: str) -> M:
-    """The request message. Raises InvalidArgument if the bytes are none."""
+    """Decode a request. Raises InvalidArgument if the bytes are no such message."""
     try:
         return kind.FromString(raw)
     except DecodeError as error:
@@ -35,7 +35,7 @@ def parse(kind: _Message[M], raw: bytes, name: str) -> M:
 
 
 def opening_of(raw: Any, kind: _Message[M], name: str) -> M:
-    """The first request of a stream, which has `open`. Raises InvalidArgument."""
+    """Decode the first request of a stream, which must have `open`. Raises InvalidArgument."""
     request: Any = None if raw is EOF else parse(kind, raw, name)
     if request is None or not request.HasField("open"):
         raise InvalidArgument(f"the first {name} of the stream has no open; send it before anything else")
@@ -58,7 +58,10 @@ def query_of(request: pb.GetRequest) -> Query:
 
 
 def wait_nanos_of(request: pb.GetRequest) -> int:
-    """How long the get may block: 0 not at all, -1 as long as the stream lives. Raises InvalidArgument."""
+    """How long the get may wait, in nanoseconds: 0 not at all, -1 as long as the stream lives.
+
+    Raises InvalidArgument.
+    """
     if request.wait_nanos < -1:
         raise InvalidArgument(f"wait_nanos is {request.wait_nanos}; it is 0 or more, or -1 for no limit")
     return request.wait_nanos
@@ -71,12 +74,12 @@ def position_of(message: item_pb2.ItemPosition) -> Position:
 
 
 def position_to(position: Position) -> item_pb2.ItemPosition:
-    """The same as a message."""
+    """A position as a message."""
     return item_pb2.ItemPosition(time_unix_nano=position.time, seq=position.seq, incarnation=position.incarnation)
 
 
 def is_newest(begun: pb.SubscribeOpen) -> bool:
-    """Whether only the newest items are wanted. Raises InvalidArgument for a mode that this host does not know."""
+    """Whether the reader wants only the newest items. Raises InvalidArgument for a mode unknown to this host."""
     if begun.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
         return False
     if begun.mode == pb.SUBSCRIBE_MODE_NEWEST:
@@ -85,7 +88,7 @@ def is_newest(begun: pb.SubscribeOpen) -> bool:
 
 
 def beginning_of(begun: pb.SubscribeOpen) -> dict[str, Any]:
-    """Where a subscription begins, as the core's arguments. Raises InvalidArgument for an unusable bound."""
+    """The place where a subscription begins, as arguments of the core. Raises InvalidArgument for an unusable bound."""
     which = begun.WhichOneof("begin")
     if which == "start":
         start = bound_from_message(begun.start, "the subscription's start")
@@ -96,7 +99,7 @@ def beginning_of(begun: pb.SubscribeOpen) -> dict[str, Any]:
 
 
 def saved_of(cursor: pb.SubscriptionCursor) -> SavedCursor:
-    """Where a subscription goes on."""
+    """The saved cursor of a message, from which a subscription continues."""
     return SavedCursor(
         incarnation=cursor.incarnation,
         next_seq=max(1, cursor.next_seq),
@@ -107,7 +110,7 @@ def saved_of(cursor: pb.SubscriptionCursor) -> SavedCursor:
 
 
 def saved_to(saved: SavedCursor) -> pb.SubscriptionCursor:
-    """The same as a message."""
+    """A saved cursor as a message."""
     cursor = pb.SubscriptionCursor(
         incarnation=saved.incarnation, next_seq=saved.next_seq, live_seq=saved.live_seq, cut_unix_nano=saved.cut
     )
@@ -117,7 +120,7 @@ def saved_to(saved: SavedCursor) -> pb.SubscriptionCursor:
 
 
 def group_of(request: pb.GetRequest) -> GroupAsk | None:
-    """The group that the get reads through; None: the whole channel."""
+    """The group through which the get reads; None: it reads the whole channel."""
     if not request.HasField("group_id"):
         return None
     return GroupAsk(

@@ -1,4 +1,4 @@
-"""Open streams that the host can end with a reason: a channel was deleted, the lease ran out, the host shuts down."""
+"""The open streams of a host, which it can end with an error: channel deleted, lease lost, host shutting down."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ logger = logging.getLogger(__name__)
 
 
 class OpenStream:
-    """One stream that is being served. Its handler runs inside `OpenStreams.serve`."""
+    """One open stream. Its handler runs inside `OpenStreams.serve`."""
 
     def __init__(self, task: asyncio.Task[Any]) -> None:
         self._task = task
         self.error: StampedeError | None = None
 
     def end(self, error: StampedeError) -> None:
-        """Interrupt the handler, wherever it waits, and end the RPC with `error`. The first error stands."""
+        """Interrupt the handler, wherever it waits, and end the RPC with `error`. Only the first error counts."""
         if self.error is None:
             self.error = error
             self._task.cancel()
 
     def spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Do `work` beside the handler, which cancels or awaits it. Its failure ends the stream."""
+        """Run `work` beside the handler. The handler cancels or awaits it. A failure of `work` ends the stream."""
         task = asyncio.create_task(work)
         task.add_done_callback(self._check)
         return task
@@ -40,7 +40,7 @@ class OpenStream:
         if task.cancelled() or (failure := task.exception()) is None:
             return
         if isinstance(failure, InternalError):
-            self._task.cancel()  # gRPC could not write: the caller has gone
+            self._task.cancel()  # gRPC could not write, because the caller has gone
         elif isinstance(failure, StampedeError):
             self.end(failure)
         else:
@@ -58,7 +58,7 @@ class OpenStreams:
 
     @asynccontextmanager
     async def serve(self, context: Context) -> AsyncIterator[OpenStream]:
-        """Run a handler's body: what `end` or the body raises as a StampedeError becomes the RPC's status."""
+        """Run a handler's body. A StampedeError from `end` or from the body becomes the RPC's status."""
         task = asyncio.current_task()
         assert task is not None, "handlers run in tasks"
         stream = OpenStream(task)
@@ -71,10 +71,10 @@ class OpenStreams:
             await _end(context, error)
         except InternalError as error:
             logger.debug("the caller went while it was written to", extra={"why": str(error)})
-            raise asyncio.CancelledError from error  # nobody is there to be sent a status
+            raise asyncio.CancelledError from error  # there is no caller left for a status
         except asyncio.CancelledError:
             if stream.error is None:
-                raise  # the caller gave up
+                raise  # the caller cancelled
             task.uncancel()
             await _end(context, stream.error)
         finally:
@@ -82,7 +82,7 @@ class OpenStreams:
             self._changed.set()
 
     async def end_all(self, error: StampedeError) -> None:
-        """End every stream with `error`, refuse new ones with it, and return when none is left."""
+        """End every stream with `error`, refuse new ones with it, and wait until no stream is left."""
         self._closing = error
         for stream in list(self._streams):
             stream.end(error)
@@ -92,7 +92,10 @@ class OpenStreams:
 
 
 async def _end(context: Context, error: StampedeError) -> None:
-    """End the RPC with `error`. Does not wait until the caller has read so far: gRPC keeps the status for it."""
+    """End the RPC with `error`.
+
+    Does not wait until the caller has read all messages: gRPC keeps the status until then.
+    """
     try:
         await abort(context, error)
     except InternalError as failure:

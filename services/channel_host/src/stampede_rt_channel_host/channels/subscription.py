@@ -1,5 +1,8 @@
-"""One subscription: a cursor into the core and no queue. Its writer takes what gathered while its last write was in
-flight (paper, section 4.1: push), so an idle stream adds no delay and a busy one amortises."""
+"""Serves one subscription (paper, section 4.1: push). It has a cursor into the core and no queue.
+
+Its writer takes all items that came during its last write. So an idle stream adds no delay, and a busy stream sends
+large messages.
+"""
 
 from __future__ import annotations
 
@@ -85,16 +88,17 @@ class Subscription:
         self._context = context
         self._stream = stream
         self._news: asyncio.Future[bool] | None = None
-        self._owes_progress = False  # a reader that began in the past is told when it has all that was held
+        # a reader that began in the past hears when it has all items that were held at that time
+        self._owes_progress = False
         self._told_advance: int | None = None
         self._told_cursor: SavedCursor | None = None
         self._told_skipped = 0
         self._owes_cursor = False
         self._credit = Credit(self._look)
-        self._silent_at_s = 0.0  # on the loop's clock: when a sign of life is due, whatever news wake it before
+        self._silent_at_s = 0.0  # loop time at which the next sign of life is due, whatever wakes the stream before
 
     def wake(self) -> None:
-        """There may be something to send."""
+        """There may be items to send."""
         if self._credit.left > 0:
             self._look()
 
@@ -103,12 +107,14 @@ class Subscription:
             self._news.set_result(True)
 
     def end(self, error: StampedeError) -> None:
-        """The channel is not served any more."""
+        """The host does not serve the channel any more."""
         self._stream.end(error)
 
     async def run(self, request: pb.SubscribeRequest) -> None:
-        """Until the stream ends, or what the reader lets it send is sent and it has closed its side. `request`: the
-        first one. Raises InvalidArgument, IncarnationLost, Overloaded."""
+        """Serve until the stream ends, or until the reader has closed its side and its credit is spent.
+
+        `request` is the first one. Raises InvalidArgument, IncarnationLost, Overloaded.
+        """
         begun = request.open
         if len(self._hosted.listeners) >= SUBSCRIPTIONS_MAX:
             raise Overloaded(
@@ -123,13 +129,13 @@ class Subscription:
             else:
                 opening = open_cursor(self._hosted.channel, begun, self._store.now())
                 cursor = await self._store.scheduler.do(opening)
-                self._store.find(begun.channel_id, begun.epoch)  # it may have gone meanwhile
+                self._store.find(begun.channel_id, begun.epoch)  # the channel may have left the host meanwhile
                 await self._serve(cursor, begun)
         finally:
             reading.cancel()
 
     async def _read(self) -> None:
-        """Take in credit."""
+        """Read requests that grant credit."""
         async for raw in requests_of(self._context.read):
             request: pb.SubscribeRequest = parse(pb.SubscribeRequest, raw, "SubscribeRequest")
             if request.HasField("open"):
@@ -150,9 +156,9 @@ class Subscription:
             self._hosted.listeners.discard(self)
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
-        """Send what there is, or wait for more; after an advance, and after a long silence, say how far it is.
+        """Send the new items, or wait. Sends the progress after an advance and after a long silence.
 
-        Without credit nothing is taken or said: what is there when it comes is what the reader gets.
+        Without credit it takes and sends nothing. When credit comes, the reader gets the state of that moment.
         """
         if self._credit.left <= 0:
             await self._wait_for_news(None)
@@ -175,12 +181,12 @@ class Subscription:
             await self._write(self._standing(cursor))
         elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news(self._silent_at_s):
             self._owes_progress = False
-            self._told_advance = self._hosted.channel.advanced_to  # everything accepted before it was sent
+            self._told_advance = self._hosted.channel.advanced_to  # every item accepted before the advance is sent
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
             await self._write(progress.SerializeToString() + self._standing(cursor))
 
     def _about(self, part: SubscriptionBatch, cursor: Cursor, now: int) -> bytes:
-        """The part of a message before its runs: counters that have changed, and the cursor."""
+        """The encoded fields before a message's runs: changed counters, and the cursor."""
         about = pb.SubscribeResponse()
         if part.gap is not None:
             about.gap.CopyFrom(_gap(part.gap))
@@ -189,9 +195,9 @@ class Subscription:
         return about.SerializeToString() + self._standing(cursor)
 
     def _standing(self, cursor: Cursor) -> bytes:
-        """Where to go on, if it has changed."""
+        """The place to continue from, if it has changed."""
         saved = cursor.saved
-        self._owes_cursor = saved is None  # in the midst of a step: when it ends
+        self._owes_cursor = saved is None  # inside a step there is none; it is due at the end of the step
         if saved is None or saved == self._told_cursor:
             return b""
         self._told_cursor = saved
@@ -206,11 +212,11 @@ class Subscription:
         return progress
 
     def _advance_is_news(self) -> bool:
-        """Whether readers must hear of an advance: an item that they wait for cannot come any more."""
+        """Whether readers must hear of an advance: an item that they wait for can come no more."""
         return self._hosted.channel.advanced_to != self._told_advance
 
     async def _wait_for_news(self, until_s: float | None) -> bool:
-        """True: look again; False: nothing was written until `until_s`, on the loop's clock."""
+        """Wait for news. Returns True to look again, False if nothing was written until the loop time `until_s`."""
         loop = asyncio.get_running_loop()
         news: asyncio.Future[bool] = loop.create_future()
         self._news = news
@@ -234,7 +240,7 @@ class Subscription:
 
 
 def open_cursor(channel: ChannelCore, begun: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
-    """Begin where it says, as of `now`, in pieces. Raises InvalidArgument, IncarnationLost."""
+    """Begin at the stated place, as of `now`, in pieces. Raises InvalidArgument, IncarnationLost."""
     where = beginning_of(begun)
     if is_newest(begun):
         return _Newest(channel, channel.subscribe_newest(now, **where))

@@ -1,7 +1,7 @@
-"""Frees what time has outdated in channels that nobody puts to or reads from.
+"""Frees items that time has outdated, in channels without puts and reads.
 
-A channel is entered when something has changed in it, and is looked at when it is due: those in which nothing happens
-cost nothing, however many they are.
+The sweep enters a channel after a change in it, and looks at the channel when it is due. A channel without changes
+costs nothing.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ STEPS_PER_RECLAIM = 4
 
 
 class Sweep:
-    """`now` is the host's clock. `looked_at` counts the channels that were asked when they are due, or swept."""
+    """`now` is the host's clock. `looked_at` counts the looks at channels."""
 
     def __init__(self, now: Callable[[], int]) -> None:
         self._now = now
@@ -29,11 +29,11 @@ class Sweep:
         self.looked_at = 0
 
     def touch(self, hosted: HostedChannel) -> None:
-        """Something has changed in the channel: it may be due at another time than before."""
+        """Note a change in the channel: it may be due at another time now."""
         self._touched[hosted] = None
 
     def forget(self, hosted: HostedChannel) -> None:
-        """The channel is not served any more."""
+        """Drop a channel that the host serves no more."""
         self._touched.pop(hosted, None)
         self._deadlines.disarm(hosted)
 
@@ -44,18 +44,18 @@ class Sweep:
             await self.sweep()
 
     async def sweep(self) -> None:
-        """Collect what is due, giving way to everybody else in between."""
+        """Collect in the channels that are due. Lets other tasks run in between."""
         while self._step():
             await _give_way()
 
     def reclaim(self) -> None:
-        """Collect what is due, a bounded part, because memory is short: a put waits for it."""
+        """Collect in due channels at once, a bounded part, because a put needs the memory."""
         for _ in range(STEPS_PER_RECLAIM):
             if not self._step():
                 return
 
     def _step(self) -> bool:
-        """A bounded part, however many channels have something to free; True if more is left to do at once."""
+        """Collect a bounded part, however many channels are due. Returns True if more is left to do at once."""
         freed_entries = 0
         for _ in range(CHANNELS_PER_STEP_MAX):
             hosted = next(iter(self._touched), None) or self._deadlines.pop(self._now())
@@ -69,7 +69,7 @@ class Sweep:
         return True
 
     def _look_at(self, hosted: HostedChannel) -> bool:
-        """Enter a channel that was touched, or collect what is due in it; True if more is left to collect at once."""
+        """Enter a touched channel, or collect in a due one. Returns True if more is left to collect at once."""
         more = False
         if hosted in self._touched:
             del self._touched[hosted]

@@ -1,4 +1,4 @@
-"""When the waiting of many ends: one timer for all of them, and those that end together are looked at in pieces."""
+"""The time limits of many waits. One timer serves all of them. Limits that end together are handled in pieces."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from stampede_rt_channel_host.core.channel import Pieces, run_to_end
 LIMITS_PER_PIECE = 32
 
 TimeLimit = tuple[float, int, Callable[[], None]]
-"""When, on the loop's clock, the how manieth, and what is called then."""
+"""The loop time of the end, a serial number, and the function to call then."""
 
 
 class TimeLimits:
-    """Of all blocked gets of a host. `begin` does long work that nobody waits for (`PieceScheduler.begin`)."""
+    """The limits of all blocked gets of a host.
+
+    `begin` does long work that nobody waits for (`PieceScheduler.begin`).
+    """
 
     def __init__(self, begin: Callable[[Pieces[None]], None] = run_to_end) -> None:
         self._begin = begin
@@ -32,20 +35,23 @@ class TimeLimits:
         return len(self._limits)
 
     def add(self, wait_nanos: int, give_up: Callable[[], None]) -> TimeLimit:
-        """Call `give_up` in so many nanoseconds; when many are due, the last ones a moment later."""
+        """Call `give_up` in `wait_nanos` nanoseconds.
+
+        If many limits are due together, the last ones end a moment later.
+        """
         limit = asyncio.get_running_loop().time() + wait_nanos / 1e9, next(self._orders), give_up
         self._limits.add(limit)
         self._arm()
         return limit
 
     def remove(self, limit: TimeLimit) -> None:
-        """It is not to be called any more. Idempotent."""
+        """Drop a limit. Idempotent."""
         self._limits.discard(limit)
         if not self._limits:
             self._arm()
 
     def _arm(self) -> None:
-        """One timer, for the first of them. One that fires too early only looks again."""
+        """Set the timer for the first limit. A timer that fires too early only looks again."""
         first_s = self._limits[0][0] if self._limits else None
         if self._timer is not None and (first_s is None or first_s < self._timer_s):
             self._timer.cancel()
@@ -58,8 +64,10 @@ class TimeLimits:
         self._begin(self._giving_up(self._timer_s))
 
     def _giving_up(self, due_s: float) -> Pieces[None]:
-        """Those that are due, the first one first. The loop may fire a timer a little before its time: at least up to
-        `due_s`."""
+        """Call the due limits, the first one first.
+
+        The loop may fire a timer a little early, so all limits up to `due_s` count as due.
+        """
         try:
             while self._give_up_some(max(due_s, asyncio.get_running_loop().time())):
                 yield
@@ -68,7 +76,7 @@ class TimeLimits:
             self._arm()
 
     def _give_up_some(self, now_s: float) -> bool:
-        """True if others are due."""
+        """Call a few due limits. Returns True if others are due."""
         for _ in range(LIMITS_PER_PIECE):
             if not self._is_due(now_s):
                 return False

@@ -1,8 +1,8 @@
-"""The blocked gets of one channel: each is looked at again when the channel changes and at instants of its own.
+"""The blocked gets of one channel. Each is looked at again when the channel changes, and at instants of its own.
 
-Ten thousand of them cost about 2 KiB each. After a change only those are looked at that it may release: they wait in
-the order of what they need, and are found by how far the change reaches. If these are many, they are looked at in
-pieces, in the channel as it was then, so that none of them misses what released it (decision 0085).
+Ten thousand blocked gets cost about 2 KiB each. They are sorted by the change that they need. So a change looks only at
+the gets that it may release. If these are many, they are looked at in pieces, in the channel's state right after the
+change. So no get misses the change that releases it (decision 0085).
 """
 
 from __future__ import annotations
@@ -35,20 +35,24 @@ from stampede_rt_channel_host.core.channel import (
 )
 
 Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] | StampedeError
-"""A long answer is begun where the get is released, and finished by whoever hears of it."""
+"""A long answer begins where the get is released. The receiver of the outcome finishes it."""
 
 WAITING_GETS_MAX = 20_000
 GETS_PER_PIECE = 32
 RELEASES_MAX = 64
-"""Of so many changes the states are kept while gets are looked at. The last one stands for those behind it, too."""
-_TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
-_TIMER_SECONDS_MAX = 10.0  # or faster: an instant that is far ahead may come sooner than it seems
+"""The most changes whose states are kept while gets are looked at.
+
+The last one also stands for the changes after it.
+"""
+_TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: the timer must not fire again and again
+# the host's clock may also be faster: a far instant may come sooner than the loop's clock says
+_TIMER_SECONDS_MAX = 10.0
 
 
 class WaitingGet:
     """One blocked get. `on_outcome` is called once, from the event loop, unless the get is cancelled before.
 
-    `arrival` and `needs` are its sort keys. `instant`: when the clock may release it.
+    The gets are sorted by `arrival` and `needs`. `instant` is the time at which the clock may release the get.
     """
 
     __slots__ = ("_limit", "_limits", "_on_outcome", "_waiting", "arrival", "instant", "needs", "pending")
@@ -66,11 +70,11 @@ class WaitingGet:
         self._limit: TimeLimit | None = None
 
     def limit(self, wait_nanos: int, limits: TimeLimits, give_up: Callable[[WaitingGet], None]) -> None:
-        """Give up after `wait_nanos`."""
+        """Give up after `wait_nanos` nanoseconds."""
         self._limits, self._limit = limits, limits.add(wait_nanos, partial(give_up, self))
 
     def cancel(self) -> None:
-        """Forget the get; nothing of it is left behind. Idempotent."""
+        """Forget the get and its timer. Idempotent."""
         if self._limits is not None and self._limit is not None:
             self._limits.remove(self._limit)
             self._limit = None
@@ -83,31 +87,31 @@ class WaitingGet:
 
 
 class Polled(Protocol):
-    """Where blocked gets are looked at."""
+    """The place where blocked gets look for their answers."""
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """As `ChannelCore.polling`."""
+        """See `ChannelCore.polling`."""
 
 
 class PolledThen(Polled, Protocol):
-    """As it was at one moment."""
+    """The state of the source at one moment."""
 
     def close(self) -> None:
-        """Nobody is looked at there any more."""
+        """Free the state. No get looks at it any more."""
 
 
 class Source(Polled, Protocol):
-    """The source that gets wait for: a channel, or the visible part of one in a group."""
+    """The source that gets wait for: a channel, or the visible part of a channel in a group."""
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
-        """As `ChannelCore.giving_up`."""
+        """See `ChannelCore.giving_up`."""
 
     def moment(self, now: int) -> PolledThen:
-        """As `ChannelCore.moment`."""
+        """See `ChannelCore.moment`."""
 
 
 class _Release:
-    """One change, and the gets that it may release: those that had arrived and need no more than it reaches."""
+    """One change, and the gets that it may release: those that arrived before it and need no more than it brings."""
 
     def __init__(self, reach: Reach, arrivals: int) -> None:
         self.reach = reach
@@ -116,13 +120,16 @@ class _Release:
         self._last_keys: list[tuple[int, int] | None] = [None] * len(reach)
 
     def merge(self, later: _Release) -> None:
-        """Both at once, as of the later one. Nothing was taken yet."""
+        """Join a later change.
+
+        The joined change has the state of the later one. Allowed only before the first `take`.
+        """
         pairs = zip(self.reach, later.reach, strict=True)
         self.reach = Reach(*(max((one for one in pair if one is not None), default=None) for pair in pairs))
         self.arrivals = later.arrivals
 
     def take(self, by_need: list[Any], gets_max: int) -> list[WaitingGet]:
-        """The next ones, and where the walk goes on, whoever is still there then."""
+        """The next gets that the change may release, in an order that removals do not disturb."""
         found: dict[WaitingGet, None] = {}
         for position, (ordered, reached) in enumerate(zip(by_need, self.reach, strict=True)):
             if reached is None:
@@ -140,9 +147,10 @@ class _Release:
 
 
 class WaitingGets:
-    """Of one channel, WAITING_GETS_MAX at the most. Those that one step releases are so in the order of their arrival.
+    """The blocked gets of one channel, at most WAITING_GETS_MAX. One step releases gets in the order of arrival.
 
-    `coming` follows the channel; `cut` gives up to where it is visible. `looked_at` counts looks.
+    `coming` tells how far new items reach. `cut` gives the instant up to which the channel is visible.
+    `looked_at` counts looks.
     """
 
     def __init__(
@@ -154,8 +162,10 @@ class WaitingGets:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
     ) -> None:
-        """`begin` does long work that nobody waits for (`PieceScheduler.begin`); `limits` are those of all gets of the
-        host, None: they have their own."""
+        """`begin` does long work that nobody waits for (`PieceScheduler.begin`).
+
+        `limits` bounds the waits of all gets of the host; None: these gets have limits of their own.
+        """
         self.looked_at = 0
         self._source = source
         self._coming = coming
@@ -178,9 +188,9 @@ class WaitingGets:
     def add(
         self, pending: Pending, wake: WakeAt, wait_nanos: int, now: int, on_outcome: Callable[[Outcome], None]
     ) -> WaitingGet:
-        """Block a get that has just been polled. `wait_nanos` below 0: as long as it is not cancelled.
+        """Block a get that was just polled. `wait_nanos` below 0: without limit.
 
-        Raises Overloaded if as many as there may be are blocked already.
+        Raises Overloaded if WAITING_GETS_MAX gets are blocked already.
         """
         if len(self) >= WAITING_GETS_MAX:
             raise Overloaded(f"{WAITING_GETS_MAX} gets wait at the channel already, the limit; subscribe, or get later")
@@ -195,7 +205,7 @@ class WaitingGets:
         return get
 
     def remove(self, get: WaitingGet) -> None:
-        """It does not wait any more."""
+        """Take a get off the list, because it waits no more."""
         if get in self._waiting:
             del self._waiting[get]
             self._leave(get)
@@ -204,8 +214,10 @@ class WaitingGets:
                 self._arm()
 
     def changed(self, now: int) -> None:
-        """The channel has a new item, an advance or another policy, or more of it is visible: look at those whom that
-        may release; at all of them now, or, if they are many, in pieces at the channel as it is now."""
+        """Look at the gets that a change may release: a new item, an advance, another policy, or a later cut.
+
+        Looks at all of them now, or, if they are many, in pieces, in the channel's present state.
+        """
         release = _Release(self._coming.reach(now, self._cut()), self._arrivals)
         found = release.take(self._by_need, GETS_PER_PIECE + 1)
         if not self._releases and len(found) <= GETS_PER_PIECE:
@@ -216,16 +228,16 @@ class WaitingGets:
             self._work()
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """Those that wait now hear, in pieces, that the channel is not served any more."""
+        """End the gets that wait now with `error`, in pieces, because the host serves the channel no more."""
         self._drop_releases()
         for at, get in enumerate(list(self._waiting), 1):
-            if get in self._waiting:  # else it was released since the piece before
+            if get in self._waiting:  # if not, it was released since the last piece
                 get.finish(error)
             if at % GETS_PER_PIECE == 0:
                 yield
 
     def _keep(self, release: _Release, now: int) -> None:
-        """Behind the changes before it."""
+        """Keep a change after the earlier ones."""
         if len(self._releases) >= RELEASES_MAX:
             self._releases[-1].close()
             self._releases[-1].merge(release)
@@ -239,7 +251,7 @@ class WaitingGets:
             self._begin(self._pieces())
 
     def _pieces(self) -> Pieces[None]:
-        """Look at those whom changes may release, change by change, and then at those whose instant has come."""
+        """Look at the gets that changes may release, change by change, and then at the gets whose instant has come."""
         try:
             while self._look_at_some():
                 yield
@@ -249,7 +261,7 @@ class WaitingGets:
             self._arm()
 
     def _look_at_some(self) -> bool:
-        """True if others are left."""
+        """Look at the next few gets. Returns True if others are left."""
         now = self._now()
         if self._releases:
             release = self._releases[0]
@@ -272,7 +284,7 @@ class WaitingGets:
 
     def _look_at(self, gets: list[WaitingGet], where: Polled, now: int) -> None:
         for get in gets:
-            if get in self._waiting:  # an outcome may have cancelled others
+            if get in self._waiting:  # an outcome may have cancelled other gets
                 self._look(get, where, now)
 
     def _look(self, get: WaitingGet, where: Polled, now: int) -> None:
@@ -310,7 +322,7 @@ class WaitingGets:
             self._by_instant.add(get)
 
     def _arm(self) -> None:
-        """One timer, for the first of the instants. One that fires early does no harm."""
+        """Set the timer for the first instant. A timer that fires early does no harm."""
         if self._timer is not None and (not self._by_instant or self._by_instant[0].instant < self._timer_instant):
             self._timer.cancel()
             self._timer = None
@@ -324,7 +336,7 @@ class WaitingGets:
         self._work()
 
     def _give_up(self, get: WaitingGet) -> None:
-        """With what a change has brought that it was not looked at after yet, or else with what there is."""
+        """End the wait of a get: with a change that it was not yet looked at after, or else with the present answer."""
         for release in list(self._releases):
             if release.then is not None and get.arrival <= release.arrivals:
                 self._look_at([get], release.then, self._now())
@@ -334,7 +346,7 @@ class WaitingGets:
 
 
 class _Key:
-    """The order by one of the needs, and by arrival."""
+    """The sort key by one need, then by arrival."""
 
     __slots__ = ("_position",)
 

@@ -1,4 +1,4 @@
-"""The questions of a host to the directory about its channels (paper, section 4.3)."""
+"""The host's calls to the directory about channels (paper, section 4.3)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ CALL_SECONDS_MAX = 4.0
 
 
 class DirectoryQueries:
-    """Each method blocks for CALL_SECONDS_MAX at most and raises what the directory answers, or Unavailable."""
+    """Each method waits for CALL_SECONDS_MAX at most.
+
+    It raises the error that the directory answers, or Unavailable.
+    """
 
     def __init__(self, supernodes: Supernodes) -> None:
         self._supernodes = supernodes
 
     async def resolve(self, channel_id: bytes) -> RecordedChannel:
-        """The channel as of now, its owner included. Raises ChannelNotFound."""
+        """The channel's present record with its owner. Raises ChannelNotFound."""
         request = pb.ResolveChannelRequest(channel_id=channel_id)
         response: pb.ResolveChannelResponse = await self._supernodes.call("ResolveChannel", request, CALL_SECONDS_MAX)
         return recorded_channel(response.channel)
@@ -33,9 +36,10 @@ class DirectoryQueries:
         request_id: bytes,
         since_s: float | None = None,
     ) -> RecordedChannel:
-        """The channel after the change; what `change` leaves out stays. Safe to repeat with the same request id.
+        """Change a channel, and return its new record. Fields that `change` leaves out stay.
 
-        `since_s`: when that was sent first, by `age_clock_s`; None: now.
+        Safe to repeat with the same request id. `since_s`: when the request was first sent, by `age_clock_s`; None:
+        now.
         """
         request = pb.UpdateChannelRequest(
             request_id=request_id or secrets.token_bytes(16),
@@ -49,6 +53,6 @@ class DirectoryQueries:
         return recorded_channel(response.channel)
 
     async def delete(self, channel_id: bytes, *, request_id: bytes, since_s: float | None = None) -> None:
-        """Forget the channel. Safe to repeat with the same request id, see `update`. Raises ChannelNotFound."""
+        """Delete the channel. Safe to repeat with the same request id (see `update`). Raises ChannelNotFound."""
         request = pb.DeleteChannelRequest(request_id=request_id or secrets.token_bytes(16), channel_id=channel_id)
         await self._supernodes.call("DeleteChannel", request, CALL_SECONDS_MAX, since_s=since_s)

@@ -1,4 +1,4 @@
-"""Hears from the directory what becomes of the groups or queues that are used here: set-ups, ends, new owners."""
+"""Watches the directory for changes of the groups or queues in use at this host: set-ups, deletions, new owners."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.2, 5.0
 
 
 class Watched(Protocol):
-    """The groups, or the queues, of a host."""
+    """The groups or the queues of a host."""
 
     in_use: asyncio.Event
-    """Set once one is used here."""
+    """Set once the host uses one of them."""
 
     async def missed(self) -> None:
-        """Changes may have been missed: the directory is to be asked. Raises Unavailable."""
+        """Ask the directory for the present state, because the watch may have missed changes. Raises Unavailable."""
 
     def changed_in_directory(self, change: RecordedChange) -> None:
-        """The directory tells of a change, be it of no concern here."""
+        """Take in a change of the directory. It may concern things that this host does not use."""
 
 
 async def watch_forever(
     supernodes: Supernodes, request: directory_service_pb2.WatchRequest, watched: Watched
 ) -> NoReturn:
-    """Begins when something is used here for the first time; begins anew whenever the watch breaks."""
+    """Watch without end. Begins at the first use, and begins again when the watch breaks."""
     await watched.in_use.wait()
     pause_s = _PAUSE_SECONDS_MIN
     while True:  # paced
@@ -53,7 +53,7 @@ async def watch_forever(
 
 
 async def _pass_on(responses: AsyncGenerator[directory_service_pb2.WatchResponse, None], watched: Watched) -> NoReturn:
-    """Until the stream ends. What changed before it began is asked for."""
+    """Pass changes on until the stream ends. Asks first for the changes before its beginning."""
     await watched.missed()
     while True:  # ends with the stream
         for change in (await _next(responses)).changes:

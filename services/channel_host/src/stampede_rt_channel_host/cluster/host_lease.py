@@ -1,7 +1,7 @@
 """The host's own view of its lease (paper, section 4.3). Pure: every method takes nanoseconds of CLOCK_BOOTTIME.
 
-The directory ends a lease no earlier than one TTL after it *received* a renewal. The host stops serving 0.8 TTL after
-it *sent* the last one that was acknowledged: earlier on every clock, however long the answer took.
+The directory ends a lease at the earliest one TTL after it *received* a renewal. The host stops serving 0.8 TTL after
+it *sent* the last acknowledged renewal. So the host stops first, on every clock, however long the answer took.
 """
 
 from __future__ import annotations
@@ -14,14 +14,17 @@ _FENCE_NUMERATOR, _FENCE_DENOMINATOR = 4, 5
 
 @dataclass(slots=True)
 class HostLease:
-    """One lease. Not held before the first `granted`."""
+    """One lease. The host does not hold it before the first `granted`."""
 
     ttl_nanos: int = 0
     _sent_nanos: int = 0
     _fence_nanos: int | None = None
 
     def granted(self, *, sent_nanos: int, ttl_nanos: int) -> None:
-        """The directory has acknowledged what was sent at `sent_nanos`. An overtaken answer changes nothing."""
+        """Note that the directory acknowledged the renewal sent at `sent_nanos`.
+
+        An answer to an older renewal changes nothing.
+        """
         if self._fence_nanos is not None and sent_nanos <= self._sent_nanos:
             return
         self.ttl_nanos = ttl_nanos
@@ -29,7 +32,7 @@ class HostLease:
         self._fence_nanos = sent_nanos + ttl_nanos * _FENCE_NUMERATOR // _FENCE_DENOMINATOR
 
     def give_up(self) -> None:
-        """The directory says that the lease has ended, or the host leaves: nothing is served until the next grant."""
+        """Stop serving until the next grant: the directory has ended the lease, or the host leaves."""
         self._fence_nanos = None
 
     def is_held(self, now: int) -> bool:
@@ -37,11 +40,11 @@ class HostLease:
         return self._fence_nanos is not None and now < self._fence_nanos
 
     def fenced_in_nanos(self, now: int) -> int:
-        """How long the host may serve from `now` on; 0 if it may not."""
+        """How long the host may serve from `now` on, in nanoseconds; 0 if it may not."""
         return max(0, self._fence_nanos - now) if self._fence_nanos is not None else 0
 
     def renewal_in_nanos(self, now: int) -> int:
-        """How long to wait, from `now` on, before the next renewal is sent; 0 if it is due, or nothing is held."""
+        """The nanoseconds from `now` to the next renewal; 0 if it is due or the host holds no lease."""
         if self._fence_nanos is None:
             return 0
         return max(0, self._sent_nanos + self.ttl_nanos // RENEWALS_PER_TTL - now)

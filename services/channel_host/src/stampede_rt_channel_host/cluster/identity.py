@@ -1,4 +1,4 @@
-"""The identity of this host: an id as old as its data folder, a name, and a number for this start of the process."""
+"""The identity of this host: an id kept in its data folder, a name, and a number for each start of the process."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ _CLUSTER_FILE = "cluster-id"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostIdentity:
-    """The identity as the directory gets it. `boot_incarnation` is new at each start: the host has lost its earlier
-    items."""
+    """The identity as the directory gets it.
+
+    `boot_incarnation` is new at each start of the process, because a start loses the host's earlier items.
+    """
 
     host_id: bytes
     name: str
@@ -30,7 +32,7 @@ class HostIdentity:
 
 
 def load_host_id(folder: Path | None) -> bytes:
-    """The id kept in `folder`, made there first if there is none; without a folder, a new one.
+    """The id in the file in `folder`, created if missing; without a folder, a new id.
 
     Reads and writes a file. Raises InvalidArgument if the file holds no id, OSError if the folder cannot be written.
     """
@@ -44,19 +46,19 @@ def load_host_id(folder: Path | None) -> bytes:
 
 
 class HomeCluster:
-    """The cluster that this host is of: the one with which it has registered. Kept in `folder`, if there is one.
+    """The cluster with which this host has registered. Kept in a file in `folder`, if there is a folder.
 
-    Reads and writes a file.
+    Reads and writes the file.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
         self._path = None if folder is None else folder / _CLUSTER_FILE
         self.cluster_id = _kept_text(self._path, "cluster id") if self._path and self._path.exists() else ""
         self._noted = ""
-        self._former: tuple[str, ...] = ()  # the clusters whose place that one has taken
+        self._former: tuple[str, ...] = ()  # the clusters that the present one has replaced
 
     def judge(self, callers: str) -> StampedeError | None:
-        """Why a caller of that cluster is not served; None: it is."""
+        """The error for a caller of the cluster `callers`; None if the host serves such callers."""
         if may_go_over(callers, self.cluster_id, self._former):
             return None
         return wrong_cluster("this host", self.cluster_id, callers)
@@ -66,7 +68,7 @@ class HomeCluster:
         return cluster_id in ("", self._noted)
 
     def note(self, cluster_id: str, former: Iterable[str] = ()) -> None:
-        """The directory has let this host in, as one of that cluster, which took the place of `former`.
+        """Note the cluster that has let this host in, and the clusters `former` that it has replaced.
 
         Raises OSError.
         """
@@ -80,7 +82,7 @@ class HomeCluster:
 
 
 def _write_once(path: Path, text: str) -> None:
-    """The file appears whole or not at all, so that a crash leaves no half an id behind."""
+    """Write a file whole or not at all, so that a crash leaves no partial id."""
     draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     with naming(path), draft.open("w") as file:
         file.write(text + "\n")
@@ -90,7 +92,7 @@ def _write_once(path: Path, text: str) -> None:
 
 
 def _kept_text(path: Path, what: str) -> str:
-    """Raises InvalidArgument."""
+    """The text of the file. Raises InvalidArgument if it is no text."""
     try:
         return path.read_text().strip()
     except UnicodeDecodeError as error:
@@ -108,12 +110,12 @@ def _read(path: Path) -> bytes:
 
 
 def default_name() -> str:
-    """The machine's name in the directory's spelling, and a few random letters: many hosts may run on one machine."""
+    """The machine's name in the letters that the directory allows, and six random ones: a machine may run many hosts."""
     allowed = "abcdefghijklmnopqrstuvwxyz0123456789._-"
     machine = "".join(letter if letter in allowed else "-" for letter in socket.gethostname().lower())
     return f"{machine.lstrip('._-')[:100] or 'host'}-{secrets.token_hex(3)}"
 
 
 def new_boot_incarnation() -> int:
-    """A random number that is not 0."""
+    """A random number above 0."""
     return secrets.randbits(64) | 1

@@ -1,4 +1,4 @@
-"""The questions of a host to the directory about queues (paper, sections 3.5 and 4.3)."""
+"""The host's calls to the directory about queues (paper, sections 3.5 and 4.3)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ CALL_SECONDS_MAX = 4.0
 
 
 class QueueDirectory:
-    """Each method blocks for CALL_SECONDS_MAX at most and raises what the directory answers, or Unavailable."""
+    """Each method waits for CALL_SECONDS_MAX at most.
+
+    It raises the error that the directory answers, or Unavailable.
+    """
 
     def __init__(self, supernodes: Supernodes) -> None:
         self._supernodes = supernodes
 
     async def resolve(self, queue_id: bytes) -> ResolvedQueue:
-        """The queue as of now and its owner; mailboxes, too. Raises QueueNotFound."""
+        """The present record of the queue (or mailbox), and its owner's address. Raises QueueNotFound."""
         request = pb.ResolveQueueRequest(queue_id=queue_id)
         response: pb.ResolveQueueResponse = await self._supernodes.call(
             "ResolveQueue",

@@ -1,4 +1,4 @@
-"""The directory's records, from and to their protobuf form. The stores of the host hold the values."""
+"""Converts the directory's records from and to protobuf. The stores of the host keep the converted values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from stampede_rt_channel_host.core.records import (
 
 
 def recorded_channel(message: channel_pb2.ChannelRecord) -> RecordedChannel:
-    """A channel."""
+    """The channel of a message."""
     return RecordedChannel(
         channel_id=message.channel_id,
         name=message.name,
@@ -39,12 +39,12 @@ def recorded_channel(message: channel_pb2.ChannelRecord) -> RecordedChannel:
 
 
 def channel_message(record: RecordedChannel) -> channel_pb2.ChannelRecord:
-    """The record as the directory sent it, fields of newer releases included."""
+    """The record as the directory sent it, with the fields of newer releases."""
     return channel_pb2.ChannelRecord.FromString(record.message)
 
 
 def policy_change(spec: channel_pb2.ChannelSpec) -> PolicyChange:
-    """A change of a set-up."""
+    """The policy change of a message."""
     return PolicyChange(stated=policy_from_spec(spec), message=spec.SerializeToString())
 
 
@@ -54,7 +54,7 @@ def policy_change_message(change: PolicyChange) -> channel_pb2.ChannelSpec:
 
 
 def recorded_queue(message: queue_pb2.QueueRecord) -> RecordedQueue:
-    """A queue."""
+    """The queue of a message."""
     return RecordedQueue(
         queue_id=message.queue_id,
         name=message.name,
@@ -71,19 +71,19 @@ def recorded_queue(message: queue_pb2.QueueRecord) -> RecordedQueue:
 
 
 def queue_message(record: RecordedQueue) -> queue_pb2.QueueRecord:
-    """The record as the directory sent it, fields of newer releases included."""
+    """The record as the directory sent it, with the fields of newer releases."""
     return queue_pb2.QueueRecord.FromString(record.message)
 
 
 def resolved_queue(message: queue_directory_service_pb2.ResolveQueueResponse) -> ResolvedQueue:
-    """A queue and where its host listens."""
+    """A queue and the address of its owner, from a message."""
     host = message.host
     target = host.gatekeepers[0].target if host.alive and host.gatekeepers else None
     return ResolvedQueue(queue=recorded_queue(message.queue), target=target)
 
 
 def recorded_group(message: group_pb2.GroupRecord) -> RecordedGroup:
-    """A group."""
+    """The group of a message."""
     spec = message.spec
     fixed = spec.reference == group_pb2.GROUP_REFERENCE_CHANNEL
     definition = GroupDefinition(
@@ -101,12 +101,12 @@ def recorded_group(message: group_pb2.GroupRecord) -> RecordedGroup:
 
 
 def group_message(record: RecordedGroup) -> group_pb2.GroupRecord:
-    """The record as the directory sent it, fields of newer releases included."""
+    """The record as the directory sent it, with the fields of newer releases."""
     return group_pb2.GroupRecord.FromString(record.message)
 
 
 def resolved_group(message: group_directory_service_pb2.ResolveGroupResponse) -> ResolvedGroup:
-    """A group, its channels and their hosts."""
+    """A group, its channels and their hosts, from a message."""
     hosts = message.hosts
     return ResolvedGroup(
         group=recorded_group(message.group),
@@ -117,7 +117,7 @@ def resolved_group(message: group_directory_service_pb2.ResolveGroupResponse) ->
 
 
 def recorded_change(message: directory_pb2.DirectoryChange) -> RecordedChange:
-    """A change of the directory. Hosts and peers are left out: nobody here asks for them."""
+    """The change of a message. Leaves out hosts and peers, because nothing here needs them."""
     return RecordedChange(
         removed=message.kind == directory_pb2.CHANGE_KIND_REMOVED,
         channel=recorded_channel(message.channel) if message.HasField("channel") else None,

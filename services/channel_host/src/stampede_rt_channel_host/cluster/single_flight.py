@@ -1,4 +1,4 @@
-"""Of many callers that want to know the same of the directory at once, one asks."""
+"""When many callers need the same answer of the directory at once, only one of them asks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 
 
 class SingleFlight:
-    """Keeps nothing but what somebody asks about, or waits for, at this moment."""
+    """Keeps only the things that somebody asks about or waits for at this moment."""
 
     def __init__(self) -> None:
         self._locks: dict[bytes, asyncio.Lock] = {}
@@ -16,7 +16,7 @@ class SingleFlight:
 
     @asynccontextmanager
     async def about(self, thing: bytes) -> AsyncIterator[None]:
-        """Inside, nobody else asks about the thing: look first whether it is known by now."""
+        """Inside, no other caller asks about `thing`. Check first whether the answer has come meanwhile."""
         lock = self._locks.setdefault(thing, asyncio.Lock())
         self._callers[thing] = self._callers.get(thing, 0) + 1
         try:

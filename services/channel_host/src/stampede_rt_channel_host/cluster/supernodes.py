@@ -1,4 +1,4 @@
-"""The way to the directory: front-ends tell which supernodes there are, one of them is asked, the next takes over."""
+"""The way to the directory. Front-ends name the supernodes. The host asks one of them; if it fails, the next."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 
 logger = logging.getLogger(__name__)
 
-TRY_SECONDS_MAX = 1.5  # for one supernode; a hanging one must not use up the time of all
+TRY_SECONDS_MAX = 1.5  # for one supernode, so that a hanging one does not use up the whole time
 BIND_SECONDS_MAX = 3.0
 
 Dial = Callable[[str], grpc.aio.Channel]
@@ -36,9 +36,9 @@ Service = Callable[[grpc.aio.Channel], Any]
 
 
 class _Call(NamedTuple):
-    """A call that may be made several times; `service` makes its stub.
+    """A call that may be made several times. `service` makes its stub.
 
-    `since_s`: when it, or another with its request id, was made first.
+    `since_s`: when this call, or the first call with its request id, was made.
     """
 
     method: str
@@ -48,9 +48,9 @@ class _Call(NamedTuple):
 
 
 class Supernodes:
-    """Calls the directory. The supernode that leads, or else the last that answered, is asked first.
+    """Calls the directory. The first to be asked is the leader, or else the supernode that answered last.
 
-    `explain` may know better than gRPC why a front-end cannot be talked to.
+    `explain` may give a better reason than gRPC for a failed connection to a front-end.
     """
 
     def __init__(
@@ -74,15 +74,16 @@ class Supernodes:
         service: Service = directory_service_pb2_grpc.DirectoryServiceStub,
         since_s: float | None = None,
     ) -> Any:
-        """One call of `service`. Tries all supernodes, asks the front-ends for others, and tries again.
+        """Make one call of `service`. Tries all supernodes, asks the front-ends for others, and tries again.
 
-        Updates carry a request id, and say how long ago they were first sent, now or at `since_s` by `age_clock_s`, so
-        repeating them is safe. Raises what the directory answers, or the last failure once `timeout_s` is over.
+        Updates carry a request id and the age of the request, so it is safe to repeat them. The age counts from now, or
+        from `since_s` by `age_clock_s`. Raises the error that the directory answers, or the last failure once
+        `timeout_s` is over.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
         call = _Call(method, request, service, age_clock_s() if since_s is None else since_s)
         rounds = DirectoryCall(backoff.deadline_s)
-        while True:  # ends with the backoff's deadline
+        while True:  # the backoff's deadline ends it
             try:
                 if not self._targets:
                     await self.bind(backoff.deadline_s)
@@ -98,36 +99,40 @@ class Supernodes:
             await self._rebind(backoff.deadline_s)
 
     async def stream(self, method: str, request: Any) -> AsyncGenerator[Any, None]:
-        """The responses of a call of DirectoryService that goes on; of one supernode, the next time of another.
+        """The responses of a streaming call of DirectoryService. Each call goes to another supernode than the one
+        before.
 
-        Raises what ended it, or Unavailable. Close the iterator to end the call.
+        Raises the error that ended the stream, or Unavailable. Close the iterator to end the call.
         """
         if not self._targets:
             await self.bind(time.monotonic() + BIND_SECONDS_MAX)
         if not self._targets:
             raise Unavailable("the front-ends name no supernode")
-        target = self._targets[-1]  # not the leader, if there are others: it has more to do
+        target = self._targets[-1]  # not the leader, if there are others: the leader has more to do
         call = getattr(directory_service_pb2_grpc.DirectoryServiceStub(self._channel(target)), method)(request)
         try:
             async for response in call:
                 yield response
         except grpc.RpcError as error:
-            self._prefer(target)  # so that another one is last
+            self._prefer(target)  # so that the next call goes to another one
             raise from_rpc_error(error, target) from error
         finally:
             call.cancel()
 
     def known(self) -> tuple[str, ...]:
-        """The addresses of the supernodes, the one to ask first in front. Callable on any thread."""
+        """The addresses of the supernodes, in the order in which they are asked. Callable on any thread."""
         return tuple(self._targets)
 
     def learn(self, targets: Sequence[str]) -> None:
-        """Take over what another way to the directory has found, unless this one has found some itself."""
+        """Take over supernodes that another part of the host has found, unless this object knows some."""
         if not self._targets:
             self._targets = list(targets)
 
     async def bind(self, deadline_s: float) -> None:
-        """Ask the front-ends, one after the other, for the supernodes. Raises Unavailable, VersionMismatch, ..."""
+        """Ask the front-ends, one after the other, for the supernodes.
+
+        Raises Unavailable, VersionMismatch, and others.
+        """
         failure: StampedeError = Unavailable("no front-end answered in time")
         for position, target in enumerate(self._frontends):
             timeout_s = frontend_timeout_s(deadline_s - time.monotonic(), len(self._frontends) - position)
@@ -163,7 +168,10 @@ class Supernodes:
         return response
 
     async def _learn(self, response: frontend_service_pb2.BindResponse) -> None:
-        """The leader first: it answers everything at once, the others have to ask it."""
+        """Take over the supernodes, the leader first.
+
+        Only the leader can answer all requests without asking another.
+        """
         ranked = sorted(response.supernodes, key=lambda one: not (one.is_leader and one.healthy))
         self._targets = [one.endpoint.target for one in ranked if one.endpoint.target][:SUPERNODES_MAX]
         self.cluster_id = response.cluster_id
@@ -172,7 +180,10 @@ class Supernodes:
             await self._channels.pop(target).close(None)
 
     async def _rebind(self, deadline_s: float) -> None:
-        """All supernodes failed: a front-end may know others. If none answers, the known ones stay."""
+        """Ask the front-ends for other supernodes, because all known ones failed.
+
+        If no front-end answers, keep these.
+        """
         try:
             await self.bind(deadline_s)
         except StampedeError as error:

@@ -1,4 +1,4 @@
-"""Things with deadlines: a heap that passes over things whose deadline has changed. Pure."""
+"""Things with deadlines, in a heap. Entries with an outdated deadline are skipped. Pure."""
 
 from __future__ import annotations
 
@@ -9,27 +9,33 @@ _SLACK = 64
 
 
 class Timed(Protocol):
-    """A thing with a deadline. `order` settles ties and is unique; `due` is None while nothing is due."""
+    """A thing with a deadline.
+
+    `order` is unique and decides between equal deadlines. `due` is None if it has no deadline.
+    """
 
     due: int | None
 
     @property
     def order(self) -> int:
-        """Which of two things that are due together comes first."""
+        """The sort key of things that are due together."""
 
 
 T = TypeVar("T", bound=Timed)
 
 
 class Deadlines(Generic[T]):
-    """Amortised O(log n) for each operation; the heap is never larger than twice what is due, and a little."""
+    """Things by deadline.
+
+    Each operation costs amortised O(log n). The heap has hardly more than two entries for each thing.
+    """
 
     def __init__(self) -> None:
         self._heap: list[tuple[int, int, T]] = []
         self._live = 0
 
     def arm(self, thing: T, due: int) -> None:
-        """It is due then, and not when it was before."""
+        """Set the deadline of a thing. It replaces an earlier one."""
         if thing.due == due:
             return
         self._live += thing.due is None
@@ -40,12 +46,12 @@ class Deadlines(Generic[T]):
             heapq.heapify(self._heap)
 
     def disarm(self, thing: T) -> None:
-        """It is not due any more. Idempotent."""
+        """Remove the deadline of a thing. Idempotent."""
         self._live -= thing.due is not None
         thing.due = None
 
     def pop(self, now: int) -> T | None:
-        """The thing with the earliest deadline up to now; it is disarmed. None: nothing is due."""
+        """Remove and return the thing with the earliest deadline up to `now`. None: no deadline has come."""
         due = self.next()
         if due is None or due > now:
             return None
@@ -54,7 +60,7 @@ class Deadlines(Generic[T]):
         return thing
 
     def next(self) -> int | None:
-        """When something is due next."""
+        """The next deadline."""
         while self._heap and self._heap[0][2].due != self._heap[0][0]:
             heapq.heappop(self._heap)
         return self._heap[0][0] if self._heap else None

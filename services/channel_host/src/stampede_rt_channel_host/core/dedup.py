@@ -1,7 +1,7 @@
-"""Recognising retried puts: the last runs of each producer with what became of them. Pure.
+"""Recognises retried puts by the latest runs of each producer and their outcomes. Pure.
 
-A run that was taken in whole at one stroke, as nearly all are, is five numbers in a column. What is kept has a bound in
-bytes and counts against the host's memory.
+Nearly every run is taken in whole, and takes five numbers in a column. The memory has a bound in bytes and counts
+against the host's memory.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import NamedTuple
 from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.judging import Judged, RunPart
 
-RUNS_MAX = 1024  # far above the runs that a producer has in flight, whatever their length
+RUNS_MAX = 1024  # far more than the runs that a producer has in flight
 KEPT_NANOS = 600_000_000_000
 PRODUCERS_MAX = 4096
 WINDOW_BYTES_MAX = 16 * 2**20
 PRODUCER_BYTES_MAX = 256 * 2**10
 
-RUN_BYTES = 48  # five numbers of 8 bytes, and the room that a growing array keeps free
-PRODUCER_BYTES = 400  # what is kept of a producer beside its runs, as measured
+RUN_BYTES = 48  # five numbers of 8 bytes, and the spare room of a growing array
+PRODUCER_BYTES = 400  # the memory of a producer without its runs, as measured
 _PART_BYTES = 200
 _REFUSAL_BYTES = 900  # an error, with a sentence of its own
 
@@ -31,7 +31,7 @@ _SLACK_RUNS = 256
 
 
 class KeptRun(NamedTuple):
-    """A run as the window knows it, for the host that takes over."""
+    """A run as the window knows it, for the host that takes the channel or queue over."""
 
     producer_id: int
     first_number: int
@@ -39,9 +39,9 @@ class KeptRun(NamedTuple):
 
 
 class _Producer:
-    """One producer's latest runs in the order in which they were recorded; `end` is above all their numbers.
+    """One producer's latest runs in the order of their records. `end` is above all their numbers.
 
-    `odd` holds what columns cannot, by first number; `latest` is when a run was last recorded.
+    `odd` holds the outcomes that do not fit in columns, by first number. `latest` is the time of the last record.
     """
 
     __slots__ = ("_begin", "_columns", "_odd_bytes", "end", "latest", "odd")
@@ -75,7 +75,7 @@ class _Producer:
         self.latest = outcome.time
 
     def runs(self) -> Iterator[tuple[int, Judged]]:
-        """First numbers and outcomes, the latest first. A run that was judged on is there twice."""
+        """First numbers and outcomes, the latest first. A run that was judged in two steps comes twice."""
         columns = self._columns
         for at in range(len(columns) - _FIELDS, self._begin * _FIELDS - 1, -_FIELDS):
             first, items, first_seq, stamp, time = columns[at : at + _FIELDS]
@@ -87,7 +87,10 @@ class _Producer:
                 yield first, self.odd[first]
 
     def find(self, producer_id: int, first_number: int, end: int, since: int) -> Judged | None:
-        """Raises InvalidArgument for numbers of several runs, or of a part of one. Looks at runs later than `since`."""
+        """The outcome of a run recorded after `since`.
+
+        Raises InvalidArgument if the numbers are not exactly those of one run.
+        """
         for first, outcome in self.runs():
             if outcome.time <= since:
                 return None
@@ -102,7 +105,7 @@ class _Producer:
         return None
 
     def drop_oldest(self) -> None:
-        """Forget the run that was recorded first."""
+        """Forget the run with the earliest record."""
         at = self._begin * _FIELDS
         first, first_seq, time = self._columns[at] % 2**64, self._columns[at + 2], self._columns[at + 4]
         if not first_seq and first in self.odd and self.odd[first].time == time:
@@ -113,7 +116,7 @@ class _Producer:
             self._begin = 0
 
     def oldest_time(self) -> int:
-        """When the run was recorded that was recorded first. There must be one."""
+        """The time of the earliest record. There must be one."""
         return self._columns[self._begin * _FIELDS + 4]
 
     def _forget_odd(self, first_number: int) -> None:
@@ -122,28 +125,28 @@ class _Producer:
 
 
 class RetryWindow:
-    """The answers to each producer's latest runs. A retried run gets the answer of before and is not doubled. A run
-    that was judged in part goes on where it was.
+    """The answers to each producer's latest runs. A retried run gets its former answer and is not stored twice.
 
-    The time model asks for the last 1024 numbers of each producer for 10 minutes; kept are its last 1024 runs, which
-    are these numbers and, where runs hold several items, more. At most `producers_max` producers are known, in at most
-    `bytes_max`, of which the longest silent is forgotten first, and of each at most PRODUCER_BYTES_MAX. A run of which
-    nothing was accepted is not kept: it is judged anew. Producer id 0 asks for nothing to be recognised. `now` is the
-    host's clock in nanoseconds and never runs backwards.
+    A run that was judged in part continues at its first unjudged item. The time model asks for the last 1024 numbers of
+    each producer for 10 minutes. The window keeps the last 1024 runs of each producer, which hold at least these
+    numbers. It knows at most `producers_max` producers, in at most `bytes_max` bytes, and of each at most
+    PRODUCER_BYTES_MAX. It forgets the producer first that has been silent longest. It does not keep runs without an
+    accepted item, which are judged anew. Producer id 0 means that no run is recognised. `now` is the host's clock in
+    nanoseconds and never goes back.
     """
 
     def __init__(self, *, producers_max: int = PRODUCERS_MAX, bytes_max: int = WINDOW_BYTES_MAX) -> None:
         self._producers_max = producers_max
         self._bytes_max = bytes_max
-        self._producers: OrderedDict[int, _Producer] = OrderedDict()  # in the order of their latest put
+        self._producers: OrderedDict[int, _Producer] = OrderedDict()  # by the latest put
         self.footprint_bytes = 0
 
     def __len__(self) -> int:
-        """How many producers are known."""
+        """The number of known producers."""
         return len(self._producers)
 
     def kept(self, now: int) -> Iterator[KeptRun]:
-        """Every run that is known, each producer's in the order of their coming: `record` them elsewhere, in order."""
+        """Every known run, for `record` at another host. Each producer's runs come in the order of arrival."""
         for producer_id, producer in self._producers.items():
             latest = dict(reversed(list(producer.runs())))
             for first_number, outcome in latest.items():
@@ -151,7 +154,7 @@ class RetryWindow:
                     yield KeptRun(producer_id, first_number, outcome)
 
     def find(self, producer_id: int, first_number: int, items: int, now: int) -> Judged | None:
-        """The answer to this run when it came before; None if it is new, or older than the kept answers.
+        """The former answer to a repeated run; None if the run is new, or older than the kept answers.
 
         Raises InvalidArgument if only some of its numbers, or more than these, were put before as one run.
         """
@@ -161,7 +164,7 @@ class RetryWindow:
         return producer.find(producer_id, first_number, first_number + items, now - KEPT_NANOS)
 
     def record(self, producer_id: int, first_number: int, outcome: Judged) -> None:
-        """Keep what became of a run, or of its front, at `outcome.time`. Nothing is kept for producer id 0."""
+        """Keep the outcome of a run, or of its first items, as of `outcome.time`. Keeps nothing for producer id 0."""
         if not producer_id or not outcome.parts:
             return
         producer = self._producers.get(producer_id)
@@ -179,7 +182,10 @@ class RetryWindow:
         self.expire(outcome.time)
 
     def expire(self, now: int) -> None:
-        """Forget producers that have put nothing for ten minutes, and the longest silent ones above the bounds."""
+        """Forget producers that have put nothing for ten minutes.
+
+        Above the bounds, forget those that are silent longest.
+        """
         while self._producers:
             producer = next(iter(self._producers.values()))
             within = len(self._producers) <= self._producers_max and self.footprint_bytes <= self._bytes_max
@@ -189,7 +195,7 @@ class RetryWindow:
             self._producers.popitem(last=False)
 
     def next_expiry(self) -> int | None:
-        """When `expire` next forgets somebody, if nothing is put; None: there is nobody."""
+        """The time at which `expire` next forgets a producer, if nothing is put; None: there is no producer."""
         longest_silent = next(iter(self._producers.values()), None)
         return None if longest_silent is None else longest_silent.latest + KEPT_NANOS
 

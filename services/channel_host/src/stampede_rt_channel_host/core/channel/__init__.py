@@ -1,22 +1,23 @@
 """The channel core: values and `now` in, values out (paper, sections 3.1 to 3.4).
 
-Nothing here reads a clock, waits, locks, or knows the wire. The shell around it:
+No module here reads a clock, waits, locks, or knows the wire. The code around it has these duties:
 
-- makes one `ChannelCore` for each channel from its Policy and incarnation;
-- passes `now` from one `HostTime` to every call;
-- puts: `channel.put(Offer(...), now, seal) -> PutOutcome`, `seal` giving the stored bytes once the first seq is known;
-  where `outcome.waiting` is set, it offers `offer.rest(waiting, now)` again after each change and at `outcome.retry_at`
-  (keeping later puts behind it), or calls `give_up_put`; a retried put is recognised by `RetryWindow` before;
-- reads: `channel.read(Query(...), now) -> Answer`; blocking ones by `begin`, `poll` (at once, after each change and at
-  the instant of `WakeAt`), `give_up`;
-- subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`;
-- consumption: `consume`, `consumers`; `consumer_places` and `restore_consumers` carry the places to another owner;
-- housekeeping: `collect(now)` at `next_deadline(now)`, again at once while it returns True;
-- long work: reads and subscriptions that begin with much come in pieces, too (`reading`, `polling`, `giving_up`,
-  `subscribing_all`); between two pieces the channel may be used, and the result is as of the first one;
-- counts: `counters(now)`; `reject_malformed` for what never became an offer.
+- It makes one `ChannelCore` for each channel from its Policy and incarnation.
+- It passes `now` from one `HostTime` to every call.
+- Puts: it calls `channel.put(Offer(...), now, seal) -> PutOutcome`. `seal` returns the stored bytes once the first seq
+  is known. If `outcome.waiting` is set, it offers `offer.rest(waiting, now)` again after each change and at
+  `outcome.retry_at`, and lets later puts wait meanwhile, or it calls `give_up_put`. It asks `RetryWindow` first, which
+  recognises retried puts.
+- Reads: it calls `channel.read(Query(...), now) -> Answer`. A blocking get needs `begin`, `poll` and `give_up`. It
+  polls at once, after each change, and at the instant of `WakeAt`.
+- Subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`.
+- Consumption: `consume` and `consumers`. `consumer_places` and `restore_consumers` move the places to another owner.
+- Housekeeping: it calls `collect(now)` at `next_deadline(now)`, and again at once while `collect` returns True.
+- Long work: reads and subscriptions that begin with many items also come in pieces (`reading`, `polling`, `giving_up`,
+  `subscribing_all`). Others may use the channel between two pieces. The result is as of the first piece.
+- Counts: `counters(now)`, and `reject_malformed` for items that never became an offer.
 
-"After each change" means after every put that accepted something, every advance and every configure; waiting puts are
+"After each change" means after every put that accepted an item, every advance and every configure. Waiting puts are
 offered again after every consume, too.
 """
 

@@ -1,8 +1,8 @@
-"""Which items of an offer a channel accepts (paper, sections 3.2 and 3.4). Pure.
+"""Decides which items of an offer a channel accepts (paper, sections 3.2 and 3.4). Pure.
 
-A run is so many puts at one instant: each item is judged with those before it in, and retention follows each. Nearly
-every run can be taken in at a stroke with the same result; `Acceptance` does so where that is certain, and goes item by
-item otherwise.
+A run means one put for each item, all at one instant. Each item is judged after the items before it are in, and
+retention follows each item. Most runs can be taken in as a whole with the same result. `Acceptance` does that if it is
+certain, and judges item by item otherwise.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from stampede_rt_channel_host.core.channel.values import Offer, PutOutcome, Reje
 
 
 class Acceptance:
-    """Takes offers into holdings and counts refusals. `advance` is the highest promise, `rejected` is by reason."""
+    """Takes offers into the holdings and counts refusals.
+
+    `advance` is the highest promise, `rejected` counts by reason.
+    """
 
     def __init__(self, held: Holdings, retention: Retention, name: str) -> None:
         self._held = held
@@ -30,7 +33,11 @@ class Acceptance:
         self.rejected = dict.fromkeys(reasons, 0)
 
     def put(self, offer: Offer, clock: int, seal: Seal) -> PutOutcome:
-        """Accept or refuse each item. Age is settled where it matters; a whole run leaves the excess to the caller."""
+        """Accept or refuse each item.
+
+        Applies the age limit where it matters. If a run is taken in whole, the caller must remove the items beyond the
+        limits.
+        """
         stamp, times = None, offer.times
         if times is None:
             stamp = self.stamp(clock)
@@ -40,15 +47,16 @@ class Acceptance:
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
 
     def stamp(self, clock: int) -> int:
-        """The time of items that come without one: what `now` resolves to, but nothing that is refused as too old."""
+        """The time of items that come without one: the meaning of `now`, but never a time refused as too old."""
         now = clock if self._held.newest is None else max(clock, self._held.newest)
         return max(now, self._least_time())
 
     def _fits_at_a_stroke(self, times: Sequence[int], lengths: Sequence[int], clock: int) -> bool:
-        """Every item is accepted, and retention after the last one does the same as retention after each.
+        """Whether every item is accepted, and retention after the last item has the same result as retention after
+        each.
 
-        Later than the age's cutoff no item is outdated, and no bucket's end moves to or below it. For the excess see
-        `_sheds_alike`.
+        No item later than the age's cutoff is outdated, and no bucket's end moves to or below the cutoff.
+        `_sheds_alike` tests the other limits.
         """
         held, limits = self._held, self._retention.limits
         low, high = min(times), max(times)
@@ -69,13 +77,13 @@ class Acceptance:
         return sheds and self._sheds_alike(len(times), payload_bytes, low)
 
     def _least_time(self) -> int:
-        """Nothing below it is accepted."""
+        """The least time that an accepted item may have."""
         collected, advance = self._held.newest_collected, self.advance
         least = -MAX_INSTANT - 1 if collected is None else collected
         return least if advance is None else max(least, advance)
 
     def _sheds_alike(self, items: int, payload_bytes: int, low: int) -> bool:
-        """Only one limit sheds, and only items whose spans were bounded before and end before the new ones begin."""
+        """Whether only one limit removes items, and all removed items have spans that end before the new items begin."""
         held, limits = self._held, self._retention.limits
         excess_items = 0 if limits.max_items is None else held.items + items - limits.max_items
         excess_bytes = held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES - limits.max_bytes
@@ -98,7 +106,7 @@ class Acceptance:
         return Rejection(index, error)
 
     def full(self, in_vain: bool = False) -> ChannelFull:
-        """The error of an item for which there is no room; `in_vain`: nor will there be, however long it waits."""
+        """The error of an item for which there is no room. `in_vain`: no wait would make room for it."""
         limits, held = self._retention.limits, self._held
         when = "when consumers have consumed some" if limits.consumers else "when the oldest have grown too old"
         if in_vain:
@@ -111,7 +119,7 @@ class Acceptance:
         )
 
     def fault(self, time: int, duration: int, length: int, clock: int) -> StampedeError | None:
-        """Why an item can never be accepted as the channel is now; None if it can."""
+        """The reason why the channel in its present state can never accept an item; None if it can."""
         limits = self._retention.limits
         if length > limits.max_item_bytes or length + ITEM_OVERHEAD_BYTES > limits.max_bytes:
             return ItemTooLarge(
@@ -146,7 +154,7 @@ class Acceptance:
         return None
 
     def _outdated(self, time: int, duration: int, length: int, clock: int) -> str | None:
-        """Which policy would collect the item as soon as it were in."""
+        """The policy that would collect the item right after its acceptance; None: no policy would."""
         held, limits, age = self._held, self._retention.limits, self._retention.age_of_new
         following = held.next_time(time) if held.oldest is None or time >= held.oldest else held.oldest
         if age is not None and following is not None:
@@ -163,7 +171,7 @@ class Acceptance:
         return None
 
     def _precede(self, time: int, charged_bytes: int) -> bool:
-        """Held items at or before `time` are charged with at least so many bytes."""
+        """Whether the held items at or before `time` are charged with at least `charged_bytes`."""
         last = self._held.front_of_bytes(charged_bytes).last
         return last is not None and last.last_time <= time
 
@@ -173,7 +181,7 @@ def _offset(time: int, clock: int) -> dict[str, str]:
 
 
 class _ItemByItem:
-    """One offer, taken in item by item into one run."""
+    """Takes one offer into one run, item by item."""
 
     def __init__(
         self, to: Acceptance, held: Holdings, retention: Retention, offer: Offer, times: Sequence[int], clock: int
@@ -188,7 +196,7 @@ class _ItemByItem:
         self._kept: list[int] = []
 
     def run(self, stamp: int | None, seal: Seal) -> PutOutcome:
-        """Judge and take in one after the other, until one has to wait."""
+        """Judge and take in one item after the other, until an item has to wait."""
         rejections: list[Rejection] = []
         waiting = retry_at = None
         for index, time in enumerate(self._times):
@@ -213,10 +221,10 @@ class _ItemByItem:
         )
 
     def _as_if_put_at(self, time: int) -> int:
-        """When an item counts as put while it waits for room: one without a time of its own, since it waits.
+        """The time at which an item counts as put while it waits for room. Without an own time: the start of its wait.
 
-        Behind the newest, where its stamp will be: in the newest bucket, which never ages, it would wait for ever. It
-        is not let in as such before its stamp lies there, too.
+        Its stamp will lie after the newest item, and the newest bucket never ages. With that time it would wait for
+        ever. So it enters only when its stamp lies there.
         """
         if self._offer.times is not None:
             return time

@@ -1,4 +1,4 @@
-"""One channel, aged to the time of each call: its parts, its clock, its counts and its memory. Pure."""
+"""One channel, aged to the time of each call: its parts, clock, counts and memory. Pure."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.values import Counters
 
 FREED_ENTRIES_PER_CALL = 32
-"""How much memory of outdated items one put or read frees beside its own work."""
+"""The number of index entries of outdated items that one put or read frees beside its own work."""
 
 
 class AgedChannel:
-    """The parts of one channel. Each call first lets go what time has outdated."""
+    """The parts of one channel. Each call first outdates the items that are too old."""
 
     def __init__(
         self,
@@ -30,11 +30,11 @@ class AgedChannel:
         lost_before: int | None = None,
         cut: Cut | None = None,
     ) -> None:
-        """An empty channel. Raises InvalidArgument if the policy cannot hold (see `ChannelLimits.of`).
+        """Make an empty channel. Raises InvalidArgument if the policy is not possible (see `ChannelLimits.of`).
 
-        `lost_before`: when this incarnation began, if one before it was lost with its host; readers of the time before
-        are told. `cut` gives the body of some items of a run, from the run's; without it a run is kept as long as any
-        item of it.
+        `lost_before`: when this incarnation began, if an earlier one was lost with its host. Readers of earlier times
+        get the reason LOST. `cut` copies the body of some items out of a run's body. Without `cut` a run is kept as
+        long as any item of it.
         """
         self._policy = policy
         self._incarnation = incarnation
@@ -47,30 +47,35 @@ class AgedChannel:
         self._clock: int | None = None
         self._puts_unsettled = 0
         self._settled: int | None = None
-        self._entries_to_free = 0  # what puts may have brought in since they last freed
+        self._entries_to_free = 0  # entries that puts may have added since they last freed memory
 
     def collect(self, now: int, entries_max: int = 128) -> bool:
-        """Free memory of outdated items, a bounded part; True if more is left. Puts and reads do a little of it too."""
+        """Free memory of outdated items, a bounded part.
+
+        Returns True if more is left. Puts and reads also free a little.
+        """
         self._settle(self._tick(now))
-        knows_less = self._retention.learn_gone(entries_max // 2)  # which takes longer
+        knows_less = self._retention.learn_gone(entries_max // 2)  # half as many, because each of these takes longer
         self._retention.ask_on()
         return self._held.free(entries_max) or knows_less or self._retention.has_more
 
     def emptying(self) -> Pieces[None]:
-        """Let go of all items, in pieces: the channel is not used any more, and is no good afterwards."""
+        """Free all items, in pieces. The channel must not be used afterwards."""
         self._held.tell(None)
         self._held.outdate(self._held.front_of_items(self._held.items), COUNT, self._clock or 0)
         while self._held.free(pieces.STEPS_PER_PIECE):
             yield
 
     def next_deadline(self, now: int) -> int | None:
-        """When `collect` is next useful: now, if memory is left to free; else when time takes items; None: never."""
+        """The time at which `collect` has work: now, if memory is left to free; else when items grow too old; None:
+        never.
+        """
         clock = self._settle(self._tick(now))
         due = self._retention.next_due()
         return clock if self._held.has_backlog or self._retention.has_more else due
 
     def counters(self, now: int) -> Counters:
-        """Counts of all items by what became of them, at this moment."""
+        """The present counts of all items by what happened to them."""
         self._settle(self._tick(now))
         held = self._held
         return Counters(
@@ -83,33 +88,36 @@ class AgedChannel:
         )
 
     def look(self, now: int) -> tuple[Holdings, Retention]:
-        """The held items, aged to `now`, and their limits. Views of the channel read them and do not change them."""
+        """The held items, aged to `now`, and their retention. The caller must only read them."""
         self._settle(self._tick(now))
         return self._held, self._retention
 
     def moment(self, now: int) -> Moment:
-        """The channel as it is now, to be read later. Close it soon: nothing that it shows is freed before."""
+        """The channel's present state, for later reads.
+
+        Close it soon: the channel frees no item that it shows before.
+        """
         held, retention = self.look(now)
         return Moment(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory that the channel keeps, as of the last call: whole runs, and items that are not freed yet."""
+        """The memory of the channel as of the last call, in bytes: whole runs, and items that are not freed yet."""
         return self._held.footprint_bytes
 
     @property
     def freed_entries(self) -> int:
-        """How many entries of the index were freed so far: a measure of the work that was done."""
+        """The number of index entries freed so far, as a measure of the work done."""
         return self._held.freed_entries
 
     @property
     def policy(self) -> Policy:
-        """The policy as stated."""
+        """The policy as its owner stated it."""
         return self._policy
 
     @property
     def incarnation(self) -> int:
-        """Which life of the channel the seqs belong to."""
+        """The incarnation of the channel, within which its seqs hold."""
         return self._incarnation
 
     @property
@@ -130,13 +138,13 @@ class AgedChannel:
 
     @property
     def frontier(self) -> int | None:
-        """The latest span end that age, count or bytes have collected, not above the oldest held item's time."""
+        """The latest span end collected for age, count or bytes, but never above the oldest held item's time."""
         self._age()
         return self._held.frontier
 
     @property
     def advanced_to(self) -> int | None:
-        """The highest promise that nothing earlier will come."""
+        """The highest promise that no earlier item will come."""
         return self._acceptance.advance
 
     def _tick(self, now: int) -> int:
@@ -144,12 +152,12 @@ class AgedChannel:
         return self._clock
 
     def _age(self) -> None:
-        """As of the last call; what was settled at that time already is left as it is."""
+        """Apply the age limit as of the last call. Does nothing if that is done."""
         if self._clock is not None and (self._puts_unsettled or self._settled != self._clock):
             self._retention.apply_time(self._clock)
 
     def _settle(self, clock: int) -> int:
-        """Let go what time has outdated, and free a little."""
+        """Outdate the items that are too old, and free a few."""
         self._puts_unsettled, self._settled = 0, clock
         if self._retention.consumers is None:
             self._retention.age_out(clock)

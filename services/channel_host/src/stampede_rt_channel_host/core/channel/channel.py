@@ -1,4 +1,4 @@
-"""One channel: puts, reads, subscriptions and consumption over values and `now` (paper, sections 3.1 to 3.4). Pure."""
+"""One channel: puts, reads, subscriptions and consumption, over values and `now` (paper, sections 3.1 to 3.4). Pure."""
 
 from __future__ import annotations
 
@@ -44,25 +44,26 @@ from stampede_rt_channel_host.core.channel.values import (
 )
 
 ENTRIES_PER_ITEM_MAX = 3
-"""A late item makes at most so many entries of the index: its own, and the two ends of the one that it splits."""
+"""The most index entries that a late item adds: its own, and the two parts of the entry that it splits."""
 
 PUTS_PER_SETTLING = 16
-"""Puts that change nothing but the newest end leave ageing to the next read, or to every so many puts."""
+"""Puts that only append newer items do not apply the age limit. The next read does, or every sixteenth such put."""
 
 
 class ChannelCore(AgedChannel):
-    """The items of one channel, in memory. Not thread-safe: one owner calls it, each call is atomic and never blocks.
+    """The items of one channel, in memory. Not thread-safe: one owner calls it. Each call is atomic and never waits.
 
-    Every call takes `now`, the host's clock (`HostTime`), in nanoseconds since the epoch; an earlier one than before
-    counts as the latest seen. After each put, advance and configure the owner polls its blocked gets, offers waiting
-    puts again and looks after its subscriptions; after each consume it offers waiting puts again. Seqs start at 1.
+    Every call takes `now`, the host's clock (`HostTime`), in nanoseconds since the epoch. A `now` before the latest one
+    counts as the latest. After each put, advance and configure the owner polls its blocked gets, offers waiting puts
+    again and serves its subscriptions. After each consume it offers waiting puts again. Seqs start at 1.
     """
 
     def put(self, offer: Offer, now: int, seal: Seal) -> PutOutcome:
-        """Accept or refuse each item of `offer`, in order, as so many puts at one instant; store the accepted as a run.
+        """Accept or refuse each item of `offer`, in order, as one put each at one instant. Store the accepted items as
+        a run.
 
-        `seal` is called once if any item was accepted. Nothing of the offer is changed or kept. See PutOutcome for
-        items that have to wait. Puts that arrive while one waits are to wait behind it, so that a run's seqs follow
+        `seal` is called once if any item was accepted. The channel neither changes nor keeps the offer. PutOutcome
+        tells which items have to wait. The owner lets later puts wait behind them, so that the seqs of a run follow
         each other.
         """
         clock, counts_consumption = self._tick(now), self._retention.consumers is not None
@@ -76,34 +77,35 @@ class ChannelCore(AgedChannel):
         return outcome
 
     def give_up_put(self, offer: Offer) -> PutOutcome:
-        """Refuse the items that waited in vain, each with ChannelFull, and count them."""
+        """Refuse items whose wait for room is over, each with ChannelFull, and count them."""
         full = self._acceptance.full()
         rejections: list[Rejection] = [self._acceptance.refuse(index, full) for index in range(len(offer.lengths))]
         return PutOutcome(rejections=rejections)
 
     def reject_malformed(self, items: int) -> None:
-        """Count items that the shell refused before they became an offer."""
+        """Count items that the owner refused before they became an offer."""
         self._acceptance.rejected["MALFORMED_RUN"] += items
 
     def reject_overloaded(self, items: int) -> None:
-        """Count items that the shell refused because a bound of the host is reached."""
+        """Count items that the owner refused because a limit of the host is reached."""
         self._acceptance.rejected["OVERLOADED"] += items
 
     def read(self, query: Query, now: int) -> ReadAnswer:
-        """The items of the query that the channel holds now. Changes nothing that another reader could see.
+        """The present items of the query. Changes nothing that another reader could see.
 
         Raises IncarnationLost if a position comes from another incarnation.
         """
         return run_to_end(self.reading(query, now))
 
     def reading(self, query: Query, now: int) -> Pieces[ReadAnswer]:
-        """The same in pieces, all as of now."""
+        """As `read`, in pieces, all as of `now`."""
         self._check_positions(query)
         clock = self._settle(self._tick(now))
         return self._reading.answer(query, self._reading.resolve(query, clock), clock)
 
     def begin(self, query: Query, now: int) -> Pending:
-        """Begin a blocking get: anchors are resolved now, or at the first poll when they can be. Then poll at once.
+        """Begin a blocking get. Resolves anchors now, or at the first poll at which they can be resolved. Then poll at
+        once.
 
         Raises IncarnationLost if a position comes from another incarnation.
         """
@@ -114,23 +116,23 @@ class ChannelCore(AgedChannel):
     def poll(self, pending: Pending, now: int) -> ReadAnswer | WakeAt:
         """The blocking get's answer, or when to poll again.
 
-        Released by the first matching item, with `complete` when the interval is finished, and in any case once
-        nothing can come: the interval lies below the frontier, is empty, or is finished.
+        The first matching item ends the wait. With `complete`, the end of the interval does. In any case the wait ends
+        once no item can come: the interval lies below the frontier, is empty, or is finished.
         """
         return run_to_end(self.polling(pending, now))
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """The same in pieces, all as of now."""
+        """As `poll`, in pieces, all as of `now`."""
         clock = self._settle(self._tick(now))
         found = yield from self._reading.poll(pending, clock)
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
 
     def give_up(self, pending: Pending, now: int) -> ReadAnswer:
-        """The answer when the time of the get is over, with its reason."""
+        """The answer at the end of the get's waiting time, with its reason."""
         return run_to_end(self.giving_up(pending, now))
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
-        """The same in pieces, all as of now."""
+        """As `give_up`, in pieces, all as of `now`."""
         clock = self._settle(self._tick(now))
         return self._reading.answer(pending.query, pending.interval, clock)
 
@@ -138,10 +140,11 @@ class ChannelCore(AgedChannel):
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> AllCursor:  # fmt: skip
-        """Begin a subscription in seq order: held items from `start` on, or all accepted behind `after`, then new ones;
-        or go on from where one stood that was `saved`.
+        """Begin a subscription in seq order, or continue a saved one.
 
-        None of them: only new ones. Several: InvalidArgument. `after` needs its seq. Raises IncarnationLost.
+        With `start`: held items from there on, then new ones. With `after`: all items accepted after that position,
+        which needs its seq. With `saved`: continue from that cursor. Without any of them: only new items. Raises
+        InvalidArgument if several are given, IncarnationLost.
         """
         return run_to_end(
             self.subscribing_all(now, start=start, start_exclusive=start_exclusive, after=after, saved=saved)
@@ -151,7 +154,7 @@ class ChannelCore(AgedChannel):
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> Pieces[AllCursor]:  # fmt: skip
-        """The same in pieces, all as of now."""
+        """As `subscribe_all`, in pieces, all as of `now`."""
         if saved is not None:
             self._check_saved(saved)
             self._settle(self._tick(now))
@@ -163,7 +166,8 @@ class ChannelCore(AgedChannel):
     def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> SubscriptionBatch:
         """Take the next part, about `limit_bytes` (payload and overhead; at least one slice). Moves the cursor.
 
-        What retention collected before it was taken is reported once, as a gap. Empty: wait for the next put.
+        Reports items that retention collected before the reader took them, once, as a gap. An empty part means: wait
+        for the next put.
         """
         self._settle(self._tick(now))
         return since(self._held, self._retention.limits, cursor, limit_bytes)
@@ -172,9 +176,9 @@ class ChannelCore(AgedChannel):
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> NewestCursor:  # fmt: skip
-        """Begin a subscription to the latest item. With `start` the present newest comes first, if it is not earlier.
+        """Begin a subscription to the latest item. With `start` the present newest comes first, unless it is earlier.
 
-        Raises like `subscribe_all`.
+        Raises the errors of `subscribe_all`.
         """
         if saved is not None:
             self._check_saved(saved)
@@ -184,12 +188,15 @@ class ChannelCore(AgedChannel):
         return open_newest(self._held, self._start_key(start, start_exclusive, now), after_key)
 
     def latest(self, cursor: NewestCursor, now: int) -> DeliveredSlice | None:
-        """Take the newest item if it is later than the last one taken. Moves the cursor and counts what it skipped."""
+        """Take the newest item if it is later than the last one taken.
+
+        Moves the cursor and counts the skipped items.
+        """
         self._settle(self._tick(now))
         return cursor.take(self._held)
 
     def advance(self, instant: int, now: int) -> int:
-        """Promise that nothing earlier than `instant` will come; gives the highest promise. Raises InFuture."""
+        """Promise that no item before `instant` will come. Returns the highest promise so far. Raises InFuture."""
         clock = self._tick(now)
         if instant > clock + self._retention.limits.max_future_nanos:
             raise InFuture(
@@ -201,9 +208,10 @@ class ChannelCore(AgedChannel):
         return highest
 
     def configure(self, policy: Policy, now: int) -> None:
-        """Set another policy, whole; what it outdates goes at once. Raises InvalidArgument and changes nothing.
+        """Replace the whole policy. Items that it outdates go at once. Raises InvalidArgument and changes nothing then.
 
-        Walks the index once if it outdates much. Fewer consumers end the places whose leases end first.
+        Walks the index once if it outdates many items. If there are fewer consumers than before, the places with the
+        earliest lease ends go.
         """
         limits = ChannelLimits.of(policy)
         clock = self._settle(self._tick(now))
@@ -213,10 +221,10 @@ class ChannelCore(AgedChannel):
         self._retention.drop_excess(clock)
 
     def consume(self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS) -> Consumed:
-        """Use items up for one consumer; what all consumers have used up goes, the oldest first. Safe to repeat.
+        """Consume items for one consumer. Items that all consumers have consumed go, the oldest first. Safe to repeat.
 
-        Takes the consumer's place if it has none, and keeps it for `lease_nanos` from now (see `Consumers`); 0 gives it
-        up. `seqs` may be none. Raises InvalidArgument, and ChannelFull if all places are taken.
+        Takes a place for the consumer if it has none, and keeps the place for `lease_nanos` from now (see `Consumers`).
+        0 gives the place up. `seqs` may be empty. Raises InvalidArgument, and ChannelFull if all places are taken.
         """
         run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
@@ -231,7 +239,7 @@ class ChannelCore(AgedChannel):
         return consumed
 
     def check_consumption(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> None:
-        """Raises InvalidArgument if `consume` would for any of these, whatever happens meanwhile."""
+        """Raises InvalidArgument if `consume` would raise it for these arguments at any time."""
         if self._retention.consumers is None:
             raise InvalidArgument(
                 "the channel counts no consumption: it was created without consumers; create it with consumers=, or "
@@ -240,32 +248,37 @@ class ChannelCore(AgedChannel):
         check_consumption(consumer_id, seqs, self.next_seq, lease_nanos)
 
     def catching_up(self, now: int) -> Pieces[None]:
-        """Let consumers know all that was collected, in pieces: do it before `consume` and `restore_consumers`, which
-        otherwise do it at once."""
+        """Tell the consumers of all collected items, in pieces.
+
+        Call it before `consume` and `restore_consumers`, which otherwise do this work at once.
+        """
         self._settle(self._tick(now))
-        while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # each takes longer than to look at a slice
+        while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # each takes longer than a look at a slice
             yield
 
     def consumers(self, now: int) -> list[ConsumerStanding]:
-        """How the places stand that were taken."""
+        """The state of each place that was taken."""
         return run_to_end(self.counting_consumers(now))
 
     def counting_consumers(self, now: int) -> Pieces[list[ConsumerStanding]]:
-        """The same in pieces. What a consumer has waiting is as of when it was counted."""
+        """As `consumers`, in pieces. The number of waiting items of a consumer is as of the piece that counted it."""
         yield from self.catching_up(now)
         clock = self._settle(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else (yield from consumers.standings(clock, self.next_seq))
 
     def consumer_places(self, now: int) -> list[ConsumerPlace]:
-        """The places that were taken, as values: what moves with the channel."""
+        """The taken places, as values that move with the channel to another owner."""
         run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else consumers.places(clock, self.next_seq)
 
     def restore_consumers(self, places: Iterable[ConsumerPlace], now: int) -> None:
-        """Take over the places that `consumer_places` told elsewhere. Without consumers= nothing."""
+        """Take over the places that `consumer_places` gave at another host.
+
+        Does nothing if the policy has no consumers.
+        """
         run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
         if self._retention.consumers is not None:
@@ -273,7 +286,7 @@ class ChannelCore(AgedChannel):
             self._settle(clock)
 
     def _settle_puts(self, clock: int) -> None:
-        """Keep the limits after puts. Freeing keeps pace with them, and outdated items never exceed max_bytes."""
+        """Apply the limits after puts. Frees as many entries as puts add. Outdated items never exceed max_bytes."""
         self._settle(clock)
         self._retention.drop_excess(clock)
         self._held.free(self._entries_to_free, self._retention.limits.max_bytes)
@@ -301,7 +314,9 @@ class ChannelCore(AgedChannel):
         return after.time, after.seq
 
     def _start_key(self, start: Bound | None, exclusive: bool, now: int) -> ItemKey | None:
-        """Where a subscription's held items begin; None if it wants none, or an empty channel cannot tell."""
+        """The key at which a subscription's held items begin; None if it wants none, or an empty channel cannot resolve
+        it.
+        """
         clock = self._settle(self._tick(now))
         time = None if start is None else self._reading.resolve_bound(start, clock)
         return None if time is None else (time, SEQ_END if exclusive else 0)

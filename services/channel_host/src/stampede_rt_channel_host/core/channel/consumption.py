@@ -1,18 +1,18 @@
-"""The consumers of a channel, and the items that each has consumed (paper, section 3.4: a reference count with a known
-number of consumers). Pure.
+"""The consumers of a channel, and the items that each has consumed (paper, section 3.4: a reference count). Pure.
 
-A channel with consumers has that many places. A consumer takes one with its first `consume`, keeps it by a lease that
-each further one renews, and loses it when the lease ends. It holds back what it has not consumed:
+A channel with consumers has a stated number of places. A consumer takes a place with its first `consume`. Each further
+`consume` renews the place's lease. The consumer loses the place when the lease ends. A place keeps the items in the
+channel that its consumer has not consumed:
 
-- a place never taken holds back every item; its first taker owes everything that is held;
-- a place whose lease has ended holds back nothing until it is taken again, and that taker owes the newest item and
-  whatever is accepted later;
-- a consumer finds its own place again; a new one gets the place that ended the longest ago, so that places which nobody
-  took yet go on holding for those who are still to come, and otherwise one of these.
+- A place that was never taken keeps every item. Its first consumer has still to consume all held items.
+- A place whose lease has ended keeps no item until it is taken again. Its new consumer has still to consume the newest
+  item and all later ones.
+- A returning consumer gets its own place. A new consumer gets the place whose lease ended first. If there is none, it
+  gets a place that was never taken.
 
-Kept for each place: the seqs that it has consumed; what is gone anyway is taken in when it consumes what adjoins that.
-What is in neither is held and owed. However many consumers there are, a put or a consume looks at few of them: they
-stand in the order of how far they have consumed everything, and one that holds the oldest item back answers for all.
+Each place keeps the seqs that its consumer has consumed. Collected seqs next to them are added when the consumer
+consumes. All other held items are still to be consumed. A put or a consume looks at few places, however many there are.
+The places are sorted by how far they have consumed everything. One that keeps the oldest item answers for all.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from stampede_rt_channel_host.core.channel.seq_set import BLOCK_SEQS, CountedSeq
 from stampede_rt_channel_host.core.deadlines import Deadlines
 
 LEASE_NANOS = 10_000_000_000
-"""How long a place is kept after a `consume` that states nothing else."""
+"""How long a `consume` keeps a place if it states no other lease."""
 
 LEASE_NANOS_MAX = 3_600_000_000_000
 SEQS_MAX = 4096
 RANGES_PER_LOOK_MAX = 256
-"""So many ranges of seqs one call goes on behind what a consumer has consumed."""
+"""The most ranges of seqs over which one call moves the end of a consumer's consumed seqs."""
 SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
 RANGE_STEPS = 4
-"""To count what has gone within a range of consumed seqs takes as long as so many slices."""
+"""To count the collected items in a range of consumed seqs takes as long as so many slices."""
 
 
 class Consumed(NamedTuple):
-    """How many items the consumer had not consumed before, and how long its place is kept from now on."""
+    """The number of items that the consumer had not consumed before, and the lease of its place from now on."""
 
     items: int
     lease_nanos: int
 
 
 class ConsumerPlace(NamedTuple):
-    """A place as a value; it moves with its channel. Times are durations, since two hosts' clocks differ.
+    """A place as a value, which moves with its channel. Its times are durations, because two hosts' clocks differ.
 
-    `consumer_id` 0: never taken. `lease_nanos` 0: the lease has ended. Consumed is everything below `consumed_below`
-    and the `consumed` ranges (first and end, the end excluded); what is gone need not be in them.
+    `consumer_id` 0: never taken. `lease_nanos` 0: the lease has ended. Consumed are all seqs below `consumed_below` and
+    those in the `consumed` ranges (first and end, the end excluded). Collected items need not be in the ranges.
     """
 
     consumer_id: int
@@ -64,7 +64,7 @@ class ConsumerPlace(NamedTuple):
 
 
 class ConsumerStanding(NamedTuple):
-    """How a place stands. `lease_nanos` 0: the lease has ended. `waiting`: held items that it has not consumed."""
+    """The state of a place. `lease_nanos` 0: the lease has ended. `waiting`: held items that it has not consumed."""
 
     consumer_id: int
     lease_nanos: int
@@ -72,11 +72,10 @@ class ConsumerStanding(NamedTuple):
 
 
 class _Place:
-    """A place that was taken; `done` is None once its lease has ended, at `until`.
+    """A place that was taken. Its lease ends at `until`; `done` is None after that.
 
-    `below`: every seq below it is done, as far as was looked; up to `tidied` its ranges were looked at in this round.
-    `order` tells those apart that are otherwise alike; `due`
-    belongs to `Deadlines`.
+    All seqs below `below` are known to be done. This round has looked at the place's ranges up to `tidied`. `order`
+    decides between places that are otherwise equal. `due` belongs to `Deadlines`.
     """
 
     __slots__ = ("below", "consumer_id", "done", "due", "order", "tidied", "until")
@@ -92,10 +91,12 @@ class _Place:
 
 
 class Consumers:
-    """The places of one channel. `clock` is the host's clock, which never goes back; `expire` is called before others.
+    """The places of one channel. `clock` is the host's clock, which never goes back. Call `expire` before other
+    methods.
 
-    They hear from `let_go` of every seq that was given out and is not held; until they have heard of it, it counts as
-    owed. `looked_at` counts looks at a place, and `arrivals` how often a consumer came that may owe what others do not.
+    `let_go` tells the places of every seq that was given out and is not held any more. Until then such a seq counts as
+    not consumed. `looked_at` counts looks at a place. `arrivals` counts the arrivals of consumers that may have more to
+    consume than the others.
     """
 
     def __init__(self, places: int) -> None:
@@ -106,36 +107,36 @@ class Consumers:
         self._live: Any = SortedKeyList(key=attrgetter("below", "order"))
         self._ended: Any = SortedKeyList(key=attrgetter("until", "order"))
         self._leases: Deadlines[_Place] = Deadlines()
-        self._holder: _Place | None = None  # who was last found to hold the oldest item back
+        self._holder: _Place | None = None  # the place last found to keep the oldest item
         self._orders = 0
 
     @property
     def untaken(self) -> int:
-        """How many places were never taken."""
+        """The number of places that were never taken."""
         return self._places - len(self._taken)
 
     @property
     def live(self) -> int:
-        """How many places have a consumer whose lease holds."""
+        """The number of places with a valid lease."""
         return len(self._live)
 
     @property
     def next_lease_end(self) -> int | None:
-        """When the next lease ends; None: nobody has one."""
+        """The time of the next lease end; None: no place has a lease."""
         return self._leases.next()
 
     def expire(self, clock: int) -> None:
-        """End the leases that are over."""
+        """End the leases whose time is over."""
         while (place := self._leases.pop(clock)) is not None:
             self._end(place)
 
     def consume(
         self, consumer_id: int, seqs: Sequence[int], *, next_seq: int, newest_seq: int | None, clock: int, lease: int
     ) -> Consumed:
-        """Note that a consumer has consumed `seqs`, and keep its place for `lease` more; 0 gives the place up.
+        """Note that a consumer has consumed `seqs`, and renew its place for `lease` nanoseconds; 0 gives the place up.
 
-        `newest_seq` is the newest item's. What makes no sense is for `check_consumption` to find before. Raises
-        ChannelFull if all places are taken.
+        `newest_seq` is the newest item's. Call `check_consumption` before, for invalid arguments. Raises ChannelFull if
+        all places are taken.
         """
         if not lease and not seqs and not self._holds_place(consumer_id):
             return Consumed(0, 0)
@@ -160,7 +161,7 @@ class Consumers:
         return own is not None and own.done is not None
 
     def _take(self, consumer_id: int, restart_seq: int) -> tuple[_Place, SeqSet]:
-        """The consumer's own place, or one that it takes now, and what it has done there."""
+        """The consumer's place, taken now if it has none, and the seqs that are done there."""
         own = self._taken.get(consumer_id)
         if own is not None and own.done is not None:
             return own, own.done
@@ -171,7 +172,7 @@ class Consumers:
                 metadata={"consumers": str(self._places)},
             )
         done = SeqSet(self._gone.below)
-        former = own or (self._ended[0] if self._ended else None)  # the one that ended the longest ago
+        former = own or (self._ended[0] if self._ended else None)  # the place that ended first
         if former is not None:
             self._drop(former)
             done.add(1, restart_seq)
@@ -200,7 +201,7 @@ class Consumers:
         self._ended.add(place)
 
     def _rank(self, place: _Place, done: SeqSet) -> None:
-        """It has done more: it stands where that says, or, where it would go on for long, a part of the way there."""
+        """Move the place to the rank of its consumed seqs, or, over very many ranges, a part of the way there."""
         left = RANGES_PER_LOOK_MAX
         while left > 0 and (end := self._gone.end_of(done.below)) > done.below:
             left -= 1 + _go_on(done, done.below, end, left)
@@ -210,7 +211,9 @@ class Consumers:
             self._live.add(place)
 
     def _tidy(self, place: _Place, done: SeqSet, ranges: int) -> None:
-        """Take in what has gone behind so many of its ranges: they never are many more than items are held."""
+        """Add collected seqs to so many of the place's ranges: so it never has many more ranges than there are held
+        items.
+        """
         while ranges > 0:
             found = done.first_range(place.tidied)
             if found is None:
@@ -221,23 +224,23 @@ class Consumers:
             ranges -= 1 + _go_on(done, found[1], end, ranges)
 
     def let_go(self, first: int, end: int) -> None:
-        """Items were collected, whatever for: nobody owes them any more."""
+        """Note collected seqs: no consumer has to consume them any more."""
         self._gone.add(first, end)
 
     def let_go_some(self, first: int, end: int, ranges_max: int) -> int:
-        """The same of a stretch of which much may be known to be gone: a bounded part. How far it came."""
+        """As `let_go`, but a bounded part of the stretch. Returns the seq that it reached."""
         end = min(self._gone.until(first, end, ranges_max), first + SEQS_PER_LOOK_MAX)
         self._gone.add(first, end)
         return end
 
     def resize(self, places: int) -> None:
-        """Another number of places. Of too many taken ones go first those that ended, then the soonest to end."""
+        """Set another number of places. Removes surplus places: ended ones first, then those that end soonest."""
         self._places = places
         for place in sorted(self._taken.values(), key=_worth)[: max(0, len(self._taken) - places)]:
             self._drop(place)
 
     def done_with(self, part: Slice) -> int:
-        """How many of the first items of `part` every live consumer has consumed."""
+        """The number of first items of `part` that every live consumer has consumed."""
         first, end = part.first_seq, part.end_seq
         if self._holder is not None and self._end_of(self._holder, first) == first:
             return 0
@@ -254,12 +257,12 @@ class Consumers:
         return (end if beyond is None else min(end, beyond.below)) - first
 
     def _end_of(self, place: _Place, seq: int) -> int | None:
-        """The first seq at or above `seq` that it has not consumed; None: its lease has ended."""
+        """The first seq at or above `seq` that the place has not consumed; None: its lease has ended."""
         self.looked_at += 1
         return None if place.done is None else place.done.end_of(seq)
 
     def places(self, clock: int, next_seq: int) -> list[ConsumerPlace]:
-        """Every place that was taken, as a value, in the order of `standings`. Takes as long as there are ranges."""
+        """Every taken place as a value, in the order of `standings`. The time grows with the number of ranges."""
         shown = []
         for place in sorted(self._taken.values(), key=_worth):
             done = SeqSet() if place.done is None else place.done
@@ -270,9 +273,9 @@ class Consumers:
         return shown
 
     def standings(self, clock: int, next_seq: int) -> Pieces[list[ConsumerStanding]]:
-        """Every place that was taken; first those whose leases have ended, the longest ago first.
+        """The state of every taken place. Places with an ended lease come first, in the order of their ends.
 
-        In pieces: where consumers have consumed much out of order, others count while the channel goes on.
+        In pieces: to count takes long if consumers have consumed many items out of order.
         """
         shown, steps = [], 0
         for place in sorted(self._taken.values(), key=_worth):
@@ -295,7 +298,7 @@ class Consumers:
         return shown
 
     def restore(self, places: Iterable[ConsumerPlace], clock: int) -> None:
-        """Take over places that `places` told, instead of those that are there. Those of id 0 stay untaken."""
+        """Replace all places by those that `places` gave. Places with id 0 stay untaken."""
         for former in list(self._taken.values()):
             self._drop(former)
         for one in places:
@@ -315,19 +318,22 @@ class Consumers:
 
 
 def _go_on(done: SeqSet, first: int, end: int, ranges_max: int) -> int:
-    """Put in seqs from `first` on, up to `end` at most: so many that about `ranges_max` ranges become one. How many."""
+    """Add seqs from `first` on, up to `end` at most, until about `ranges_max` ranges are joined.
+
+    Returns their number.
+    """
     before = done.range_count
     done.add(first, done.until(first, end, ranges_max))
     return max(0, before - done.range_count)
 
 
 def _worth(place: _Place) -> tuple[bool, int]:
-    """The least worth of places is the one that ended the longest ago."""
+    """The sort key of places. The place that ended first is worth least."""
     return place.done is not None, place.until
 
 
 def check_consumption(consumer_id: int, seqs: Sequence[int], next_seq: int, lease: int) -> None:
-    """Raises InvalidArgument for what makes no sense, whoever has a place; `next_seq`: all below it were given out."""
+    """Raises InvalidArgument for arguments that are invalid for any place. All seqs below `next_seq` were given out."""
     if not consumer_id:
         raise InvalidArgument("consumer_id is 0; choose a random number above 0, and keep it")
     if not 0 <= lease <= LEASE_NANOS_MAX:

@@ -1,4 +1,4 @@
-"""The oldest held items, as far as a limit takes them. Pure."""
+"""The oldest held items, up to a limit. Pure."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 
 class Front(NamedTuple):
-    """The oldest held items: how many, and their payload bytes; the last slice of them, as far as it goes, None if they
-    are none; and the first slice behind them, None if they are all that is held."""
+    """The oldest held items: their number and their payload bytes.
+
+    `last` is the last slice among them, as far as it belongs to them, and None if there are no such items. `rest` is
+    the first slice after them, and None if no held item follows.
+    """
 
     items: int
     payload_bytes: int
@@ -20,11 +23,11 @@ class Front(NamedTuple):
 
 
 Going = Callable[[Slice], int]
-"""Tells how many items of a slice go; slices come from the oldest on."""
+"""Tells how many items of a slice belong to the front. It gets the slices from the oldest on."""
 
 
 def before(time: int) -> Going:
-    """Takes items before `time`."""
+    """Counts the items before `time`."""
 
     def going(part: Slice) -> int:
         return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
@@ -33,7 +36,7 @@ def before(time: int) -> Going:
 
 
 def oldest_items(count: int) -> Going:
-    """Takes the first `count` items."""
+    """Counts the first `count` items."""
 
     def going(part: Slice) -> int:
         nonlocal count
@@ -45,7 +48,7 @@ def oldest_items(count: int) -> Going:
 
 
 def oldest_bytes(charged_bytes: int) -> Going:
-    """Takes items until so many bytes are charged for them."""
+    """Counts items until their charged bytes reach `charged_bytes`."""
 
     def going(part: Slice) -> int:
         nonlocal charged_bytes

@@ -1,4 +1,4 @@
-"""The slices of a large answer, kept in parts: a step lets go of one part, never of all of them. Pure."""
+"""The slices of a large answer, in parts. One step frees one part, never all of them. Pure."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from stampede_rt_channel_host.core.channel.run import Slice
 
 
 class Gathered(Sequence[Slice]):
-    """Slices in their order, in the parts that each came with one piece of work."""
+    """Slices in order. Each part holds the slices that one piece of work found."""
 
     __slots__ = ("_parts",)
 
     def __init__(self, parts: deque[list[Slice]]) -> None:
-        """`parts` are not empty; they are the new object's from now on."""
+        """`parts` are not empty. The new object owns them from now on."""
         self._parts = parts
 
     def __len__(self) -> int:
@@ -34,28 +34,28 @@ class Gathered(Sequence[Slice]):
     @overload
     def __getitem__(self, at: slice) -> Sequence[Slice]: ...
     def __getitem__(self, at: int | slice) -> Slice | Sequence[Slice]:
-        """Walks all of them, unless the last one is asked for."""
+        """The slice or slices at `at`. Walks all slices, except for -1."""
         return self._parts[-1][-1] if at == -1 else [*self][at]
 
     def drained(self) -> Iterator[Slice]:
-        """Each slice in turn; a part is let go of once its last slice was given."""
+        """Each slice in turn. Frees a part once its last slice was given."""
         while self._parts:
             yield from self._parts[0]
             self._parts.popleft()
 
     def emptying(self) -> Pieces[None]:
-        """Let go of what is left, in pieces."""
+        """Free the remaining slices, in pieces."""
         while self._parts:
             self._parts.popleft()
             yield
 
 
 def drained(slices: Sequence[Slice]) -> Iterator[Slice]:
-    """The slices of an answer, one by one, for the last time."""
+    """The slices of an answer, one by one. The answer is empty afterwards."""
     return slices.drained() if isinstance(slices, Gathered) else iter(slices)
 
 
 def emptying(slices: Sequence[Slice]) -> Pieces[None]:
-    """Let go of the slices of an answer that nobody wants, in pieces."""
+    """Free the slices of an answer that no caller gets, in pieces."""
     if isinstance(slices, Gathered):
         yield from slices.emptying()

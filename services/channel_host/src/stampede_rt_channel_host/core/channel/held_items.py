@@ -1,6 +1,7 @@
-"""The items that a channel holds, to be read, and the counts of those that are gone. Pure.
+"""The items that a channel holds, for reading, and the counts of collected items. Pure.
 
-What lies below `floor` is outdated: collected in every count and never returned, though its memory may be freed later.
+Items below `floor` are outdated: every count has them as collected, and no read returns them. Their memory may be freed
+later.
 """
 
 from __future__ import annotations
@@ -16,16 +17,17 @@ from stampede_rt_channel_host.core.channel.tally import Tally
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 
 Cut = Callable[[bytes, int, int], bytes]
-"""Gives the body of the items from one position up to, not including, another."""
+"""Returns the body of the items from one position up to another, exclusive."""
 
 
 class HeldItems:
-    """Held items and counts, without what changes them. Invariant: `accepted == items + sum(collected.values())`.
+    """Held items and counts, without the methods that change them. `accepted == items + sum(collected.values())` holds.
 
-    `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time that age, count
-    or bytes have collected; `collected_end`: the latest span end among those, and `collected_by` its cause.
-    `newest_consumed`: the latest time that consumption has collected. `last_cause`: of the latest collection.
-    `overlap_nanos`: how long a later item does not cut one with a duration. `freed_entries`: so many were freed so far.
+    `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time collected for
+    age, count or bytes. `collected_end`: the latest span end among those items, and `collected_by` the cause.
+    `newest_consumed`: the latest time collected by consumption. `last_cause`: the cause of the latest collection.
+    `overlap_nanos`: for so long a later item does not end the span of an item with a duration. `freed_entries`: the
+    number of entries freed so far.
     """
 
     __slots__ = (
@@ -54,16 +56,16 @@ class HeldItems:
         self.last_cause = AGE
         self.overlap_nanos = 0
         self._on_gone: Callable[[int, int], None] | None = None
-        self._told: ItemKey = FIRST_KEY  # up to where it has heard
+        self._told: ItemKey = FIRST_KEY  # the follower has heard of all collected items below this key
         self._came_up_to: int | None = None
-        self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it holds
-        self._newest_is_open = False  # an item of the newest bucket came without a duration
-        self._newest_longest = 0  # the longest duration that came in the newest bucket
+        self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it is valid
+        self._newest_is_open = False  # an item of the newest bucket has no duration
+        self._newest_longest = 0  # the longest duration of an item in the newest bucket
         self._snapshots: dict[ChannelSnapshot, None] = {}
-        self._tally = Tally()  # of what is held, without the newest items
-        self._stored_bytes = 0  # charged bytes of every entry in the index, outdated ones included
-        self._stored_items = 0  # their items
-        self._kept_body_bytes = 0  # of every run with an entry in the index
+        self._tally = Tally()  # of the held items, without the newest ones
+        self._stored_bytes = 0  # charged bytes of every entry in the index, outdated entries included
+        self._stored_items = 0  # the items of these entries
+        self._kept_body_bytes = 0  # the bodies of all runs with an entry in the index
         self._cut = cut
         self.freed_entries = 0
 
@@ -79,30 +81,33 @@ class HeldItems:
 
     @property
     def backlog_bytes(self) -> int:
-        """Charged bytes of outdated items whose memory is not freed."""
+        """The charged bytes of outdated items whose memory is not freed yet."""
         return self._stored_bytes - self.charged_bytes
 
     @property
     def footprint_bytes(self) -> int:
-        """The bytes that are really kept: the bodies of all runs with an item left, and 64 bytes for each item."""
+        """The bytes in memory: the bodies of all runs with an item left, and 64 bytes for each item."""
         return self._kept_body_bytes + self._stored_items * ITEM_OVERHEAD_BYTES
 
     @property
     def has_backlog(self) -> bool:
-        """There are entries that can be freed, or would be if they were told of."""
+        """Whether there are entries to free, now or once the follower has heard of them."""
         untold = self._on_gone is not None and self._told < self.floor
         return untold or self.index.has_below(self._free_floor)
 
     @property
     def _free_floor(self) -> ItemKey:
-        """The host frees items below this key: no snapshot shows them, and the follower has heard of their end."""
+        """The key below which the host frees items: no snapshot shows them, and the follower has heard of their end."""
         floor = self.floor if self._on_gone is None else min(self.floor, self._told)
         return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
 
     @property
     def frontier(self) -> int | None:
-        """The latest span end that was collected, but not above the oldest held item's time; with none left, not above
-        what had come when the last one went: a long duration says nothing of items that are still to come."""
+        """The latest collected span end, but not above the oldest held item's time.
+
+        If no item is left: not above the latest time that had come when the last item went. So a long duration says
+        nothing about later items.
+        """
         bound = self._came_up_to if self.oldest is None else self.oldest
         if self.collected_end is None or bound is None:
             return self.collected_end
@@ -110,27 +115,27 @@ class HeldItems:
 
     @property
     def end(self) -> ItemKey:
-        """See `Readable`: all is shown."""
+        """See `Readable`: this object shows all items."""
         return LAST_KEY
 
     def snapshot(self) -> ChannelSnapshot:
-        """A snapshot of the held items, to walk while the channel changes."""
+        """A snapshot of the held items, for a walk while the channel changes."""
         return ChannelSnapshot(self.index, self.floor, self.next_seq, self._snapshots)
 
     @property
     def gone_before(self) -> int | None:
-        """From here on no span of a collected item is missing: the frontier, or where items overlap a later instant."""
+        """The instant from which no span of a collected item is missing. With overlap it is later than the frontier."""
         frontier = self.frontier
         if not self.overlap_nanos or frontier is None or self.newest_collected is None:
             return frontier
         return max(frontier, self.newest_collected + self.overlap_nanos)
 
     def slices(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
-        """Held items at or above `low` and below `high`, ascending."""
+        """Held items at or above `low` and below `high`, in ascending order."""
         return self.index.slices(max(low, self.floor), high)
 
     def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
-        """The same, the last slice first."""
+        """As `slices`, the last slice first."""
         return self.index.slices_down(max(low, self.floor), high)
 
     @property
@@ -140,32 +145,36 @@ class HeldItems:
         return None if last is None else last.end_seq - 1
 
     def newest_end(self, now: int) -> int | None:
-        """No span of the newest bucket ends later; what has no end holds until `now`. Items that were collected since
-        they came into the bucket count, too."""
+        """The latest span end of the newest bucket; a span without an end holds until `now`.
+
+        Counts items that were collected from the bucket, too.
+        """
         if self.newest is None:
             return None
         end = self.newest + self._newest_longest
         return max(end, now) if self._newest_is_open else end
 
     def items_below(self, key: ItemKey) -> int:
-        """How many held items are below a key: walks only those that whole blocks do not count."""
+        """The number of held items below a key. Walks only the items outside whole blocks."""
         whole = self._tally.whole_below(key)
         return whole.items + sum(part.items for part in self.slices(whole.end, key))
 
     def slices_by_seq(self, low: int, high: int) -> Iterator[Slice]:
-        """Held items with seqs from `low` up to, not including, `high`, in seq order."""
+        """Held items with seqs from `low` up to `high`, exclusive, in seq order."""
         return self.index.slices_by_seq(low, high, self.floor)
 
     def seq_from(self, low: int, high: int, entries_max: int) -> int:
-        """The first held seq from `low` on, or how far it is known that none is held (see `ChannelIndex.seq_from`)."""
+        """The first held seq from `low` on, or the seq below which certainly none is held (see
+        `ChannelIndex.seq_from`).
+        """
         return self.index.seq_from(low, high, self.floor, entries_max)
 
     def held_up_to(self, low: int, high: int, entries_max: int) -> int:
-        """How far held seqs follow each other from `low` on (see `ChannelIndex.held_up_to`)."""
+        """The end of the unbroken sequence of held seqs from `low` on (see `ChannelIndex.held_up_to`)."""
         return self.index.held_up_to(low, high, self.floor, entries_max)
 
     def next_time(self, time: int) -> int | None:
-        """The time of the next later bucket than `time`."""
+        """The time of the next bucket after `time`; None: there is none."""
         if self.newest is None or time >= self.newest:
             return None
         known, following = self._following
@@ -175,21 +184,21 @@ class HeldItems:
         return following
 
     def floor_time(self, time: int) -> int | None:
-        """The time of the bucket at or before `time`."""
+        """The time of the bucket at or before `time`; None: there is none."""
         if self.oldest is None or time < self.oldest:
             return None
         return self.index.floor_time(time)
 
     def bucket_end(self, time: int, bound: int) -> int:
-        """The last span end of the bucket at `time` if `bound` is the next bucket's time."""
+        """The latest span end in the bucket at `time`, if `bound` is the next bucket's time."""
         if self.overlap_nanos:
             return self.counted_end(time, None, bound)
         return latest_end(self.slices((time, 0), (time, SEQ_END)), time, bound)
 
     def counted_end(self, time: int, own_end: int | None, bound: int) -> int:
-        """The span end from which the age of an item at `time` counts; `own_end` is its end by duration, if any.
+        """The span end from which the age of an item at `time` counts. `own_end` is its end by duration, if any.
 
-        Where items overlap, all count as if they lasted as long as any can: so ends ascend with the buckets.
+        With overlap, every item counts with the longest possible span. So the ends ascend with the buckets.
         """
         if self.overlap_nanos:
             return max(bound, time + self.overlap_nanos)

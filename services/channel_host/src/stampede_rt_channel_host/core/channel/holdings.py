@@ -1,6 +1,6 @@
-"""How the items of a channel change: they come in, retention outdates them, and their memory is freed later. Pure.
+"""Changes the items of a channel: new items come in, retention outdates items, and their memory is freed later. Pure.
 
-So a policy that outdates a million items at once stalls nobody.
+So a policy that outdates a million items at once blocks nobody.
 """
 
 from __future__ import annotations
@@ -17,24 +17,29 @@ from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, lates
 from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Whole
 
 TOLD_SLICES_MAX = 64
-"""Of so many slices consumers hear at once that they were collected; the next calls go on."""
+"""The most collected slices of which one call tells the consumers. The next calls go on."""
 
 FREED_ENTRIES_MAX = 2048
-"""So many entries one call frees at the most, however much is outdated: the next calls go on."""
+"""The most entries that one call frees, however many items are outdated. The next calls go on."""
 
 LIVE_SHARE_MIN = 4
 COPIED_BYTES_MIN = 4096
 COPIED_PARTS_MAX = 4
-"""Of a run larger than COPIED_BYTES_MIN a quarter is copied out of it when no more than that is left, in few parts."""
+"""If a quarter or less of a run larger than COPIED_BYTES_MIN is left, in so few parts, these parts are copied out of
+it.
+"""
 
 
 class Holdings(HeldItems):
-    """The items of a channel, with the operations that change them. Acceptance stores, and retention outdates."""
+    """The items of a channel, with the operations that change them.
+
+    Acceptance stores items, and retention outdates them.
+    """
 
     __slots__ = ()
 
     def store(self, run: Run, payload_bytes: int, low: int, high: int) -> None:
-        """Add a run whose times lie between `low` and `high`."""
+        """Add a run. `low` and `high` are its least and greatest time."""
         if low < self.floor[0]:
             self._make_way()
         self.index.insert(run)
@@ -54,13 +59,13 @@ class Holdings(HeldItems):
                 self._meet(time, duration)
 
     def sealed(self, run: ColumnRun) -> None:
-        """A run whose items were stored one by one has its body."""
+        """Count the body of a run whose items were stored one by one."""
         if run.kept:
             self._kept_body_bytes += len(run.body)
             self._trim()
 
     def store_item(self, run: ColumnRun, at: int, payload_bytes: int) -> None:
-        """Add the item at position `at` of a run of which exactly those before it are in."""
+        """Add the item at position `at` of a run. All earlier items of the run must be in, and no later ones."""
         time = run.times[at]
         if time < self.floor[0]:
             self._make_way()
@@ -73,7 +78,7 @@ class Holdings(HeldItems):
         self._meet(time, ABSENT if run.durations is None else run.durations[at])
 
     def _make_way(self) -> None:
-        """An item comes in below what consumption has taken: of that, nothing may be left in the index."""
+        """Free all consumed items from the index, because an item below them comes in."""
         for snapshot in self._snapshots:
             snapshot.detach()
         self._snapshots.clear()
@@ -85,7 +90,7 @@ class Holdings(HeldItems):
         self.floor = self._told = FIRST_KEY
 
     def _split_block(self, crowded: tuple[ItemKey, ItemKey] | None) -> None:
-        """Late items have crowded a block of the tally: make two of it."""
+        """Split a block of the tally that late items have made too large."""
         if crowded is None:
             return
         low, high = crowded
@@ -115,7 +120,7 @@ class Holdings(HeldItems):
             self._close_block()
 
     def _close_block(self) -> None:
-        """Very many items came in below the newest one, which no block counts yet."""
+        """Close the tally's block, because very many items came in below the newest one, and no block counts these yet."""
         items = payload_bytes = 0
         for part in self.slices(self._tally.end):
             items += part.items
@@ -125,7 +130,7 @@ class Holdings(HeldItems):
                 return
 
     def _meet(self, time: int, duration: int) -> None:
-        """An item has come in."""
+        """Note the time and duration of a new item."""
         if self.newest is None or time > self.newest:
             self.newest, self._newest_is_open, self._newest_longest = time, duration == ABSENT, max(duration, 0)
         elif time == self.newest:
@@ -133,8 +138,10 @@ class Holdings(HeldItems):
             self._newest_longest = max(self._newest_longest, duration)
 
     def front(self, going: Going, whole: Whole = NO_BLOCKS) -> Front:
-        """The oldest held items: those of `whole`, and what `going` takes of the next ones. It tells of each slice in
-        turn how many of its items go."""
+        """The oldest held items: those of `whole`, and those of the next slices that `going` counts.
+
+        `going` gets one slice after the other, and returns how many of its items belong to the front.
+        """
         items, payload_bytes = whole.items, whole.payload_bytes
         last: Slice | None = None
         for part in self.slices(whole.end) if items else self.index.slices_from(self.floor):
@@ -152,38 +159,38 @@ class Holdings(HeldItems):
         return next(self.slices_down(FIRST_KEY, whole.end), None) if whole.items else None
 
     def front_before(self, time: int) -> Front:
-        """The held items before `time`, however many there are."""
+        """The held items before `time`."""
         return self.front(before(time), self._tally.whole_below((time, 0)))
 
     def front_of_items(self, count: int) -> Front:
-        """The oldest `count` items, however many that is."""
+        """The oldest `count` items."""
         whole = self._tally.whole_within(items=count)
         return self.front(oldest_items(count - whole.items), whole)
 
     def front_of_bytes(self, charged_bytes: int) -> Front:
-        """The oldest items that are charged with at least so many bytes, and none more than needed."""
+        """The oldest items that are together charged with at least `charged_bytes`, and no more items than needed."""
         whole = self._tally.whole_within(charged_bytes=charged_bytes)
         return self.front(oldest_bytes(charged_bytes - whole.payload_bytes - whole.items * ITEM_OVERHEAD_BYTES), whole)
 
     def time_behind(self, front: Front) -> int | None:
-        """The time of the bucket behind the last one that a front, which is not empty, takes of."""
+        """The time of the bucket after the last bucket of a front. The front must not be empty."""
         if front.rest is None or front.last is None:
             return None
         last_time, first_held = front.last.last_time, front.rest.first_time
         return first_held if first_held > last_time else self.next_time(last_time)
 
     def outdate(self, front: Front, cause: str, now: int) -> None:
-        """Collect a front. `now` ends the open spans of the newest bucket, if they are among it."""
+        """Collect the items of a front. `now` ends the open spans of the newest bucket, if the front has some."""
         last = front.last
         if last is None:
             return
         self.last_cause = cause
-        if cause == CONSUMPTION:  # moves no frontier: items may yet come in below
+        if cause == CONSUMPTION:  # consumption moves no frontier: items may still come in below
             before = self.newest_consumed
             self.newest_consumed = last.last_time if before is None else max(before, last.last_time)
         else:
             self._note_end(last, self.time_behind(front), cause, now)
-        # Not where the next held item begins: another may yet come between the two.
+        # Not the key of the next held item, because another item may come between the two.
         self.floor = last.last_time, last.end_seq
         self.items -= front.items
         self.payload_bytes -= front.payload_bytes
@@ -196,11 +203,11 @@ class Holdings(HeldItems):
         self.tell_gone(TOLD_SLICES_MAX)
 
     def tell(self, on_gone: Callable[[int, int], None] | None) -> None:
-        """From now on `on_gone` hears which seqs are collected, from the first up to, not including, the end."""
+        """From now on call `on_gone` with the seqs of collected items: the first, and the end, exclusive."""
         self._on_gone, self._told = on_gone, self.floor
 
     def tell_gone(self, slices_max: int) -> bool:
-        """Tell of so many slices that were collected; True if more are left: nothing of these is freed before."""
+        """Tell of so many collected slices. Returns True if more are left. No slice is freed before it was told."""
         if self._on_gone is None or self._told >= self.floor:
             return False
         parts = [*islice(self.index.slices(self._told, self.floor), slices_max)]
@@ -210,8 +217,11 @@ class Holdings(HeldItems):
         return self._told < self.floor
 
     def _note_end(self, last: Slice, following: int | None, cause: str, now: int) -> None:
-        """Earlier buckets end at or before the last one's time, so only that one's items count. `following`: the time
-        of the next bucket."""
+        """Note the latest span end of collected items.
+
+        Earlier buckets end at or before the last bucket's time, so only the last bucket counts. `following` is the time
+        of the next bucket.
+        """
         time = last.last_time
         bucket = self.slices((time, 0), (time, last.end_seq))
         end = end_of_newest(bucket, time, now) if following is None else latest_end(bucket, time, following)
@@ -223,8 +233,11 @@ class Holdings(HeldItems):
             self.newest_collected = time
 
     def free(self, entries_max: int, backlog_bytes_max: int | None = None) -> bool:
-        """Free up to `entries_max` entries of outdated items, and more while these are charged with more than
-        `backlog_bytes_max`, FREED_ENTRIES_MAX at the most. True if any are left that can be freed."""
+        """Free up to `entries_max` entries of outdated items. Returns True if any are left to free.
+
+        Frees more while the outdated items are charged with more than `backlog_bytes_max`, but FREED_ENTRIES_MAX at the
+        most.
+        """
         for freed in range(FREED_ENTRIES_MAX):
             if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
                 break
@@ -241,7 +254,7 @@ class Holdings(HeldItems):
         return entry is not None
 
     def _trim(self) -> None:
-        """Let go of the outdated items of a run that is held for a few of them only."""
+        """Free the outdated items of a run that is kept only for its few other items."""
         floor = self._free_floor
         share = self.index.share_below(floor) if self._cut is not None else None
         if share is not None and len(share.run.body) > COPIED_BYTES_MIN and share.items * 4 >= len(share.run) * 3:
@@ -263,7 +276,7 @@ class Holdings(HeldItems):
             self._copy_rest(run)
 
     def _copy_rest(self, run: ColumnRun) -> None:
-        """Move the rest of a run into bodies of its own, if that saves as much as it costs."""
+        """Move the rest of a run into bodies of its own, if that saves as much memory as it costs."""
         parts = self.index.parts_of(run, COPIED_PARTS_MAX + 1)
         if self._cut is None or len(parts) > COPIED_PARTS_MAX:
             return

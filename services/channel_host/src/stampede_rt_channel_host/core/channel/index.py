@@ -1,11 +1,11 @@
 """The two indexes of a channel's runs: by (time, seq) and by seq. Pure.
 
-An entry is a stretch of one run whose items ascend in time, with no other item between them. Where items come in order
-there is one entry for each run; a late item splits the entry that it falls into. Both indexes hold the same entries.
+An entry is a part of one run whose items ascend in time, with no other item between them. If items come in order, each
+run has one entry. A late item splits the entry into which it falls. Both indexes hold the same entries.
 
-Invariant: an entry that begins at some time is the first to hold an item of that time, apart from other entries that
-begin at it. So the first time alone is the key, entries of equal keys stand in seq order, and keys need no memory of
-their own.
+Invariant: an entry that begins at some time is the first that holds an item of that time, apart from other entries that
+begin at the same time. So the first time alone is the key. Entries of equal keys stand in seq order. Keys need no
+memory of their own.
 """
 
 from __future__ import annotations
@@ -21,21 +21,24 @@ from sortedcontainers import SortedKeyList
 from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
 
 ItemKey = tuple[int, int]
-"""An item's position in the order (time, seq), as a pair that sorts."""
+"""An item's place in the order (time, seq), as a pair that sorts."""
 
 SEQ_END = 1 << 64
-"""Above every seq."""
+"""A number greater than every seq."""
 
 FIRST_KEY: ItemKey = (-(1 << 64), 0)
 LAST_KEY: ItemKey = (1 << 64, 0)
 
 _BUCKET_ENTRIES_SCANNED = 8
-"""So many entries that begin at the same time are looked at one after the other; a key among more is bisected."""
+"""Up to so many entries with the same first time are scanned one after the other. Among more, the key is bisected."""
 
 
 class IndexPart:
-    """An entry of a run of several items: positions `lo` to `hi` of it. `hi` changes when it is split, `lo` when it is
-    trimmed within its first bucket; then `first_seq` stays, as the key that it is found by."""
+    """An entry of a run of several items: positions `lo` to `hi` of the run.
+
+    A split changes `hi`. A trim within the first bucket changes `lo`; `first_seq` stays then, because the index finds
+    the entry by it.
+    """
 
     __slots__ = ("first_seq", "first_time", "hi", "lo", "run")
 
@@ -52,7 +55,7 @@ class IndexPart:
         return self.run.times[self.hi - 1]
 
     def go_on_in(self, run: Run) -> None:
-        """Its items are all of this run now, and the same as before."""
+        """Note that all items of this entry are now those of `run`. The items stay the same."""
         self.run, self.lo, self.hi = run, 0, len(run)
 
 
@@ -60,7 +63,7 @@ Entry = IndexPart | OneRun
 
 
 def index_of(entry: Entry, key: ItemKey) -> int:
-    """Where in the entry's run its first item at or above `key` stands; `entry.hi` if there is none."""
+    """The position in the entry's run of its first item at or above `key`; `entry.hi` if there is none."""
     time, seq = key
     if entry.first_time > time:
         return entry.lo
@@ -71,7 +74,7 @@ def index_of(entry: Entry, key: ItemKey) -> int:
 
 
 class ChannelIndex:
-    """Entries by time and by seq. Places below some floor are the caller's to leave out."""
+    """Entries by time and by seq. The caller leaves out the items below its floor."""
 
     __slots__ = ("_by_seq", "_by_time")
 
@@ -80,11 +83,11 @@ class ChannelIndex:
         self._by_seq: Any = SortedKeyList(key=attrgetter("first_seq"))
 
     def __len__(self) -> int:
-        """How many entries there are."""
+        """The number of entries."""
         return len(self._by_time)
 
     def insert(self, run: Run) -> None:
-        """Add all items of a run whose seqs are above all that are there."""
+        """Add all items of a run. Its seqs must be above all others here."""
         if isinstance(run, OneRun):
             self._open(run.first_time)
             self._add(run)
@@ -98,7 +101,10 @@ class ChannelIndex:
             lo = hi
 
     def insert_item(self, run: Run, at: int) -> None:
-        """Add the item at position `at` of a run. Exactly the items before it are in; its seq is above all others."""
+        """Add the item at position `at` of a run.
+
+        All earlier items of the run must be in, and no later ones. Its seq must be above all others here.
+        """
         time = run.times[at]
         before = self._floor(time)
         if before is not None and before.run is run and before.hi == at and before.last_time <= time:
@@ -119,7 +125,10 @@ class ChannelIndex:
         self._by_seq.add(entry)
 
     def _open(self, time: int) -> None:
-        """Make room behind the last item of `time`: no entry goes on past it, none holds it without beginning at it."""
+        """Split entries so that an item can be added after the last item of `time`.
+
+        Afterwards no entry goes on beyond `time`, and all entries with items of `time` begin at it.
+        """
         entry = self._floor(time)
         if entry is None or isinstance(entry, OneRun):
             return
@@ -146,7 +155,10 @@ class ChannelIndex:
         return next(self._by_time.irange_key(time, None, (False, True)), None)
 
     def slices(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
-        """The items at or above `low` and below `high`, ascending. The index must not change meanwhile."""
+        """The items at or above `low` and below `high`, in ascending order.
+
+        The index must not change during the iteration.
+        """
         if low >= high:
             return
         before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
@@ -158,7 +170,7 @@ class ChannelIndex:
             yield from _clipped(entry, low, high)
 
     def _entries_from(self, low: ItemKey, last_time: int) -> Iterator[Entry]:
-        """Entries that begin from `low`'s time up to `last_time`, without the most of those that end below `low`."""
+        """Entries that begin between `low`'s time and `last_time`, without most of those that end below `low`."""
         time, seq = low
         entries = self._by_time.irange_key(time, last_time)
         first = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq else []
@@ -168,7 +180,7 @@ class ChannelIndex:
         return iter(self._by_time.islice(at, self._by_time.bisect_key_right(last_time)))
 
     def _entries_down(self, high: ItemKey, first_time: int) -> Iterator[Entry]:
-        """The same from above: without the most of those that begin at or above `high`."""
+        """The entries from above, without most of those that begin at or above `high`."""
         time, seq = high
         entries = self._by_time.irange_key(first_time, time, reverse=True)
         last = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq < SEQ_END else []
@@ -178,15 +190,18 @@ class ChannelIndex:
         return iter(self._by_time.islice(self._by_time.bisect_key_left(first_time), end, reverse=True))
 
     def _entry_in_bucket(self, time: int, seq: int) -> int:
-        """Which entry, counted from the first of all, is the last that begins at `time` with a seq up to `seq`; the
-        first that begins at it if there is none. A bisection: a bucket may hold any number of entries."""
+        """The position of the last entry that begins at `time` with a seq up to `seq`, or of the first that begins at
+        `time`.
+
+        Bisects, because a bucket may hold any number of entries.
+        """
         lo: int = self._by_time.bisect_key_left(time)
         hi: int = self._by_time.bisect_key_right(time)
         above: int = bisect_right(self._by_time, seq, lo, hi, key=attrgetter("first_seq"))
         return above - 1 if above > lo else above
 
     def slices_from(self, floor: ItemKey) -> Iterator[Slice]:
-        """The items at or above `floor`, ascending; the quickest way where hardly an entry lies below it."""
+        """The items at or above `floor`, in ascending order. The fastest way if few entries lie below `floor`."""
         if self._by_time and self._by_time[0].last_time < floor[0]:
             yield from self.slices(floor, LAST_KEY)
             return
@@ -196,7 +211,7 @@ class ChannelIndex:
                 yield Slice(entry.run, lo, entry.hi)
 
     def slices_down(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
-        """The same items, the last slice first."""
+        """The items at or above `low` and below `high`, the last slice first."""
         if low >= high:
             return
         for entry in self._entries_down(high, low[0]):
@@ -208,13 +223,13 @@ class ChannelIndex:
             yield from _clipped(before, low, high)
 
     def copy_from(self, low: ItemKey) -> ChannelIndex:
-        """Another index by time of the items at or above `low`, which changes of this one leave as it is."""
+        """A separate index by time of the items at or above `low`. Changes of this index do not affect the copy."""
         copy = ChannelIndex()
         copy._by_time.update(IndexPart(part.run, part.lo, part.hi) for part in self.slices(low, LAST_KEY))
         return copy
 
     def slices_by_seq(self, low: int, high: int, floor: ItemKey) -> Iterator[Slice]:
-        """The items with seqs from `low` up to, not including, `high` and keys at or above `floor`, in seq order."""
+        """The items with seqs from `low` up to `high`, exclusive, and keys at or above `floor`, in seq order."""
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         if before is not None:
             yield from _clipped_by_seq(before, low, high, floor)
@@ -222,9 +237,10 @@ class ChannelIndex:
             yield from _clipped_by_seq(entry, low, high, floor)
 
     def seq_from(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
-        """The first seq from `low` on of an item at or above `floor`, `high` if there is none below it.
+        """The first seq from `low` on of an item at or above `floor`; `high` if there is none below `high`.
 
-        Looks at so many entries at most; then it gives how far it came: all below are gone.
+        Looks at `entries_max` entries at most. Then it returns the seq that it reached: the items of all seqs below are
+        gone.
         """
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
@@ -235,8 +251,11 @@ class ChannelIndex:
         return high if beyond is None else beyond.first_seq
 
     def held_up_to(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
-        """How far the seqs of items at or above `floor` follow each other from `low` on, as far as so many entries
-        tell; `low` if it is none of them."""
+        """The end of the unbroken sequence of seqs from `low` on of items at or above `floor`; `low` if it has no such
+        item.
+
+        Looks at `entries_max` entries at most.
+        """
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
         for entry in islice(entries, entries_max):
@@ -264,14 +283,14 @@ class ChannelIndex:
         return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
 
     def has_below(self, floor: ItemKey) -> bool:
-        """All items of the first entry are below `floor`."""
+        """Whether all items of the first entry are below `floor`."""
         if not self._by_time:
             return False
         entry: Entry = self._by_time[0]
         return (entry.last_time, entry.run.first_seq + entry.hi - 1) < floor
 
     def pop_below(self, floor: ItemKey) -> Entry | None:
-        """Take out the first entry if all of its items are below `floor`."""
+        """Remove and return the first entry if all its items are below `floor`."""
         if not self.has_below(floor):
             return None
         entry: Entry = self._by_time[0]
@@ -283,26 +302,26 @@ class ChannelIndex:
         return entry
 
     def share_below(self, floor: ItemKey) -> Slice | None:
-        """The items below `floor` of the first entry, if that has others, too; None: it is whole."""
+        """The items below `floor` of the first entry, if the entry also has others; None if it has not."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
         if not isinstance(entry, IndexPart) or entry.first_time > floor[0]:
             return None
         return Slice(entry.run, entry.lo, index_of(entry, floor))
 
     def parts_of(self, run: Run, parts_max: int) -> list[IndexPart]:
-        """The first entries of a run of several items, at most so many."""
+        """The first entries of a run of several items, `parts_max` at most."""
         end_seq = run.first_seq + len(run)
         return list(islice(self._by_seq.irange_key(run.first_seq, end_seq, (True, False)), parts_max))
 
     def trim_below(self, floor: ItemKey) -> Slice | None:
-        """Take out the items below `floor` of the first entry, if it is the only one that has such; what was taken."""
+        """Remove and return the items below `floor` of the first entry, if it is the only entry that has such items."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
         at = 0 if entry is None else index_of(entry, floor)
         if entry is None or not entry.lo < at < entry.hi:
             return None
         assert isinstance(entry, IndexPart), "an entry of one item has nothing between its ends"
         trimmed = Slice(entry.run, entry.lo, at)
-        if entry.run.times[at] == entry.first_time:  # it stays before the others that begin at this time
+        if entry.run.times[at] == entry.first_time:  # the entry stays before the others that begin at this time
             entry.lo = at
         else:
             self._by_time.remove(entry)

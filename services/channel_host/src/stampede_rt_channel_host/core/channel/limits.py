@@ -1,4 +1,4 @@
-"""A policy with its defaults filled in and checked (paper, section 3.4). Pure."""
+"""A policy, checked and with its defaults filled in (paper, section 3.4). Pure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REJECT = "reject"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelLimits:
-    """The limits that a channel keeps to. None: no such limit."""
+    """The limits of a channel. None: there is no such limit."""
 
     max_age_nanos: int | None
     max_items: int | None
@@ -36,9 +36,10 @@ class ChannelLimits:
 
     @classmethod
     def of(cls, policy: Policy) -> ChannelLimits:
-        """The policy with defaults: max_age 10 s if no limit at all is stated, max_bytes 256 MiB if it is not stated.
+        """The policy with defaults: max_age 10 s if it states no limit at all, max_bytes 256 MiB if it does not state
+        that.
 
-        Raises InvalidArgument, naming the value, the reason and the way out.
+        Raises InvalidArgument, which names the value, the reason and the way out.
         """
         _check(policy)
         stated = (policy.max_age_nanos, policy.max_items, policy.max_bytes, policy.consumers)
@@ -57,17 +58,17 @@ class ChannelLimits:
 
     @property
     def drops_oldest(self) -> bool:
-        """The oldest items make room for new ones."""
+        """Whether a full channel drops the oldest items for new ones."""
         return self.on_full == DROP_OLDEST
 
     @property
     def consumer_places(self) -> int:
-        """How many consumers the channel counts; 0: it counts no consumption, and keeps nothing for it."""
+        """The number of consumers that the channel counts; 0: it counts no consumption, and keeps no data for it."""
         adapts = self.max_age_unconsumed_nanos is not None
         return self.consumers or (CONSUMERS_MAX if adapts else 0)
 
     def describe(self, cause: str) -> str:
-        """The limit behind a cause of collection, as people write it: `max_age (10 s)`."""
+        """The limit behind a cause of collection, for a reader: `max_age (10 s)`."""
         if cause == "age" and self.max_age_nanos is not None:
             longest = self.max_age_unconsumed_nanos
             more = "" if longest is None else f", of what a consumer has yet to consume {format_duration(longest)}"

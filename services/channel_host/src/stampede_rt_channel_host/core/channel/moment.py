@@ -1,4 +1,4 @@
-"""A channel as it was at one moment: blocked gets that one put releases are answered from it in pieces. Pure."""
+"""A channel as it was at one moment. If one put releases many blocked gets, it answers them in pieces. Pure."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ class HeldThen:
 
     @property
     def end(self) -> ItemKey:
-        """See `Readable`: all is shown."""
+        """See `Readable`: this object shows all items."""
         return LAST_KEY
 
     def snapshot(self) -> ChannelSnapshot:
-        """The items held at that moment. They outlive this view if the caller keeps them."""
+        """The items held at that moment, as a snapshot of its own, which may outlive this object."""
         return self._snapshot.copy()
 
     def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
-        """As of `Holdings`."""
+        """See `Holdings`."""
         return (part for part in self._snapshot.slices_down(low, high) if self._snapshot.shows(part))
 
     def next_time(self, time: int) -> int | None:
-        """The time of the next later bucket than `time`."""
+        """The time of the next bucket after `time`."""
         return self._snapshot.next_time(time, LAST_KEY)
 
     def floor_time(self, time: int) -> int | None:
@@ -51,18 +51,21 @@ class HeldThen:
         return None if last is None else last.last_time
 
     def close(self) -> None:
-        """It is not read any more. Idempotent."""
+        """Stop holding the entries. Idempotent."""
         self._snapshot.close()
 
 
 class Moment:
-    """A channel as it was. What reads it is answered as if at that moment, whatever came or went since."""
+    """A channel as it was at one moment.
+
+    Reads answer as of that moment, whatever the channel has accepted or lost since.
+    """
 
     def __init__(
         self, held: Holdings, retention: Retention, incarnation: int, lost_before: int | None, advance: int | None,
         clock: int,
     ) -> None:  # fmt: skip
-        """`clock`: the host's, to which the channel is aged."""
+        """`clock`: the host's clock to which the channel was aged."""
         self.incarnation = incarnation
         self.lost_before = lost_before
         self.advanced_to = advance
@@ -71,16 +74,16 @@ class Moment:
         self._retention = retention
 
     def look(self, now: int) -> tuple[HeldThen, Retention]:
-        """As `ChannelCore.look`. `now` counts for nothing."""
+        """See `ChannelCore.look`. Ignores `now`."""
         return self._held, self._retention
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """As `ChannelCore.polling`. `now` counts for nothing."""
+        """See `ChannelCore.polling`. Ignores `now`."""
         reading = Reading(self._held, self._retention, self.incarnation, self.lost_before)
         reading.advance, reading.consumed_up_to = self.advanced_to, self._held.newest_consumed
         found = yield from reading.poll(pending, self.clock)
         return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
 
     def close(self) -> None:
-        """It is not read any more: what it showed may be freed. Idempotent."""
+        """Let the channel free the items again. Idempotent."""
         self._held.close()

@@ -1,4 +1,4 @@
-"""Long work in pieces of about a millisecond each, between which everybody else goes on (decision 0061). Pure."""
+"""Long work in pieces of about a millisecond each. Others run between two pieces (decision 0061). Pure."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 STEPS_PER_PIECE = 256
-"""So many slices, or so much work as these take, is one piece."""
+"""The slices, or the amount of work equal to them, that make one piece."""
 
 ITEMS_PER_STEP = 8
-"""Where items are looked at one by one, so many count as one step."""
+"""Where work looks at single items, so many of them count as one step."""
 
 Result = TypeVar("Result")
 Thing = TypeVar("Thing")
 Pieces = Generator[None, None, Result]
-"""Work that stops after each piece and goes on when it is asked for the next one; its result comes with the last one.
+"""Work that stops after each piece and continues at the next request. The last piece returns its result.
 
-What it finds is as of the moment when it was begun. If it is not taken to its end, close it; or take `abandoning`, if
-what it has found so far may be much.
+The result is as of the moment at which the work began. If the work is dropped before its end, close it, or use
+`abandoning` if it may have collected many things.
 """
 
 
 class Abandoned(Exception):
-    """Raised in work whose result nobody wants: it lets go of what it has found, in pieces, and raises this on."""
+    """Raised inside work that is dropped. The work frees its findings, in pieces, and raises this error again."""
 
 
 def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
-    """Take the work no further: let go of what it has found, in pieces."""
+    """Drop the work, and free its findings, in pieces."""
     try:
         pieces.throw(Abandoned())
-        while True:  # ends with what it has found
+        while True:  # ends when the findings are freed
             yield
             next(pieces)
     except (StopIteration, Abandoned):
@@ -40,13 +40,13 @@ def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
 
 
 def batched(things: Sequence[Thing], size: int) -> Iterator[Sequence[Thing]]:
-    """The things in parts of `size`; the last part may be smaller."""
+    """The things in parts of `size`. The last part may be smaller."""
     return (things[at : at + size] for at in range(0, len(things), size))
 
 
 def run_to_end(pieces: Pieces[Result]) -> Result:
-    """Do all pieces, one after the other, and give the result."""
-    while True:  # ends with the pieces
+    """Perform all pieces, one after the other, and return the result."""
+    while True:  # ends with the last piece
         try:
             next(pieces)
         except StopIteration as end:
@@ -55,13 +55,13 @@ def run_to_end(pieces: Pieces[Result]) -> Result:
 
 @dataclass(frozen=True, slots=True)
 class Unfinished(Generic[Result]):
-    """The first piece was not all: what is left."""
+    """The rest of a work that needs more than its first piece."""
 
     rest: Pieces[Result]
 
 
 def first_of(pieces: Pieces[Result]) -> Result | Unfinished[Result]:
-    """The result, if the first piece brings it, as nearly always."""
+    """Perform the first piece. Returns the result if the work is done, as is usual, and an `Unfinished` otherwise."""
     try:
         next(pieces)
     except StopIteration as end:

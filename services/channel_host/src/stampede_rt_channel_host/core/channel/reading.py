@@ -1,4 +1,4 @@
-"""Reads, blocking and not, and why they are empty or partial (paper, section 3.2). Pure."""
+"""Reads, blocking and not, and the reasons of empty and partial answers (paper, section 3.2). Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel.waiting import BEFORE_ALL, Needs
 
 
 class Pending:
-    """A blocking get under way. Made by `ChannelCore.begin`; `interval` is set once its anchors are resolved."""
+    """A blocking get under way, made by `ChannelCore.begin`. `interval` is set once its anchors are resolved."""
 
     __slots__ = ("interval", "query")
 
@@ -25,35 +25,35 @@ class Pending:
 
 
 class Reading:
-    """Answers queries from holdings. `clock` is the host's clock, at which age has been settled."""
+    """Answers queries from holdings. `clock` is the host's clock, to which the holdings are aged."""
 
     def __init__(self, held: Readable, retention: Retention, incarnation: int, lost_before: int | None = None) -> None:
         self._held = held
         self._retention = retention
         self._incarnation = incarnation
-        self._lost_before = lost_before  # what an incarnation before this one held, lies before it
+        self._lost_before = lost_before  # all items of a lost earlier incarnation lie before it
         self.advance: int | None = None
-        self.consumed_up_to: int | None = None  # the latest time of an item that consumption took: that one did come
+        self.consumed_up_to: int | None = None  # the latest time of a consumed item: such an item did come
 
     def now(self, clock: int) -> int:
-        """The instant of the meta-time `now`: the later of the clock and the newest item's time."""
+        """The instant of the meta-time NOW: the later of the clock and the newest item's time."""
         return clock if self._held.newest is None else max(clock, self._held.newest)
 
     def resolve(self, query: Query, clock: int) -> ResolvedInterval | None:
-        """All anchors together; None if they hang on items and there are none."""
+        """The query's interval, all anchors resolved together; None if they depend on items and there are none."""
         return self.resolve_interval(query.interval, clock)
 
     def resolve_interval(self, interval: Interval, clock: int) -> ResolvedInterval | None:
-        """An interval's two ends together; None if they hang on items and there are none."""
+        """An interval, both ends resolved together; None if they depend on items and there are none."""
         return interval.resolve(now=self.now(clock), newest=self._held.newest, oldest=self._held.oldest)
 
     def resolve_bound(self, bound: Bound, clock: int) -> int | None:
-        """One bound; None if it hangs on items and there are none."""
+        """The instant of one bound; None if it depends on items and there are none."""
         resolved = self.resolve_interval(Interval(bound, bound), clock)
         return None if resolved is None else resolved.start
 
     def check_position(self, position: Position | None) -> None:
-        """Raises IncarnationLost if the position's seq comes from another life of the channel."""
+        """Raises IncarnationLost if the position's seq belongs to another incarnation of the channel."""
         if position is not None and position.incarnation not in (0, self._incarnation):
             raise IncarnationLost(
                 f"the position comes from incarnation {position.incarnation:x}, the channel is {self._incarnation:x} "
@@ -61,13 +61,14 @@ class Reading:
             )
 
     def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
-        """The held items of the query, all as of the first piece."""
+        """The held items of the query, in pieces, all as of the first piece."""
         if within is None:
             return self._unresolved()
         region = _region(query, within)
         truncated = not region.is_empty and self._is_truncated(region)
         complete = self._is_over(region)
-        reasons: dict[bool, Reason | None] = {}  # if the limit cut it, and if not: of an answer in several pieces
+        # of an answer in several pieces: the reasons if the limit cut it, and if not
+        reasons: dict[bool, Reason | None] = {}
 
         def judge() -> None:
             reasons.update({more: self._reason(query, region, complete, truncated, more) for more in (False, True)})
@@ -118,7 +119,7 @@ class Reading:
         return Needs(passed, time=region.start)
 
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
-        """When `now` enters the interval, if it has not: an open newest item then reaches in."""
+        """The instant at which `now` enters the interval, if it has not: then the open newest item reaches into it."""
         return WakeAt(first_instant if self.now(clock) < first_instant else None)
 
     def _unresolved(self) -> ReadAnswer:
@@ -134,11 +135,13 @@ class Reading:
         return Reason("NOT_YET", nothing)
 
     def _is_over(self, region: ResolvedInterval) -> bool:
-        """Nothing more can come: an item or an advance is past its end, or it is empty, or below the frontier."""
+        """Whether no more items can come: an item or advance is past the end, or the region is empty or below the
+        frontier.
+        """
         return region.is_empty or self._is_below_frontier(region) or self._is_finished(region)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
-        """An item or an advance is at or past an exclusive end, strictly past an inclusive one."""
+        """Whether an item or an advance is at or past an exclusive end, or past an inclusive end."""
         marks = [mark for mark in (self._held.newest, self.advance, self.consumed_up_to) if mark is not None]
         return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
 
@@ -156,7 +159,7 @@ class Reading:
     def _reason(
         self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
     ) -> Reason | None:
-        """Why an answer with items is partial; what the limit cut off is no part of it."""
+        """The reason why an answer with items is partial. Items that the limit cut off do not make it partial."""
         if truncated and not (more and query.newest_first):
             return self._gone(region)
         if query.complete and not complete:
@@ -178,7 +181,7 @@ class Reading:
         return Reason("NEVER", f"the channel is past the interval and nothing was put that matches{but}")
 
     def _gone(self, region: ResolvedInterval) -> Reason:
-        """The reason for a region that reaches back to collected items, or to those of a lost incarnation."""
+        """The reason for a region that begins before collected items, or before those of a lost incarnation."""
         gone_before = self._held.gone_before
         return self._collected() if gone_before is not None and region.start < gone_before else self._lost()
 
@@ -197,7 +200,7 @@ class Reading:
         return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
-        """The reason while nothing matches yet. A reader that reaches back hears of a loss, though more may come."""
+        """The reason while no item matches yet. A region that reaches back into a loss has that as its reason."""
         return self._lost() if self._reaches_into_loss(region) else self._not_yet(query, region)
 
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
@@ -208,7 +211,7 @@ class Reading:
 
 
 def _region(query: Query, within: ResolvedInterval) -> ResolvedInterval:
-    """The part of the interval that `after` and `newer_than` leave: what the answer's reason speaks of."""
+    """The part of the interval that `after` and `newer_than` leave. The answer's reason is about this part."""
     region = within
     if query.newer_than is not None:
         region = _from(region, query.newer_than)
@@ -225,5 +228,8 @@ def _from(region: ResolvedInterval, position: Position) -> ResolvedInterval:
 
 
 def _up_to(region: ResolvedInterval, time: int) -> ResolvedInterval:
-    """Without the bucket at `time`: whatever comes into it has a higher seq, so it comes before in reading order."""
+    """The region up to the bucket at `time`.
+
+    New items of that bucket get higher seqs, so they come before in reading order.
+    """
     return replace(region, end=time, end_exclusive=True) if time <= region.end else region

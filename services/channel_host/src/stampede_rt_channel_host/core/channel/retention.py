@@ -1,11 +1,12 @@
-"""When items go (paper, section 3.4): by age, by count, by bytes, by consumption. Pure.
+"""Decides when items leave a channel (paper, section 3.4): by age, count, bytes or consumption. Pure.
 
-Consumption takes the oldest items, one after the other, as far as nobody holds them back any more: one in the middle
-stays until those before it go, since without it the span of the item before would grow. `max_age_unconsumed` lets the
-age follow the slowest live consumer: what all of these have consumed goes at max_age, the rest later, at that at most.
+Consumption takes the oldest items, in order, as soon as no consumer has still to consume them. A consumed item in the
+middle stays until the items before it go. Without it the span of the item before would grow. With `max_age_unconsumed`
+the age depends on the slowest live consumer. Items that all live consumers have consumed go at max_age. The others go
+later, at max_age_unconsumed at the latest.
 
-`clock` is the host's clock; `now` in the docstrings of the time model is the later of it and the newest item's time,
-but items age by the clock alone, so that a producer whose clock runs ahead shortens nobody's window.
+`clock` is the host's clock. The time model's `now` is the later of the clock and the newest item's time. But items age
+by the clock alone. So a producer whose clock is ahead does not shorten the other producers' window.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 SLICES_USED_UP_MAX = 64
-"""The most slices that one call frees by consumption. A consumer that catches up after a long delay stalls nobody."""
+"""The most slices that one call frees by consumption, so that a consumer that catches up blocks nobody."""
 ENTRIES_PER_LOOK = 8
 SLICES_AGED_MAX = 256
-"""Of so many slices one call asks whether all consumers have consumed them, where ageing depends on that."""
+"""The most slices of which one call asks whether all consumers have consumed them, if ageing depends on it."""
 CONSUMERS_ASKED_MAX = 512
-"""After so many looks at single consumers one call asks of no further slice."""
+"""After so many looks at single consumers one call starts on no further slice."""
 
 
 class Retention:
-    """Applies limits to holdings. `consumers` is None where the limits count no consumption: nothing is kept then."""
+    """Applies limits to holdings. `consumers` is None if the limits count no consumption."""
 
     __slots__ = (
         "_consumed_to", "_has_more_to_age", "_has_more_to_ask", "_has_more_used_up", "_held", "_unknown_from",
@@ -38,14 +39,14 @@ class Retention:
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
-        # Consumers that were there at that count of arrivals have consumed the items of one bucket that are below it.
+        # The consumers at that count of arrivals have consumed all items of one bucket below this key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
-        self._unknown_from = self._unknown_to = 1  # consumers do not know which seqs in between are gone
+        self._unknown_from = self._unknown_to = 1  # the consumers do not know which seqs between the two are gone
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
     def set_limits(self, limits: ChannelLimits) -> None:
-        """Other limits from now on. If they are the first that count consumption, `learn_gone` walks the index once."""
+        """Set other limits. If the old ones counted no consumption and these do, `learn_gone` walks the index once."""
         self.limits = limits
         self._held.overlap_nanos = limits.overlap_nanos
         places = limits.consumer_places
@@ -62,7 +63,7 @@ class Retention:
             self.consumers.resize(places)
 
     def learn_gone(self, slices_max: int) -> bool:
-        """Let consumers know what was collected, of about so many slices; True if there is more."""
+        """Tell the consumers which seqs were collected, about `slices_max` slices. Returns True if more are left."""
         consumers, held = self.consumers, self._held
         if consumers is None:
             return False
@@ -81,34 +82,36 @@ class Retention:
 
     @property
     def has_more(self) -> bool:
-        """There may be more to collect at once, which the next call does."""
+        """Whether more items may be ready for collection. The next call collects them."""
         return self._has_more_to_age or self._has_more_to_ask or self._has_more_used_up
 
     def apply_time(self, clock: int) -> None:
-        """Apply the passing of time: end leases, and collect buckets that are too old or not held back any more."""
+        """Apply the passing of time: end leases, and collect buckets that are too old or consumed."""
         if self.consumers is None:
             self.age_out(clock)
             return
         self.consumers.expire(clock)
         self.age_out(clock)
         while self.use_up(clock) and self.age_out(clock):
-            pass  # a bucket may end sooner without what was used up, and then lays bare what is behind it
+            pass  # without the consumed items the bucket's span may end sooner, and then the next bucket may be due
 
     def cutoff(self, clock: int) -> int | None:
-        """Buckets whose last span ended at or before this instant go, unless a live consumer has yet to consume them;
-        none goes earlier."""
+        """Buckets whose last span ended at or before this instant go, unless a live consumer has still to consume them.
+
+        No bucket goes earlier.
+        """
         age = self.limits.max_age_nanos
         return None if age is None else clock - age
 
     @property
     def age_of_new(self) -> int | None:
-        """The max_age that holds for an item that nobody has consumed yet."""
+        """The max_age of an item that no consumer has consumed yet."""
         longest = self.limits.max_age_unconsumed_nanos
         owed = longest is not None and self.consumers is not None and self.consumers.live
         return longest if owed else self.limits.max_age_nanos
 
     def age_out(self, clock: int) -> bool:
-        """Collect the buckets that are past the age: whole ones, never the newest. True if there were any."""
+        """Collect the buckets that are too old, as whole buckets, never the newest. Returns True if there were any."""
         cutoff = self.cutoff(clock)
         held = self._held
         self._has_more_to_age = False
@@ -124,10 +127,13 @@ class Retention:
         return front.items > 0
 
     def _age_bound(self, cutoff: int) -> int | None:
-        """The time of the first bucket that age leaves. Span ends ascend with the buckets, so one bucket decides."""
+        """The time of the first bucket that is not too old.
+
+        Span ends ascend with the buckets, so one bucket decides.
+        """
         oldest = self._held.oldest
         bucket = self._held.floor_time(cutoff - self._held.overlap_nanos)
-        if bucket is None:  # where items overlap, the oldest bucket may have begun before the cutoff and stay
+        if bucket is None:  # with overlap the oldest bucket may have begun before the cutoff and stay
             return None if oldest is None or oldest > cutoff else oldest
         following = self._held.next_time(bucket)
         if following is None or self._held.bucket_end(bucket, following) > cutoff:
@@ -135,14 +141,19 @@ class Retention:
         return following
 
     def _prolonged(self, bound: int, cutoff: int) -> int:
-        """The first bucket that age leaves if it may take those before `bound`: one that is owed stays until `cutoff`
-        has passed it, and so do all behind it. Looks at what goes and one slice more; at very many in several calls."""
+        """The first bucket that stays, if those before `bound` are past max_age.
+
+        A bucket that a consumer has still to consume stays until `cutoff` passes it, and so do all later buckets. Looks
+        at the buckets that go and one slice more, and spreads a very long look over several calls.
+        """
         owed = self._first_owed(self._age_bound(cutoff), bound)
         return bound if owed is None else owed
 
     def _first_owed(self, start: int | None, end: int) -> int | None:
-        """The time of the first item from `start` on, and before `end`, that a live consumer has yet to consume; or, of
-        very many that none has, how far it has looked. In a very large bucket the next call goes on where it stopped.
+        """The time of the first item from `start` up to `end`, exclusive, that a live consumer has still to consume.
+
+        After very many consumed items it returns the time that it reached. In a very large bucket the next call
+        continues at the same place.
         """
         consumers = self.consumers
         assert consumers is not None, "limits that ask for it count consumption"
@@ -164,24 +175,29 @@ class Retention:
         return None
 
     def _bucket_from(self, start: int | None) -> int:
-        """The time of the first bucket from there on, which is the time of one; None: the oldest."""
+        """The time of the first bucket from `start` on, which is a bucket's time; None: the oldest bucket."""
         oldest = self._held.oldest
         assert oldest is not None, "nothing ages where nothing is held"
         return oldest if start is None else max(start, oldest)
 
     def _asked_as_far_as(self, time: int, first: int) -> int:
-        """A bucket goes as a whole: nothing goes before the first one is looked through."""
+        """Note that the look reached `time`.
+
+        A bucket goes as a whole: none goes before the first one is looked through.
+        """
         self._has_more_to_age = time > first
         self._has_more_to_ask = time == first
         return time
 
     def ask_on(self) -> None:
-        """Go on asking whether all consumers have consumed a very large oldest bucket, if that is not known yet."""
+        """Continue the question whether all consumers have consumed a very large oldest bucket, if that is not known
+        yet.
+        """
         if self._has_more_to_ask:
             self._age_of_oldest()
 
     def _age_of_oldest(self) -> int | None:
-        """The max_age that holds for the oldest bucket as it is."""
+        """The max_age that holds for the oldest bucket at present."""
         longest, oldest = self.limits.max_age_unconsumed_nanos, self._held.oldest
         self._has_more_to_ask = False
         if longest is None or oldest is None or self._first_owed(oldest, oldest + 1) is None:
@@ -189,7 +205,7 @@ class Retention:
         return longest
 
     def next_due(self) -> int | None:
-        """When time alone next takes something, or a consumer's place; None: never, if nothing else happens."""
+        """When time alone next collects an item or ends a consumer's place; None: not before something else happens."""
         held, age = self._held, self._age_of_oldest()
         following = None if held.oldest is None else held.next_time(held.oldest)
         if age is None or held.oldest is None or following is None:
@@ -197,7 +213,7 @@ class Retention:
         return self._or_lease_end(held.bucket_end(held.oldest, following) + age)
 
     def _lease_end(self) -> int | None:
-        """When the next lease ends of a consumer that may hold items back."""
+        """The next lease end of a consumer that may keep items."""
         return None if self.consumers is None or not self._held.items else self.consumers.next_lease_end
 
     def _or_lease_end(self, instant: int) -> int:
@@ -205,11 +221,11 @@ class Retention:
         return instant if end is None else min(instant, end)
 
     def use_up(self, clock: int) -> bool:
-        """Collect the oldest items that all consumers have consumed, a bounded part. True if there were any.
+        """Collect the oldest items that all consumers have consumed, a bounded part. Returns True if there were any.
 
-        Looks at what goes and one slice more, and frees what went, so that it costs the same for each item however many
-        go together. With no consumer left to hold anything back all go but the newest bucket: by it the next one finds
-        in.
+        Looks at the items that go and one slice more, and frees the items. So the cost of each item is the same,
+        however many go together. If no consumer keeps anything, all items but the newest bucket go. A new consumer
+        begins at the newest bucket.
         """
         self._has_more_used_up = False
         consumers, held = self.consumers, self._held
@@ -225,14 +241,14 @@ class Retention:
 
     @property
     def _nobody_holds(self) -> bool:
-        """All places were taken, and all their leases have ended."""
+        """Whether all places were taken, and all their leases have ended."""
         consumers = self.consumers
         if consumers is None or self.limits.consumers is None:
             return False
         return not consumers.untaken and not consumers.live
 
     def drop_excess(self, clock: int) -> None:
-        """Collect the oldest items above the limits, if that is what a full channel does."""
+        """Collect the oldest items beyond the limits, if the policy of a full channel is to drop them."""
         held, limits = self._held, self.limits
         if not limits.drops_oldest:
             return
@@ -242,23 +258,26 @@ class Retention:
             held.outdate(held.front_of_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
 
     def has_room(self, items: int, payload_bytes: int) -> bool:
-        """So many more items fit without anything going."""
+        """Whether so many more items fit in without the collection of others."""
         held, limits = self._held, self.limits
         within_items = limits.max_items is None or held.items + items <= limits.max_items
         return within_items and held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES <= limits.max_bytes
 
     def has_room_as_if_put(self, time: int, payload_bytes: int, clock: int) -> bool:
-        """One item at `time` fits, judged as if it were in: it may end the oldest bucket's span, which then goes."""
+        """Whether one item at `time` fits in.
+
+        The item may end the oldest bucket's span, so that this bucket goes first.
+        """
         if self.has_room(1, payload_bytes):
             return True
         freed_items, freed_bytes = self._freed_by(time, payload_bytes, clock)
         return freed_items > 0 and self.has_room(1 - freed_items, payload_bytes - freed_bytes)
 
     def _freed_by(self, time: int, payload_bytes: int, clock: int) -> tuple[int, int]:
-        """Items and payload bytes that would be collected because an item at `time` comes in.
+        """The items and payload bytes that would be collected because an item at `time` comes in.
 
-        By age: only the bucket before it gets another end, and only the oldest bucket can go first. By consumption: if
-        nobody holds anything back, all before the newest bucket goes.
+        By age: the item changes only the end of the bucket before it, and only the oldest bucket can go first. By
+        consumption: if no consumer keeps anything, all items before the newest bucket go.
         """
         held = self._held
         if self._nobody_holds and held.newest is not None and time != held.newest:
@@ -273,22 +292,24 @@ class Retention:
         return bucket.items, bucket.payload_bytes
 
     def release_oldest(self, clock: int) -> None:
-        """Collect the oldest bucket, whose age an item has waited for that is in now."""
+        """Collect the oldest bucket. The item that waited for its age is in now."""
         oldest = self._held.oldest
         following = None if oldest is None else self._held.next_time(oldest)
         if following is not None:
             self._held.outdate(self._held.front_before(following), AGE, clock)
 
     def makes_no_room_at(self, time: int) -> bool:
-        """All that is held is the newest bucket, to which an item at `time` belongs: it never grows too old, and
-        nobody consumes it."""
+        """Whether only the bucket at `time` is held, so that no wait makes room for an item at `time`.
+
+        The newest bucket never grows too old, and no consumer consumes it.
+        """
         return self.limits.consumers is None and self._held.oldest == self._held.newest == time
 
     def retry_at(self, time: int, own_end: int | None) -> int | None:
-        """When time next makes room for an item at `time`; `own_end` is its end by duration, if any.
+        """When time next makes room for an item at `time`. `own_end` is its end by duration, if any.
 
-        Judged as if the item were in, but not later than time takes something without it, which may be sooner if it
-        would belong to the oldest bucket. None: only another put, or consumption, can bring that about.
+        Counts as if the item were in. But if time collects something earlier without the item, that is the answer. This
+        happens if the item would belong to the oldest bucket. None: only another put or a consumption makes room.
         """
         instants = (self._due_as_if_put(time, own_end), self.next_due())
         return min((one for one in instants if one is not None), default=None)
@@ -312,8 +333,11 @@ class Retention:
 
 
 class _AtMost:
-    """Takes what `going` takes, of so many slices, and of fewer where it has to look at very many consumers;
-    `held_back` if it was asked for more."""
+    """Counts the items that `going` counts, of a bounded number of slices, and of fewer if it looks at very many
+    consumers.
+
+    `held_back`: it was asked for more items.
+    """
 
     __slots__ = ("_asked_to", "_consumers", "_going", "_left", "held_back")
 

@@ -1,7 +1,7 @@
-"""Runs of accepted items, the unit of the store, and the slices of them that readers are given. Pure.
+"""Runs of accepted items, the unit of the store, and slices of them, which readers get. Pure.
 
-A run is a producer's batch in columns: encoded once, never looked into again (paper, section 4.1). A run of one item is
-laid out flat, since a channel may hold millions of them.
+A run is a producer's batch in columns. The producer encodes it, and the host does not decode it again (paper, section
+4.1). A run of one item has a flat layout, because a channel may hold millions of them.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 ABSENT = -1
-"""Stands for "no duration" in a column of durations."""
+"""The value for "no duration" in a column of durations."""
 
 ITEM_OVERHEAD_BYTES = 64
-"""The bytes that an item is charged against max_bytes beside its payload."""
+"""The bytes that an item counts against max_bytes beside its payload."""
 
 
 class Run(ABC):
-    """Accepted items in acceptance order; immutable. `first_seq` is the first item's seq, the others follow by one.
+    """Accepted items in the order of acceptance; immutable. `first_seq` is the first item's seq. The other seqs follow
+    it.
 
-    `times` in nanoseconds since the epoch, in any order; `durations` in nanoseconds, -1 for none, or None if no item
-    has one; `lengths` are payload bytes; `body` is what the shell's seal made of the items.
+    `times` are in nanoseconds since the epoch, in any order. `durations` are in nanoseconds, -1 for none, or None if no
+    item has one. `lengths` are payload bytes. `body` is the result of the owner's seal function.
     """
 
     __slots__ = ("body", "first_seq")
@@ -47,22 +48,25 @@ class Run(ABC):
 
     @abstractmethod
     def payload_bytes(self, lo: int, hi: int) -> int:
-        """The payload bytes of the items from position `lo` up to, not including, `hi`."""
+        """The payload bytes of the items from position `lo` up to `hi`, exclusive."""
 
     def __len__(self) -> int:
         return len(self.lengths)
 
 
 class Slicer(Protocol):
-    """Cuts parts out of a run's body. The shell makes it when a reader first asks for a part."""
+    """Cuts parts out of a run's body. The channel's owner makes it when a reader first needs a part."""
 
     def cut(self, lo: int, hi: int, *, without_payloads: bool) -> bytes:
-        """The body of the items from position `lo` up to, not including, `hi`."""
+        """The body of the items from position `lo` up to `hi`, exclusive."""
 
 
 class ColumnRun(Run):
-    """A run of any number of items. `kept` of them are in an index, held or not freed yet. `slicer` is kept for the
-    shell, so that it looks into the body once."""
+    """A run of any number of items.
+
+    `kept` items of the run are in an index, held or not freed yet. The channel's owner keeps its `slicer` here, so that
+    it parses the body once.
+    """
 
     __slots__ = ("durations", "kept", "lengths", "slicer", "times")
 
@@ -78,11 +82,11 @@ class ColumnRun(Run):
         self.slicer: Slicer | None = None
 
     def payload_bytes(self, lo: int, hi: int) -> int:
-        """The payload bytes of the items from position `lo` up to, not including, `hi`."""
+        """The payload bytes of the items from position `lo` up to `hi`, exclusive."""
         return sum(self.lengths[lo:hi])
 
     def part(self, lo: int, hi: int, body: bytes) -> ColumnRun:
-        """The items from position `lo` up to, not including, `hi` as a run of their own."""
+        """The items from position `lo` up to `hi`, exclusive, as a run of their own."""
         durations = None if self.durations is None else self.durations[lo:hi]
         run = ColumnRun(self.first_seq + lo, self.times[lo:hi], durations, self.lengths[lo:hi], body)
         run.kept = hi - lo
@@ -106,7 +110,7 @@ class OneRun(Run):
 
     @property
     def run(self) -> Run:
-        """Itself, as an entry's run."""
+        """This object, in the role of an entry's run."""
         return self
 
     @property
@@ -140,21 +144,21 @@ class OneRun(Run):
 def make_run(
     first_seq: int, times: Sequence[int], durations: Sequence[int] | None, lengths: Sequence[int], body: bytes
 ) -> Run:
-    """A run in its smallest layout. The columns are copied."""
+    """A run in its smallest layout. Copies the columns."""
     if len(lengths) == 1:
         return OneRun(first_seq, times[0], ABSENT if durations is None else durations[0], lengths[0], body)
     return ColumnRun(first_seq, pack(times), None if durations is None else pack(durations), pack(lengths), body)
 
 
 def pack(column: Sequence[int]) -> Sequence[int]:
-    """A column in 8 bytes for each entry."""
+    """A column with 8 bytes for each entry."""
     return array("q", column)
 
 
 class Slice(NamedTuple):
-    """The items of a run from position `lo` up to, not including, `hi`. A value that is safe to keep and send later.
+    """The items of a run from position `lo` up to `hi`, exclusive. A value that is safe to keep and send later.
 
-    In answers and deliveries the items of one slice ascend in (time, seq).
+    The items of a slice in an answer or delivery ascend in (time, seq).
     """
 
     run: Run
@@ -163,7 +167,7 @@ class Slice(NamedTuple):
 
     @property
     def is_whole(self) -> bool:
-        """The run's body can be sent as it is."""
+        """Whether the slice covers the whole run, so that the run's body can be sent as it is."""
         return self.hi - self.lo == len(self.run)
 
     @property
@@ -173,7 +177,7 @@ class Slice(NamedTuple):
 
     @property
     def end_seq(self) -> int:
-        """The seq behind the last item."""
+        """The seq after the last item's."""
         return self.run.first_seq + self.hi
 
     @property
@@ -188,7 +192,7 @@ class Slice(NamedTuple):
 
     @property
     def items(self) -> int:
-        """How many items it holds."""
+        """The number of items."""
         return self.hi - self.lo
 
     @property
@@ -202,7 +206,7 @@ class Slice(NamedTuple):
         return self.payload_bytes + self.items * ITEM_OVERHEAD_BYTES
 
     def within(self, credit_bytes: int) -> Slice:
-        """Its first items, as long as some credit is left before each; the first one in any case."""
+        """The first items: as many as begin while some credit is left, and always the first item."""
         if self.charge_bytes <= credit_bytes:
             return self
         left, at = credit_bytes, self.lo

@@ -1,9 +1,9 @@
-"""Which held items an interval selects (paper, section 3.2). Pure.
+"""Decides which held items an interval selects (paper, section 3.2). Pure.
 
-In the order (time, seq) the items that match are a stretch, of which only one bucket needs a look at each item: with
-`span` the last bucket at or before the lower bound, which may reach in; with `whole` the last bucket in the interval,
-which may reach out. So a read costs two searches and what it returns. Where items overlap, the read looks at each item
-of one `overlap` before that bucket, too: an earlier item cannot reach so far.
+The matching items are a stretch of the order (time, seq). Only one bucket of it needs a look at each item. With `span`
+this is the last bucket at or before the lower bound, whose items may reach in. With `whole` it is the last bucket in
+the interval, whose items may reach out. So a read costs two searches and the items that it returns. With overlap the
+read also looks at each item of one `overlap` before that bucket. An earlier item cannot reach so far.
 """
 
 from __future__ import annotations
@@ -22,52 +22,52 @@ from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.values import Position, Query
 
 Fits = Callable[[int, int], bool]
-"""Takes an item's time and duration."""
+"""A test of an item's time and duration."""
 
 
 class Readable(Protocol):
-    """Held items as reads see them: all of a channel's, or the part of them that a group shows."""
+    """Held items as reads see them: all items of a channel, or the part that a group shows."""
 
     @property
     def newest(self) -> int | None:
-        """The latest time of an item in it; None if it holds none."""
+        """The latest time of an item; None if there are no items."""
 
     @property
     def oldest(self) -> int | None:
-        """The earliest time."""
+        """The earliest time of an item; None if there are no items."""
 
     @property
     def frontier(self) -> int | None:
-        """As in `Holdings`."""
+        """See `Holdings`."""
 
     @property
     def gone_before(self) -> int | None:
-        """As in `Holdings`."""
+        """See `Holdings`."""
 
     @property
     def overlap_nanos(self) -> int:
-        """As in `Holdings`."""
+        """See `Holdings`."""
 
     @property
     def collected_by(self) -> str:
-        """As in `Holdings`."""
+        """See `Holdings`."""
 
     @property
     def end(self) -> ItemKey:
-        """The visible items lie below this key."""
+        """The key below which all visible items lie."""
 
     def snapshot(self) -> ChannelSnapshot:
-        """All that is held now, whether it is shown or not."""
+        """All items that the channel holds now, visible or not."""
 
     def next_time(self, time: int, /) -> int | None:
-        """The time of the next later bucket than `time`."""
+        """The time of the next bucket after `time`."""
 
     def floor_time(self, time: int, /) -> int | None:
         """The time of the bucket at or before `time`."""
 
 
 class _Stretch(NamedTuple):
-    """Items at or above `low` and below `high`; with `fits`, those of them that it takes."""
+    """Items at or above `low` and below `high`. With `fits`, only those that pass the test."""
 
     low: ItemKey
     high: ItemKey
@@ -75,8 +75,11 @@ class _Stretch(NamedTuple):
 
 
 class Selected(NamedTuple):
-    """The slices that match, ascending; whether the limit cut more of them off; and the time of the bucket behind the
-    last one, None if that is the newest."""
+    """The matching slices, in ascending order, and two facts.
+
+    They tell whether the limit cut off more items, and the time of the bucket after the last item, None if the last
+    item is in the newest bucket.
+    """
 
     slices: Sequence[Slice]
     more: bool
@@ -89,8 +92,10 @@ NOTHING = Selected((), False, None)
 def select(
     held: Readable, query: Query, within: ResolvedInterval, now: int, on_hold: Callable[[], object] = lambda: None
 ) -> Pieces[Selected]:  # fmt: skip
-    """The matching items, in pieces. `now` is the resolved meta-time. If the first piece is not all, it calls
-    `on_hold`."""
+    """The matching items, in pieces. `now` is the resolved meta-time.
+
+    Calls `on_hold` if there is more than one piece.
+    """
     if within.is_empty or held.oldest is None:
         return NOTHING
     stretches = [_clip(stretch, query, held.end) for stretch in _stretches(held, query.match, within, now)]
@@ -99,7 +104,7 @@ def select(
     try:
         for stretch in reversed(stretches) if query.newest_first else stretches:
             while (rest := taking.take(stretch)) is not None:
-                stretch = rest  # the same stretch, without what was taken
+                stretch = rest  # the stretch without the items already taken
                 if not snapshot.is_held:
                     snapshot.hold()
                     on_hold()
@@ -125,12 +130,12 @@ class _Taking:
         self._snapshot = snapshot
         self._left = limit
         self._down = down
-        self._parts: deque[list[Slice]] = deque()  # of the pieces before this one
+        self._parts: deque[list[Slice]] = deque()  # the findings of earlier pieces
         self._slices: list[Slice] = []
         self.more = False
 
     def take(self, stretch: _Stretch) -> _Stretch | None:
-        """Take one piece of a stretch; what is left of it, None if that is nothing."""
+        """Take one piece of a stretch. Returns the rest of the stretch, None if nothing is left."""
         if self.more:
             return None
         fits, all_shown = stretch.fits, not self._snapshot.is_held
@@ -159,7 +164,7 @@ class _Taking:
         return stretch._replace(low=(part.last_time, part.end_seq))
 
     def _take_fitting(self, part: Slice, fits: Fits | None) -> bool:
-        """False if the limit allows no more."""
+        """Take the fitting items of a slice. Returns False once the limit is reached."""
         found: Iterable[Slice] = (part,) if fits is None else _fitting(part, fits)
         for one in reversed(list(found)) if self._down else found:
             if self._left is not None and one.items > self._left:
@@ -180,7 +185,7 @@ class _Taking:
             (self._parts.appendleft if self._down else self._parts.append)(part)
 
     def finish(self) -> Sequence[Slice]:
-        """All that was taken, ascending."""
+        """All slices taken, in ascending order."""
         self._close_part()
         return Gathered(self._parts) if len(self._parts) > 1 else self._parts[0] if self._parts else ()
 
@@ -216,7 +221,7 @@ def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_St
 
 
 def _reaching_over(overlap: int, start: int, bucket: int) -> list[_Stretch]:
-    """The items before `bucket` that its time does not cut before `start`."""
+    """The items before `bucket` whose spans reach beyond `start`."""
     if not overlap:
         return []
     return [
@@ -225,7 +230,7 @@ def _reaching_over(overlap: int, start: int, bucket: int) -> list[_Stretch]:
 
 
 def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int) -> list[_Stretch]:
-    """The buckets in the interval; the spans of all but the last end within it, unless items overlap."""
+    """The buckets in the interval. Only spans of the last bucket can end outside it, unless items overlap."""
     bucket = held.floor_time(within.end - 1 if within.end_exclusive else within.end)
     if bucket is None or bucket not in within:
         return []
@@ -250,7 +255,7 @@ def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int
 
 
 def _clip(stretch: _Stretch, query: Query, end: ItemKey) -> _Stretch:
-    """Without what positions exclude, and what lies at or above `end`."""
+    """The stretch without the items that positions exclude, and without items at or above `end`."""
     low, high, fits = stretch
     high = min(high, end)
     if query.newer_than is not None:
@@ -263,12 +268,12 @@ def _clip(stretch: _Stretch, query: Query, end: ItemKey) -> _Stretch:
 
 
 def behind(position: Position) -> ItemKey:
-    """The first key behind a position."""
+    """The first key after a position."""
     return position.time, SEQ_END if position.seq is None else position.seq + 1
 
 
 def _fitting(part: Slice, fits: Fits) -> Iterator[Slice]:
-    """The longest slices of `part` whose durations all fit."""
+    """The longest slices of `part` whose items all pass the test."""
     durations = part.run.durations
     if durations is None:
         if fits(part.first_time, ABSENT):

@@ -1,4 +1,4 @@
-"""Sets of seqs that are nearly always one range: what was consumed, what is gone. Pure."""
+"""Sets of seqs that are nearly always one range: consumed seqs, collected seqs. Pure."""
 
 from __future__ import annotations
 
@@ -14,15 +14,19 @@ _LAST = MAX_INSTANT
 
 
 class SeqSet:
-    """All seqs below `below`, and ranges above it. Adding costs O(log ranges), amortised; in order it costs O(1)."""
+    """All seqs below `below`, and ranges above it. `add` costs amortised O(log ranges), and O(1) in order."""
 
     __slots__ = ("_ranges", "below", "size")
 
     def __init__(self, below: int = 1, ranges: Iterable[tuple[int, int]] = ()) -> None:
-        """Seqs start at 1, so `below` 1 is the empty set. `ranges` are firsts with their ends, the end excluded."""
+        """A set.
+
+        Seqs start at 1, so `below` 1 means an empty set. `ranges` are pairs of first seq and end, exclusive.
+        """
         self.below = below
-        self.size = below - 1  # how many seqs are in
-        # First and end; apart from each other, and all above `below`. No dict: a large one grows in one long step.
+        self.size = below - 1  # the number of seqs in the set
+        # Pairs of first seq and end, with gaps between them, all above `below`. Not a dict: a large dict grows in one
+        # long step.
         self._ranges: Any = SortedList()
         for first, end in ranges:
             self.add(first, end)
@@ -33,24 +37,28 @@ class SeqSet:
 
     @property
     def ranges(self) -> list[tuple[int, int]]:
-        """The ranges above `below`, ascending: first and end, the end excluded."""
+        """The ranges above `below`, in ascending order: first seq and end, exclusive."""
         return list(self._ranges)
 
     @property
     def range_count(self) -> int:
-        """How many ranges are in above `below`."""
+        """The number of ranges above `below`."""
         return len(self._ranges)
 
     def until(self, first: int, end: int, ranges_max: int) -> int:
-        """How far from `first` towards `end` one step may add: no more than about so many ranges lie before that."""
+        """The seq up to which one step may add from `first` towards `end`, so that it joins about `ranges_max` ranges
+        at most.
+        """
         if len(self._ranges) <= ranges_max:
             return end
         beyond = next(islice(self._ranges.irange((first, _LAST), (end, 0)), ranges_max, None), None)
         return end if beyond is None else beyond[0]
 
     def touching(self, first: int, end: int) -> Iterator[tuple[int, int]]:
-        """The ranges that share a seq with those from `first` up to `end`, or adjoin them; the first one may be the one
-        below `below`."""
+        """The ranges that share a seq with those from `first` up to `end`, or that are next to them.
+
+        The first one may be the range below `below`.
+        """
         if first <= self.below and self.below > 1:
             yield 1, self.below
         before = self._floor(first)
@@ -59,18 +67,18 @@ class SeqSet:
         yield from self._ranges.irange((first, _LAST), (end, _LAST))
 
     def _floor(self, seq: int) -> tuple[int, int] | None:
-        """The last range that begins at or below `seq`. By values: places would be counted anew."""
+        """The last range that begins at or below `seq`. Searches by value, because positions cost a recount."""
         return next(self._ranges.irange(None, (seq, _LAST), reverse=True), None)
 
     def end_of(self, seq: int) -> int:
-        """The first seq at or above `seq` that is not in."""
+        """The first seq at or above `seq` that is not in the set."""
         if seq < self.below:
             return self.below
         before = self._floor(seq)
         return seq if before is None else max(seq, before[1])
 
     def add(self, first: int, end: int) -> int:
-        """Put in the seqs from `first` up to, not including, `end`; how many were not in."""
+        """Add the seqs from `first` up to `end`, exclusive. Returns how many of them are new."""
         before = self.size
         first = max(first, self.below)
         if first >= end:
@@ -86,7 +94,7 @@ class SeqSet:
         return self.size - before
 
     def _absorb(self, first: int, end: int) -> tuple[int, int]:
-        """Take out the ranges that touch first to end; the range that they are all in."""
+        """Remove the ranges that touch `first` to `end`. Returns the range that covers all of them."""
         touched = [one for one in self.touching(first, end) if one[0] > self.below]
         for low, high in touched:
             self._ranges.remove((low, high))
@@ -97,31 +105,32 @@ class SeqSet:
         return first, end
 
     def _meet(self, first: int, end: int) -> None:
-        """Seqs are put in that were in already."""
+        """Note that an added range held seqs that were in the set already."""
 
 
 BLOCK_SEQS = 1024
 BLOCKS_FORGOTTEN_MAX = 64
-"""So many blocks one call forgets that lie below `below`."""
+"""The most blocks below `below` that one call forgets."""
 
 
 class CountedSeqs(SeqSet):
-    """A set of seqs that knows how many of them lie between two others, however many ranges they make."""
+    """A set of seqs that can count its seqs between two others, however many ranges it has."""
 
     __slots__ = ("_blocks", "_first_block")
 
     def __init__(self) -> None:
         super().__init__()
-        self._blocks: dict[int, int] = {}  # of each BLOCK_SEQS seqs, how many are in; not of those below `below`
+        # for each block of BLOCK_SEQS seqs not below `below`: how many are in the set
+        self._blocks: dict[int, int] = {}
         self._first_block = 0
 
     def add(self, first: int, end: int) -> int:
-        """Put in the seqs from `first` up to, not including, `end`; how many were not in."""
+        """Add the seqs from `first` up to `end`, exclusive. Returns how many of them are new."""
         first = max(first, self.below)
         self._count(first, end, 1)
         added = super().add(first, end)
         outdated = range(self._first_block, self.below // BLOCK_SEQS)[:BLOCKS_FORGOTTEN_MAX]
-        for block in outdated:  # the next calls go on: nobody asks for these any more
+        for block in outdated:  # the next calls continue: nobody asks for these blocks any more
             self._blocks.pop(block, None)
         self._first_block += len(outdated)
         return added
@@ -137,8 +146,10 @@ class CountedSeqs(SeqSet):
             first = till
 
     def count(self, first: int, end: int) -> int:
-        """How many of the seqs from `first` up to, not including, `end` are in. Walks one block, and counts the others
-        in between; a range that holds `first` counts as a whole."""
+        """How many of the seqs from `first` up to `end`, exclusive, are in the set.
+
+        Walks one block, and takes the numbers of the other blocks. A range that holds `first` counts as a whole.
+        """
         behind = max(first, min(end, self.end_of(first)))
         known, first = behind - first, behind
         low, high = -(-first // BLOCK_SEQS), end // BLOCK_SEQS

@@ -1,4 +1,4 @@
-"""Where the spans of one bucket end (paper, section 3.2). Pure."""
+"""The ends of the spans of one bucket (paper, section 3.2). Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 
 
 def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
-    """The latest span end of items at `time` that the next bucket's time `bound` bounds."""
+    """The latest span end of items at `time`. The next bucket's time `bound` limits them."""
     longest = 0
     for part in bucket:
         durations = part.run.durations
@@ -22,7 +22,10 @@ def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
 
 
 def end_of_newest(bucket: Iterator[Slice], time: int, now: int) -> int:
-    """The latest span end of items in the newest bucket: nothing bounds durations, open items hold until `now`."""
+    """The latest span end of items in the newest bucket.
+
+    Durations have no limit there, and open spans hold until `now`.
+    """
     ends = [time]
     for part in bucket:
         durations = part.run.durations

@@ -1,4 +1,4 @@
-"""Where subscriptions stand and what comes next (paper, section 4.1: push). Pure."""
+"""The places of subscriptions in a channel, and the items that come next (paper, section 4.1: push). Pure."""
 
 from __future__ import annotations
 
@@ -17,25 +17,31 @@ from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SavedCursor, SubscriptionBatch
 
 GAP_ENTRIES_MAX = 1024
-"""The most outdated entries that one call looks at. A reader that is far behind stalls nobody, and hears of several
-gaps."""
+"""The most outdated entries that one call looks at.
+
+So a reader that is far behind blocks nobody, and gets several gaps.
+"""
 
 
 Range = tuple[int, int]
-"""Seqs from the first up to, not including, the end."""
+"""The seqs from the first up to the end, exclusive."""
 
 
 class AllCursor:
-    """Where a subscription in seq order stands. Made by `ChannelCore.subscribe_all`, moved by `ChannelCore.since`.
+    """The place of a subscription in seq order. `ChannelCore.subscribe_all` makes it, `ChannelCore.since` moves it.
 
-    `delivered`, `dropped`: items given, and items reported in gaps, up to now.
+    `delivered` counts the items given so far, `dropped` the items reported in gaps.
     """
 
     __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "_owed_before", "delivered", "dropped")
 
     def __init__(self, owed: Iterator[Range], live_seq: int, low: ItemKey | None = None, begun_seq: int = 0) -> None:
-        """`owed`: held when it began, ascending, below `live_seq`; every seq from that on is owed, too. Of the items
-        below `begun_seq` only those at or above the key `low` are meant."""
+        """Set the place.
+
+        `owed`: the seqs still to deliver of items held at the beginning, ascending and below `live_seq`. All seqs from
+        `live_seq` on are to be delivered, too. Of the items below `begun_seq` only those at or above the key `low`
+        belong to the subscription.
+        """
         self._owed_before = owed
         self._live_seq = live_seq
         self._low = low
@@ -46,33 +52,36 @@ class AllCursor:
 
     @property
     def next_seq(self) -> int:
-        """Everything below it was delivered, reported in a gap, or is none of this subscription's."""
+        """All lower seqs were delivered, reported in a gap, or do not belong to this subscription."""
         return self._live_seq if self._owed is None else self._owed[0]
 
     def saved(self, incarnation: int) -> SavedCursor:
-        """From where another goes on."""
+        """The cursor from which another subscription continues."""
         next_seq = self.next_seq
         if self._low is None or next_seq >= self._begun_seq:
             return SavedCursor(incarnation=incarnation, next_seq=next_seq)
         return SavedCursor(incarnation=incarnation, next_seq=next_seq, low=self._low, live_seq=self._begun_seq)
 
     def owed(self, next_seq: int) -> Range | None:
-        """The first range that is owed; `next_seq`: all seqs below it were given out."""
+        """The first range still to deliver, None if there is none. All seqs below `next_seq` were given out."""
         if self._owed is None and next_seq > self._live_seq:
             self._owed, self._live_seq = (self._live_seq, next_seq), next_seq
-        elif self._owed is not None and self._owed[1] == self._live_seq:  # no other lies between it and what came since
+        # no other range lies between it and the new seqs
+        elif self._owed is not None and self._owed[1] == self._live_seq:
             self._owed, self._live_seq = (self._owed[0], next_seq), next_seq
         return self._owed
 
     def mark_done(self, seq: int) -> None:
-        """The reader has received or lost all items below `seq`, which lies in the first range or at its end."""
+        """Note that the reader has received or lost all items below `seq`, which lies in the first range or at its end."""
         assert self._owed is not None, "something is owed"
         end = self._owed[1]
         self._owed = (seq, end) if seq < end else next(self._owed_before, None)
 
 
 def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Pieces[AllCursor]:
-    """Held items from the key `low` on; or everything accepted behind `after_seq`; or, with neither, nothing yet."""
+    """Begin with the held items from the key `low` on, or with all items accepted after `after_seq`, or with new items
+    only.
+    """
     next_seq = held.next_seq
     if after_seq is not None:
         owed = [(after_seq + 1, next_seq)] if after_seq + 1 < next_seq else []
@@ -84,13 +93,17 @@ def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Piec
 
 
 def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
-    """Go on. If retention took of the held items that were meant, all that is still held is meant, and every other seq
-    counts as gone: too many, if what the start had left out went meanwhile, too; never too few."""
+    """Continue a saved subscription.
+
+    If retention collected items that belong to it, all items still held belong to it, and all other seqs count as gone.
+    That may count too many, if items outside the subscription went, too. It never counts too few.
+    """
     first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
     low = saved.low if first < live else None
     begun = live
     gone = (held.newest_collected, held.newest_consumed)
-    if low is None or any(time is not None and time >= low[0] for time in gone):  # they go in the order of time
+    # retention collects items in the order of time
+    if low is None or any(time is not None and time >= low[0] for time in gone):
         begun = first
     next_seq, ranges = held.next_seq, [iter([(begun, held.next_seq)])]
     if low is not None:
@@ -101,7 +114,7 @@ def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
 
 
 class _Ranges:
-    """Ranges of seqs, kept as two numbers each: a cursor may have half a million, and is let go of in one step."""
+    """Ranges of seqs, two numbers for each. A cursor may have half a million of them, and frees them in one step."""
 
     __slots__ = ("_bounds",)
 
@@ -114,11 +127,11 @@ class _Ranges:
 
 
 def _seq_ranges(held: Holdings, low: ItemKey) -> Pieces[list[_Ranges]]:
-    """The seqs of the items from `low` on. Each piece gives a list of ranges, ascending."""
+    """The seqs of the items from `low` on. Each piece makes one list of ranges, in ascending order."""
     found: list[_Ranges] = []
     snapshot = held.snapshot()
     try:
-        while True:  # ends with what is held
+        while True:  # ends with the last held item
             parts = [*islice(snapshot.slices(low, LAST_KEY), pieces.STEPS_PER_PIECE)]
             found.append(_Ranges(_joined(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one)))))
             if len(parts) < pieces.STEPS_PER_PIECE:
@@ -135,12 +148,12 @@ def _clipped(ranges: Iterable[Range], first: int, end: int) -> Iterator[Range]:
 
 
 def _merged(ranges: list[_Ranges]) -> Iterator[Range]:
-    """All ranges, ascending, as they are asked for: sorting them together would be one long step."""
+    """All ranges in ascending order, merged on demand: to sort all of them at once would be one long step."""
     return _joined(merge(*ranges))
 
 
 def _joined(ranges: Iterable[Range]) -> Iterator[Range]:
-    """Ranges that adjoin each other become one."""
+    """Joins ranges that are next to each other."""
     first = end = 0
     for low, high in ranges:
         if low != end:
@@ -153,7 +166,7 @@ def _joined(ranges: Iterable[Range]) -> Iterator[Range]:
 
 
 def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
-    """The next part: a gap at the very front, if there is one, then slices up to the next gap or the byte limit."""
+    """The next part: a gap if one comes first, then slices up to the next gap or the byte limit."""
     gap: Gap | None = None
     slices: list[DeliveredSlice] = []
     while (owed := cursor.owed(held.next_seq)) is not None and limit_bytes > 0:
@@ -191,45 +204,46 @@ def _gap(limits: ChannelLimits, held: Holdings, first: int, last: int) -> Gap:
 
 
 class NewestCursor:
-    """Where a subscription to the newest item stands. `ChannelCore.subscribe_newest` makes it, `latest` moves it.
+    """The place of a subscription to the newest item. `ChannelCore.subscribe_newest` makes it, `latest` moves it.
 
-    `delivered`: items given; `skipped`: items meant for it that it was not given, as of the last `latest`, and
-    `next_seq` the seq that followed then.
+    `delivered` counts the items given. `skipped` counts the other items of the subscription, as of the last `latest`,
+    and `next_seq` is the channel's next seq at that time.
     """
 
     __slots__ = ("_base_seq", "_low", "delivered", "next_seq", "skipped")
 
     def __init__(self, low: ItemKey, base_seq: int) -> None:
-        self._low = low  # only items at or above this key
-        self._base_seq = base_seq  # as many as follow from this seq on are meant for it
+        self._low = low  # only items at or above this key belong to the subscription
+        self._base_seq = base_seq  # all items from this seq on belong to the subscription
         self.delivered = 0
         self.skipped = 0
         self.next_seq = base_seq
 
     def saved(self, incarnation: int) -> SavedCursor:
-        """From where another goes on."""
+        """The cursor from which another subscription continues."""
         return SavedCursor(incarnation=incarnation, next_seq=self.next_seq, low=self._low)
 
     def take(self, held: Holdings) -> DeliveredSlice | None:
-        """The newest item, if it is later than the last one taken."""
+        """The newest item, if it is later than the last item taken; else None."""
         part = next(held.slices_down(self._low), None)
         newest = None if part is None else Slice(part.run, part.hi - 1, part.hi)
         if newest is not None:
             self._low = newest.last_time, newest.end_seq
             self.delivered += 1
         self.next_seq = held.next_seq
-        # Resumed behind a late item, the newest may have been accepted before it: then it is none of those counted.
+        # After a resumption the newest item may have been accepted before the cursor, and then is not among the counted
+        # ones.
         self.skipped = max(0, held.next_seq - self._base_seq - self.delivered)
         return None if newest is None else DeliveredSlice(newest, None)
 
 
 def resume_newest(held: Holdings, saved: SavedCursor) -> NewestCursor:
-    """Go on with what is later than the last item taken."""
+    """Continue with items later than the last item taken."""
     return NewestCursor(saved.low or FIRST_KEY, min(saved.next_seq, held.next_seq))
 
 
 def open_newest(held: Holdings, low: ItemKey | None, after: ItemKey | None) -> NewestCursor:
-    """The present newest if it is at or above `low`, then later ones; or those behind the item with the key `after`."""
+    """Begin with the newest item at or above `low`, then later ones; or with items after the item with the key `after`."""
     if after is not None:
         return NewestCursor((after[0], after[1] + 1), after[1] + 1)
     if low is not None:

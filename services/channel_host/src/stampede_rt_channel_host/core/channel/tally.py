@@ -1,9 +1,8 @@
-"""How many items a channel holds before some item key, and their bytes, without a walk over all of them. Pure.
+"""Counts the items of a channel below an item key, and their bytes, without a walk over all of them. Pure.
 
-Retention needs both sums at the moment when it outdates items, be they a million. So held items are counted in blocks,
-stretches of the order (time, seq) that adjoin each other. What lies behind the last block is in none: a put in order
-counts nothing. A block into which many late items come is split, so that none grows to more than
-about twice its size.
+Retention needs both sums when it outdates items, even a million at once. So held items are counted in blocks. Blocks
+are consecutive stretches of the order (time, seq). Items after the last block are in no block, so a put in order
+updates no count. A block that gets many late items is split, so that no block grows to much more than twice its size.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 BLOCK_ITEMS = 1024
-"""About so many items are counted as one: to count a front of any size, hardly more than so many are walked."""
+"""The usual number of items in a block. To count a front of any size takes a walk over hardly more items."""
 
 
 class Whole(NamedTuple):
-    """The first blocks: how many items they count, of how many payload bytes; all of these are below `end`."""
+    """The first blocks: the number of their items and of their payload bytes. All their items are below `end`."""
 
     items: int
     payload_bytes: int
@@ -32,9 +31,9 @@ NO_BLOCKS = Whole(0, 0, FIRST_KEY)
 
 
 class Tally:
-    """Held items by blocks. A block goes from the end of the one before it up to its own end, which is not in it.
+    """Held items by blocks. A block begins at the end of the block before it, and ends at its own end, exclusive.
 
-    `items`, `payload_bytes`: all that blocks count, which is everything held below `end`.
+    `items`, `payload_bytes`: the sums over all blocks, which cover all held items below `end`.
     """
 
     __slots__ = ("_ends", "_items", "_payload_bytes", "end", "items", "payload_bytes")
@@ -48,7 +47,7 @@ class Tally:
         self.payload_bytes = 0
 
     def close(self, end: ItemKey, items: int, payload_bytes: int) -> None:
-        """Another block, of what is held from the last one's end on; all of it is below `end`."""
+        """Add a block with the held items from the last block's end up to `end`, exclusive."""
         self._ends.append(end)
         self._items.append(0)
         self._payload_bytes.append(0)
@@ -56,7 +55,10 @@ class Tally:
         self._count(len(self._ends) - 1, items, payload_bytes)
 
     def add_late(self, first_seq: int, times: Sequence[int], lengths: Sequence[int]) -> tuple[ItemKey, ItemKey] | None:
-        """Count in a run of which an item may lie below `end`; the bounds of a block that is to be split, if one is."""
+        """Count a run that may have items below `end`.
+
+        Returns the bounds of a block that must be split, if there is one.
+        """
         crowded: int | None = None
         for seq, (time, length) in enumerate(zip(times, lengths, strict=True), first_seq):
             if (time, seq) < self.end:
@@ -69,7 +71,7 @@ class Tally:
         return self._ends[crowded - 1] if crowded else FIRST_KEY, self._ends[crowded]
 
     def split(self, at: ItemKey, items: int, payload_bytes: int) -> None:
-        """The block in which `at` lies becomes two; the lower one has so many of its items, of so many bytes."""
+        """Split the block that holds `at`. The lower part has `items` items of `payload_bytes` payload bytes."""
         block = self._block(at)
         self._ends.insert(block, at)
         self._items.insert(block, items)
@@ -87,9 +89,9 @@ class Tally:
         self.payload_bytes += payload_bytes
 
     def take(self, items: int, payload_bytes: int) -> None:
-        """The oldest items go: so many, of so many payload bytes."""
+        """Take off the oldest items: `items` of them, with `payload_bytes` payload bytes."""
         gone = 0
-        while gone < len(self._items) and items >= self._items[gone]:  # ends with the blocks
+        while gone < len(self._items) and items >= self._items[gone]:  # ends with the last block
             items -= self._items[gone]
             payload_bytes -= self._payload_bytes[gone]
             self._count(gone, -self._items[gone], -self._payload_bytes[gone])
@@ -102,12 +104,14 @@ class Tally:
             self._count(0, -items, -payload_bytes)
 
     def whole_below(self, key: ItemKey) -> Whole:
-        """The blocks that end at or below `key`; a step for each."""
+        """The blocks that end at or below `key`. One step for each block."""
         return self._whole(self._block(key))
 
     def whole_within(self, *, items: int | None = None, charged_bytes: int | None = None) -> Whole:
-        """The first blocks that count no more than so many items, or that are charged with no more than so many bytes;
-        a step for each."""
+        """The first blocks with at most `items` items, or with at most `charged_bytes` charged bytes.
+
+        One step for each block.
+        """
         if items is not None:
             return self._whole(_within(iter(self._items), items))
         columns = zip(self._items, self._payload_bytes, strict=True)
@@ -121,5 +125,5 @@ class Tally:
 
 
 def _within(counts: Iterator[int], most: int) -> int:
-    """How many of the first counts add up to no more than `most`."""
+    """How many of the first counts have a sum of at most `most`."""
     return sum(1 for _ in takewhile(lambda total: total <= most, accumulate(counts)))

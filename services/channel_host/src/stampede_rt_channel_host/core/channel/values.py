@@ -1,4 +1,4 @@
-"""The values that callers give a channel and get back from it. Pure.
+"""The arguments and results of a channel's methods. Pure.
 
 Every instant is int nanoseconds since the epoch, every duration int nanoseconds, every size bytes.
 """
@@ -19,10 +19,11 @@ from stampede_rt_channel_host.core.channel.waiting import Needs
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Offer:
-    """A run that asks to be put. All columns have the same length, at least 1; -1 marks an absent duration.
+    """A run that a producer wants to put. All columns have the same length, at least 1; -1 marks an absent duration.
 
-    `times` None: the channel stamps all items with one time when it accepts them. `since`: since when such items wait
-    (the host's clock); room is judged as if they had been put then, or else a channel of one item never had any.
+    `times` None: the channel stamps all items with one time when it accepts them. `since`: when such items began to
+    wait, by the host's clock. The channel judges room as if they had been put then. Otherwise a channel of one item
+    would never have room.
     """
 
     times: Sequence[int] | None
@@ -39,7 +40,10 @@ class Offer:
                 raise MalformedRun(f"the run has {items} lengths and {len(values)} {column}; give one for each item")
 
     def rest(self, index: int, now: int) -> Offer:
-        """The items from position `index` on, to offer again. They wait from `now` on, unless they did before."""
+        """The items from position `index` on, to offer again.
+
+        They wait from `now` on, or from before if they waited before.
+        """
         return Offer(
             times=None if self.times is None else self.times[index:],
             durations=None if self.durations is None else self.durations[index:],
@@ -49,26 +53,30 @@ class Offer:
 
 
 class Seal(Protocol):
-    """Makes the bytes of a run that is about to be stored; called once, at the most, by a put. Must not raise."""
+    """Makes the stored bytes of an accepted run. A put calls it once at the most. It must not raise."""
 
     def __call__(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
-        """`kept`: the accepted positions of the offer, None for all; `stamped_time`: set if it had no times."""
+        """The bytes to store.
+
+        `kept`: the accepted positions of the offer, None for all. `stamped_time`: set if it had no times.
+        """
 
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """An item that was refused: its position in the offer and why (TooOld, InFuture, ItemTooLarge, ChannelFull)."""
+    """A refused item: its position in the offer and the error (TooOld, InFuture, ItemTooLarge, ChannelFull)."""
 
     index: int
     error: StampedeError
 
 
 class PutOutcome(NamedTuple):
-    """The outcome of an offer. Items before `waiting` (all, if None) were accepted, or refused with a rejection.
+    """The outcome of an offer. Each item before `waiting` (each item, if None) was accepted, or refused with a
+    rejection.
 
-    `run` holds the accepted ones (None: none); their seqs are `run.first_seq` and on, in the offer's order. Those from
-    position `waiting` on must wait (on_full="block"): offer `offer.rest(waiting, now)` again after the next change of
-    the channel and at `retry_at`, if there is such an instant; to stop waiting, `ChannelCore.give_up_put`.
+    `run` holds the accepted items, None if there are none. Their seqs begin at `run.first_seq`, in the offer's order.
+    The items from position `waiting` on must wait (on_full="block"). Offer `offer.rest(waiting, now)` again after the
+    next change of the channel, and at `retry_at`, if it is set. To stop the wait, call `ChannelCore.give_up_put`.
     """
 
     run: Run | None = None
@@ -79,7 +87,7 @@ class PutOutcome(NamedTuple):
 
 
 class Position(NamedTuple):
-    """A position in the order (time, seq). `seq` None: behind all items of that time. `incarnation` 0: not compared."""
+    """A position in the order (time, seq). `seq` None: after all items of that time. `incarnation` 0: not compared."""
 
     time: int
     seq: int | None = None
@@ -88,10 +96,11 @@ class Position(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SavedCursor:
-    """Where a subscription stands, to go on from later: everything below `next_seq` was dealt with.
+    """The place from which a subscription continues later: all items below `next_seq` are done.
 
-    `low`: only items at or above this key are meant; of those with `live_seq` or a later one, in seq order, all are.
-    `cut`: through a group, what lies below it and below `next_seq` was dealt with. `incarnation` 0: not compared.
+    `low`: only items at or above this key belong to the subscription. In seq order, this holds for items below
+    `live_seq`; all later items belong to it. `cut`: through a group, the items below it and below `next_seq` are done.
+    `incarnation` 0: not compared.
     """
 
     incarnation: int
@@ -103,11 +112,11 @@ class SavedCursor:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Query:
-    """A read (paper, section 3.2). `limit` keeps the earliest, or with `newest_first` the latest.
+    """A read (paper, section 3.2). `limit` keeps the earliest items, or with `newest_first` the latest.
 
-    `after` continues behind a position in reading order: later items, or with `newest_first` earlier ones.
-    `newer_than` selects only items later than a position, whatever the order. `complete` makes a blocking get wait
-    until the interval is finished.
+    `after` continues after a position in reading order: with later items, or with `newest_first` with earlier ones.
+    `newer_than` selects only items later than a position, in either order. `complete` makes a blocking get wait until
+    the interval is finished.
     """
 
     interval: Interval
@@ -126,13 +135,13 @@ class Query:
 class ReadAnswer(NamedTuple):
     """The answer to a read. `slices` ascend in (time, seq), also with `newest_first`.
 
-    `next_time` is the time of the bucket behind the last item, None if that one is in the newest: with it a reader
-    derives every span's end. `interval` is None if a meta-time could not be resolved. `complete`: nothing more can
-    come; `truncated`: the lower bound lies below the frontier; `more`: the limit cut it. `reason` (with its `detail`)
-    says why the answer is empty or partial.
+    `next_time` is the time of the bucket after the last item, None if the last item is in the newest bucket. A reader
+    computes every span's end from it. `interval` is None if a meta-time could not be resolved. `complete`: no more
+    items can come. `truncated`: the lower bound lies below the frontier. `more`: the limit cut items off. `reason`
+    (with its `detail`) says why the answer is empty or partial.
     """
 
-    slices: Sequence[Slice]  # many are `Gathered`
+    slices: Sequence[Slice]  # large answers are `Gathered`
     next_time: int | None
     interval: ResolvedInterval | None
     complete: bool
@@ -143,15 +152,19 @@ class ReadAnswer(NamedTuple):
 
 
 class WakeAt(NamedTuple):
-    """Nothing to answer yet: poll again at `instant`, if it is set, and after the changes of the channel that come so
-    far as `needs`: others cannot release the get. None: any may."""
+    """There is no answer yet: poll again at `instant`, if it is set, and after the changes that reach `needs`.
+
+    Other changes cannot release the get. `needs` None: any change may.
+    """
 
     instant: int | None
     needs: Needs | None = None
 
 
 class DeliveredSlice(NamedTuple):
-    """A slice for a subscriber, with the time of the bucket behind its last item as known now (None: the newest)."""
+    """A slice for a subscriber, and the present time of the bucket after its last item (None: that item is in the
+    newest).
+    """
 
     slice: Slice
     next_time: int | None
@@ -159,7 +172,9 @@ class DeliveredSlice(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Gap:
-    """Seqs `first_seq` to `last_seq` will not be sent; `items` of them were for this subscription."""
+    """Items that the reader will not get: `items` of the seqs from `first_seq` to `last_seq` belonged to the
+    subscription.
+    """
 
     first_seq: int
     last_seq: int
@@ -169,8 +184,10 @@ class Gap:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SubscriptionBatch:
-    """The next part of a subscription: first the gap, if any, then the slices in seq order. `more`: there is more to
-    look at; take again soon."""
+    """The next part of a subscription: first the gap, if any, then the slices in seq order.
+
+    `more`: there are more items to look at, so take again soon.
+    """
 
     slices: Sequence[DeliveredSlice] = ()
     gap: Gap | None = None
@@ -178,16 +195,16 @@ class SubscriptionBatch:
 
     @property
     def is_empty(self) -> bool:
-        """There is nothing to send; unless there is `more`, wait for the next put."""
+        """Whether there is nothing to send. Then wait for the next put, unless `more` is set."""
         return not self.slices and self.gap is None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Counters:
-    """The counts of a channel's items at one moment: `accepted == held + sum(collected.values())`, always.
+    """The counts of a channel's items at one moment. Always `accepted == held + sum(collected.values())`.
 
-    `collected` has the keys age, count, bytes, consumption; `rejected` TOO_OLD, IN_FUTURE, ITEM_TOO_LARGE,
-    CHANNEL_FULL, MALFORMED_RUN. Bytes are payload bytes.
+    `collected` has the keys age, count, bytes, consumption. `rejected` has the keys TOO_OLD, IN_FUTURE, ITEM_TOO_LARGE,
+    CHANNEL_FULL, MALFORMED_RUN and OVERLOADED. Bytes are payload bytes.
     """
 
     accepted: int

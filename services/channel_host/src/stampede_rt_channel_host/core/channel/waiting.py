@@ -1,8 +1,7 @@
-"""The needs of blocked gets, and how far the items since then reach. Only gets that they may release are looked at.
-Pure.
+"""The needs of blocked gets, and how far new items reach. A change looks only at the gets that it may release. Pure.
 
-A get is released by an item whose time, or, where spans count, whose span comes so far as its interval, or by whatever
-says that nothing more can come into it. Since when it was looked at last no item did, it is one that has come since.
+An item releases a get if its time, or where spans count its span, reaches the get's interval. So does any event after
+which no item can come into the interval. At the last look no item released the get, so only a newer item can.
 """
 
 from __future__ import annotations
@@ -22,8 +21,11 @@ _BUCKET_PARTS_MAX = 16
 
 
 class Needs(NamedTuple):
-    """The events that may release a get: the channel has passed an instant; an item comes with this time or a later
-    one; or an item comes whose span lasts until this instant or longer. None: such an event does not release it."""
+    """The events that may release a get. None: events of that kind do not.
+
+    The events are: the channel has passed an instant; an item comes with this time or a later one; an item comes whose
+    span lasts until this instant or longer.
+    """
 
     passed: int | None = None
     time: int | None = None
@@ -31,8 +33,10 @@ class Needs(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far a channel, and what came into it since the last look, comes. None: nothing came. May be too far, which
-    costs a look, but never too short."""
+    """How far a channel and its new items since the last look reach. None: no new items.
+
+    The reach may be too far, which only costs a look. It is never too short.
+    """
 
     passed: int | None
     time: int | None
@@ -40,7 +44,10 @@ class Reach(NamedTuple):
 
 
 class Coming:
-    """Follows a channel, or the part of it before a cut, for gets that wait there. Costs what came since."""
+    """Follows a channel, or the part of it before a cut, for the gets that wait there.
+
+    A call costs the items since the last.
+    """
 
     def __init__(self, channel: ChannelCore) -> None:
         self._channel = channel
@@ -48,11 +55,14 @@ class Coming:
         self._cut = AFTER_ALL
 
     def begin(self, cut: int = AFTER_ALL) -> None:
-        """The gets have seen all items so far."""
+        """Note that the gets have seen all present items."""
         self._seen_seq, self._cut = self._channel.next_seq, cut
 
     def reach(self, now: int, cut: int = AFTER_ALL) -> Reach:
-        """How far it comes with what has come since the last call; `cut`: items from this time on are not visible."""
+        """The reach of the channel with the items since the last call.
+
+        `cut`: items from this time on are not visible.
+        """
         held, _ = self._channel.look(now)
         before, time = self._cut, self._newly_visible(held, cut)
         self.begin(cut)
@@ -61,7 +71,7 @@ class Coming:
         if time is not None or cut != before:
             end = self._end(held, time, newest, min(now, cut), has_moved=cut != before)
         if before == BEFORE_ALL != cut:
-            time = cut  # what hangs on there being a cut
+            time = cut  # the reach that depends on the cut
         return Reach(self._passed(held, cut), time, end)
 
     def _passed(self, held: Holdings, cut: int) -> int | None:
@@ -70,7 +80,7 @@ class Coming:
         return max([*passed, *([] if held.frontier is None else [held.frontier])], default=None)
 
     def _newly_visible(self, held: Holdings, cut: int) -> int | None:
-        """The latest time of an item that was not visible at the last call."""
+        """The latest time of an item that became visible after the last call."""
         found = []
         for part in held.slices_by_seq(self._seen_seq, self._channel.next_seq):
             if part.first_time < cut:
@@ -81,7 +91,7 @@ class Coming:
         return max(found, default=None)
 
     def _end(self, held: Holdings, time: int | None, newest: int | None, now: int, *, has_moved: bool) -> int | None:
-        """How far the spans of what is new reach, and, with the cut, that of the newest item that is visible."""
+        """The reach of the new items' spans, and, if the cut has moved, of the newest visible item's span."""
         if newest is None:
             return time
         if held.overlap_nanos:
@@ -93,7 +103,7 @@ class Coming:
 
 
 def _bucket_end(held: Holdings, time: int, now: int) -> int:
-    """How far spans reach from the bucket at `time` if nothing bounds them."""
+    """The reach of the spans of the bucket at `time` if no later bucket bounds them."""
     end = time
     parts = list(islice(held.slices((time, 0), (time, SEQ_END)), _BUCKET_PARTS_MAX + 1))
     if len(parts) > _BUCKET_PARTS_MAX or sum(part.items for part in parts) > 256:

@@ -1,19 +1,19 @@
 """Channel groups: values and `now` in, values out (paper, sections 3.3 and 4.1).
 
-Nothing here reads a clock, waits, or knows the wire. The shell around it, at each host:
+No module here reads a clock, waits, or knows the wire. The code around it has these duties at each host:
 
-- keeps one `TimesBoard`: own channels by `OwnTimes.observe` after each change, then `tell_own`; those of other hosts by
-  `hear` as their owners tell, and by `confirm` at each sign of life;
-- keeps one `GroupCut` per group: `merge_floor` with what other hosts know, `confirm` when all that live have told it,
-  `refresh` after each change of the board and at `next_idle`. A client's word never goes in: a reader that has seen
-  more waits until `cut` is there, or is answered with `VisibleChannel.stalled`;
-- reads through a group: `VisibleChannel` like a channel, with the `Horizon` of the moment, or with an earlier cut to
-  read several channels at one; blocked gets are polled after each change of the channel and of the cut;
-- subscriptions through a group: `VisibleAll`, `VisibleNewest`;
-- cut events: the host that decides feeds an `EventDecider`; every host takes its own channels' parts of an event by
-  `CutFollower.begin(boundary)` and `take`, once its own cut has come as far. Cut and `next_seq` resume it;
-- matches: a `Matcher` at the owner of the one channel, with an `OwnTrack` or a `FarTrack` for every other;
-- status: `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and `window_too_short`.
+- It keeps one `TimesBoard`. For own channels it calls `OwnTimes.observe` after each change, then `tell_own`. For
+  channels of other hosts it calls `hear` with their owners' reports, and `confirm` at each sign of life.
+- It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` once all live ones
+  have told theirs, and `refresh` after each change of the board and at `next_idle`. It never enters a client's cut. If
+  a reader has seen a later cut, the reader waits until `cut` is there, or gets the answer of `VisibleChannel.stalled`.
+- Reads through a group use `VisibleChannel` like a channel, with the present `Horizon`. To read several channels at one
+  cut, they use that earlier cut. Blocked gets are polled after each change of the channel and of the cut.
+- Subscriptions through a group: `VisibleAll`, `VisibleNewest`.
+- Cut events: the deciding host feeds an `EventDecider`. Every host takes its own channels' parts of an event by
+  `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A cut and a `next_seq` resume it.
+- Matches: a `Matcher` at the owner of the matched channel, with an `OwnTrack` or a `FarTrack` for every other member.
+- Status: `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and `window_too_short`.
 """
 
 from stampede_rt_channel_host.core.group.cut import (

@@ -1,4 +1,4 @@
-"""The cut of a group: how much of its channels is visible (paper, section 3.3). Pure."""
+"""The cut of a group: the instant up to which its channels are visible (paper, section 3.3). Pure."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _BEFORE_ALL = -(1 << 64)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupDefinition:
-    """How a group is set up. `reference` None: the member that lags most, chosen anew all the time ("oldest").
+    """The set-up of a group. `reference` None: the group's cut is the smallest cut of all members ("oldest").
 
-    `by_end`: a channel's cut is the latest end by duration in its newest bucket, at most `max_lead_nanos` past its
-    start. `idle_after_nanos`: a member silent for so long is left out of "oldest". `incarnation`: cuts compare within
-    one.
+    `by_end`: a channel's cut is the latest end by duration in its newest bucket, at most `max_lead_nanos` after the
+    bucket's time. `idle_after_nanos`: "oldest" leaves out a member that is silent for so long. `incarnation`: two cuts
+    compare only within one incarnation.
     """
 
     members: frozenset[bytes]
@@ -32,7 +32,7 @@ class GroupDefinition:
     spec_version: int = 1
 
     def cut_of(self, times: ChannelTimes) -> int | None:
-        """The cut of one channel by itself; None if it never had an item or an advance."""
+        """The cut of one channel alone; None if it never had an item or an advance."""
         newest = times.newest
         if newest is None:
             return times.advance
@@ -43,7 +43,7 @@ class GroupDefinition:
 
 
 class CutFloor(NamedTuple):
-    """How far a host has shown a group: no host may show less of it, within one incarnation."""
+    """The cut up to which a host has shown a group. No host may show less of the group within one incarnation."""
 
     group_id: bytes
     incarnation: int
@@ -52,7 +52,10 @@ class CutFloor(NamedTuple):
 
 
 class CutMember(NamedTuple):
-    """One member at one moment. `heard` None: its owner has told nothing yet; `cut`: its own, None if it has none."""
+    """One member at one moment.
+
+    `heard` None: its owner has told nothing yet. `cut`: its own cut, None if it has none.
+    """
 
     channel_id: bytes
     heard: Heard | None
@@ -61,16 +64,16 @@ class CutMember(NamedTuple):
 
     @property
     def mark(self) -> int | None:
-        """The later of its newest time and its advance."""
+        """The later of its newest item's time and its advance."""
         return None if self.heard is None else self.heard.times.mark
 
 
 class GroupCut:
     """The cut of one group as one host knows it: a lower bound that only grows within an incarnation.
 
-    Order of use: make; `merge_floor` what the other hosts of the group know; `confirm` when all of them that live have
-    told it. Until then nothing is visible, since somebody may have seen more. `refresh` after each change of the board
-    and at `next_idle`.
+    Order of use: make it; `merge_floor` with the cuts of the group's other hosts; `confirm` once all live ones have
+    told theirs. Until then no item is visible, because a reader may have seen a later cut. Then `refresh` after each
+    change of the board and at `next_idle`.
     """
 
     def __init__(self, definition: GroupDefinition, board: TimesBoard) -> None:
@@ -78,45 +81,49 @@ class GroupCut:
         self._board = board
         self._floor: int | None = None
         self._confirmed = False
-        self._holder = b""  # the member whose cut was the lowest when all were last looked at
-        self._lows: list[tuple[int, bytes]] = []  # a heap: for each member a cut that it had once, and is not behind
-        self._setbacks = -1  # of the board, when the heap was made
+        self._holder = b""  # the member that had the lowest cut at the last look at all members
+        # a heap with a cut that each member had once, at or below its present cut
+        self._lows: list[tuple[int, bytes]] = []
+        self._setbacks = -1  # of the board, at the making of the heap
 
     @property
     def definition(self) -> GroupDefinition:
-        """As last defined."""
+        """The latest definition."""
         return self._definition
 
     @property
     def is_confirmed(self) -> bool:
-        """All other hosts have told how far the cut was."""
+        """Whether all other hosts have told their cuts."""
         return self._confirmed
 
     @property
     def cut(self) -> int | None:
-        """Items with a time before it are visible; None: none are. As of the last refresh."""
+        """Items with an earlier time are visible; None: no items are. As of the last refresh."""
         return self._floor if self._confirmed else None
 
     def define(self, definition: GroupDefinition) -> None:
-        """Members came or went: the cut stays where it is. Another incarnation: it begins anew, unconfirmed."""
+        """Change the members: the cut stays the same. With another incarnation the cut begins anew, unconfirmed."""
         if definition.incarnation != self._definition.incarnation:
             self._floor, self._confirmed = None, False
         self._definition = definition
         self._holder, self._setbacks = b"", -1
 
     def merge_floor(self, cut: int) -> bool:
-        """Another host of the group has come so far; True if that is further. Never call this with a client's word."""
+        """Raise the cut to that of another host of the group.
+
+        Returns True if it rose. Never call it with a client's cut.
+        """
         if self._floor is not None and cut <= self._floor:
             return False
         self._floor = cut
         return True
 
     def confirm(self) -> None:
-        """All other hosts have told their cuts: from now on the cut may rise and be shown."""
+        """Note that all other hosts have told their cuts. From now on the cut may rise and be shown."""
         self._confirmed = True
 
     def refresh(self, now: int) -> bool:
-        """Raise the cut to where the reference is; True if it moved."""
+        """Raise the cut to that of the reference. Returns True if it rose."""
         reached = self._reached(now) if self._confirmed else None
         return reached is not None and self.merge_floor(reached)
 
@@ -127,19 +134,19 @@ class GroupCut:
         return CutMember(channel_id, heard, cut, self._is_idle(heard, now))
 
     def members(self, now: int) -> Iterator[CutMember]:
-        """All members, in the order of their ids."""
+        """All members, by id."""
         return (self.member(channel_id, now) for channel_id in sorted(self._definition.members))
 
     def waiting_on(self, now: int) -> list[bytes]:
-        """The members that hold the cut back: of those that count, the ones that are not past it."""
+        """The members that hold the cut back: those that count and whose own cut is not beyond it."""
         cut = self.cut
         owns = ((channel_id, self._own_cut(channel_id)) for channel_id in self._counting(now))
         return sorted(channel_id for channel_id, own in owns if own is None or (cut is not None and own <= cut))
 
     def next_idle(self, now: int) -> int | None:
-        """When a member of this host next falls idle, so that the cut moves without anything being put; None: never.
+        """When a member of this host next becomes idle, which may move the cut without a put; None: never.
 
-        Of the others a sign of life has to tell.
+        For members of other hosts a sign of life tells.
         """
         after = self._definition.idle_after_nanos
         if after is None or self._definition.reference is not None:
@@ -149,7 +156,7 @@ class GroupCut:
         return min((one.silent_since + after for one in own if one.silent_nanos(now) < after), default=None)
 
     def _reached(self, now: int) -> int | None:
-        """The smallest cut of the members that count; None if one of them has none, or holds the group where it is."""
+        """The smallest cut of the members that count; None if one of them has none, or holds the group's cut back."""
         definition = self._definition
         if definition.reference is None and not definition.by_end and definition.idle_after_nanos is None:
             return self._lowest_of_all()
@@ -165,7 +172,7 @@ class GroupCut:
         return lowest
 
     def _still_holds(self, now: int) -> bool:
-        """The member that held the cut back still does. Most changes are those of others."""
+        """Whether the member that held the cut back still does. Most changes concern other members."""
         heard = self._board.find(self._holder)
         if self._is_idle(heard, now):
             return False
@@ -173,9 +180,10 @@ class GroupCut:
         return cut is None or (self._floor is not None and cut <= self._floor)
 
     def _lowest_of_all(self) -> int | None:
-        """As `_reached`, with "oldest" and nobody left out, and cuts by start: these only grow between setbacks.
+        """As `_reached`, for "oldest" without an idle limit and with cuts by start, which only grow between setbacks.
 
-        So the first in the heap that is where the heap has it is the lowest. Costs the members that have moved since.
+        The first member of the heap whose present cut equals its cut in the heap has the lowest cut. Costs one step for
+        each member that has moved since.
         """
         if self._setbacks != self._board.setbacks:
             self._setbacks = self._board.setbacks
@@ -193,9 +201,10 @@ class GroupCut:
         return None if heard is None else self._definition.cut_of(heard.times)
 
     def _counting(self, now: int) -> Iterable[bytes]:
-        """Whose cuts make the group's: the reference, or all members that are not idle.
+        """The members whose cuts make the group's cut: the reference, or all members that are not idle.
 
-        If all are, the last one to fall idle was alone before, and its cut was the group's: so it stays.
+        If all are idle, it is the member that became idle last. Before that it was the only one, and its cut was the
+        group's.
         """
         definition = self._definition
         if definition.reference is not None:

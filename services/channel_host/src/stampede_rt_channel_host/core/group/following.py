@@ -1,7 +1,8 @@
 """The items of one channel that a moving cut makes visible, each once (paper, section 3.3). Pure.
 
-A follower has dealt with all items before its cut that have a seq below its `next_seq`. The next step, to a later cut,
-brings the items between the two cuts, and apart from them the late ones: accepted below the former cut since.
+A follower is done with all items before its cut that have a seq below its `next_seq`. The next step, to a later cut,
+brings the items between the two cuts. It also brings the late items: those below the former cut that were accepted
+since.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, spli
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Loss:
-    """Items that are due and gone. Everything with a time before `before` may be incomplete, exclusive.
+    """Due items that are gone. The reader's items with a time before `before` (exclusive) may be incomplete.
 
-    `items` of them were counted by their seqs, which lie from `first_seq` to `last_seq`; `is_exact`: that is all.
+    `items` of them are counted by their seqs, which lie from `first_seq` to `last_seq`. `is_exact`: there are no
+    others.
     """
 
     before: int
@@ -35,10 +37,10 @@ class Loss:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Step:
-    """A part of a step: first what came late, which was readable before, then what became visible by the step, each
-    ascending by (time, seq). So whatever comes later is later in time or in seq than all that came, and either resumes.
+    """A part of a step: first the late items, then the newly visible ones, each in the order (time, seq).
 
-    `is_last` ends the step; only then `loss` says what it should have brought and cannot.
+    The late items were readable before. Every later part is later in time or in seq, so a reader can resume after any
+    part. `is_last` ends the step. Only then `loss` tells of items that the step should have brought and cannot.
     """
 
     slices: list[DeliveredSlice] = field(default_factory=list)
@@ -48,10 +50,10 @@ class Step:
 
 
 class CutFollower:
-    """Where one reader of one channel stands. `cut` None: nothing was visible to it yet.
+    """The place of one reader in one channel. `cut` None: no item was visible to it yet.
 
-    Order of use: `begin(cut)`, which must not be before the last one, then `take` until a step is the last.
-    `under_way`: in between.
+    Order of use: `begin(cut)` with a cut not before the last one, then `take` until a step is the last. `under_way`:
+    between the two.
     """
 
     def __init__(
@@ -63,9 +65,9 @@ class CutFollower:
         next_seq: int | None = None,
         incarnation: int | None = None,
     ) -> None:
-        """From the cut on; with `next_seq`, which goes with an incarnation, behind the state that a reader kept.
+        """Begin at the cut. With `next_seq`, which needs an incarnation, continue from a state that a reader kept.
 
-        A state of another incarnation is reported as lost; then everything that is there counts as late or new.
+        A state of another incarnation is reported as a loss. Then all present items count as late or new.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -74,10 +76,10 @@ class CutFollower:
         self.under_way = False
         self._target: ItemKey = FIRST_KEY
         self._seq_end = 0
-        self._range_start: ItemKey = FIRST_KEY  # of the step under way: up to where what became visible was taken
-        self._looked_up_to = 0  # and up to which seq it was looked for what had come late
-        self._late_parts: list[list[Slice]] = []  # what was found, each list ascending by (time, seq)
-        self._late: Iterator[Slice] | None = None  # all of it, ascending; None: there is more to look at
+        self._range_start: ItemKey = FIRST_KEY  # of the present step: newly visible items below this key are taken
+        self._looked_up_to = 0  # and seqs below this one have been searched for late items
+        self._late_parts: list[list[Slice]] = []  # the late items found, each list in the order (time, seq)
+        self._late: Iterator[Slice] | None = None  # all late items in order; None: the search is not over
         self._late_rest: Slice | None = None  # of the slice that was taken in part
         self._came_above = self._given_above = self._given_below = 0
         if incarnation is not None and incarnation != channel.incarnation:
@@ -89,22 +91,22 @@ class CutFollower:
 
     @property
     def next_seq(self) -> int:
-        """Items with a seq below it and a time before the cut are dealt with; this and the cut resume the reader."""
+        """Items with a lower seq and a time before the cut are done. This seq and the cut resume the reader."""
         return self._ledger.next_seq
 
     def lowest_owed_seq(self, now: int) -> int:
-        """Every item below it is dealt with, whatever its time. Walks what is hidden."""
+        """The reader is done with every item of a lower seq, whatever its time. Walks the hidden items."""
         held, _ = self._channel.look(now)
         return self._ledger.lowest_owed(held)
 
     def has_news(self, cut: int) -> bool:
-        """A step to `cut` may bring something."""
+        """Whether a step to `cut` may bring items."""
         if self.under_way or self.cut is None or cut > self.cut:
             return True
         return cut == self.cut and self._channel.next_seq != self.next_seq
 
     def begin(self, cut: int) -> None:
-        """Begin a step. What is accepted below `cut` from now on is late, and comes with the next one."""
+        """Begin a step. Items accepted below `cut` from now on are late, and come with the next step."""
         assert not self.under_way, "take the step under way to its end first"
         assert self.cut is None or cut >= self.cut, "a cut never moves back"
         self.under_way = True
@@ -115,8 +117,9 @@ class CutFollower:
         self._came_above = self._given_above = self._given_below = 0
 
     def take(self, now: int, limit_bytes: int) -> Step:
-        """The next part of the step, about `limit_bytes` (payload and overhead) and a bounded number of slices. It may
-        be empty without being the last: then there was much to look at, and the next one goes on.
+        """The next part of the step: about `limit_bytes` (payload and overhead) and a bounded number of slices.
+
+        A part may be empty without being the last, if there were many items to look at. The next call continues.
         """
         assert self.under_way, "begin a step first"
         held, _ = self._channel.look(now)
@@ -131,8 +134,10 @@ class CutFollower:
         return Step(slices=slices, late=late, is_last=True, loss=self._finish(held))
 
     def _take_range(self, held: Holdings, left: int, steps: int) -> tuple[list[DeliveredSlice], int, bool]:
-        """Items between the two cuts, from the key reached on, that were there when the step began; what is left of
-        the limit; and whether that is all."""
+        """Newly visible items from the key reached on that the channel had when the step began.
+
+        Also returns the rest of the limit, and whether these are all.
+        """
         taken: list[DeliveredSlice] = []
         for part in held.slices(self._range_start, self._target):
             if left <= 0 or steps <= 0:
@@ -148,7 +153,10 @@ class CutFollower:
         return taken, left, True
 
     def _look_for_late(self, held: Holdings) -> bool:
-        """Look, in the order of seqs, at some of what came since the last step; True if that is all."""
+        """Search some of the items since the last step, by seq, for late ones.
+
+        Returns True at the end of the search.
+        """
         if self._late is not None:
             return True
         found = held.slices_by_seq(self._looked_up_to, self._seq_end)
@@ -163,7 +171,7 @@ class CutFollower:
         return True
 
     def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int, bool]:
-        """Items below the former cut that were accepted since, and are still held; see `_take_range`."""
+        """Items below the former cut that were accepted since and are still held. Returns as `_take_range`."""
         assert self._late is not None, "they were looked for"
         taken: list[DeliveredSlice] = []
         for _ in range(pieces.STEPS_PER_PIECE):
@@ -183,7 +191,7 @@ class CutFollower:
         return taken, left, False
 
     def _deliver(self, held: Holdings, part: Slice) -> DeliveredSlice:
-        """Items at or past the cut bound nothing: nobody may see them yet."""
+        """The slice for delivery. Items at or after the cut do not bound spans, because no reader may see them yet."""
         following = held.next_time(part.last_time)
         hidden = following is not None and following >= self._target[0]
         return DeliveredSlice(part, None if hidden else following)
@@ -214,7 +222,7 @@ def _key(cut: int | None) -> ItemKey:
 
 
 def _reaches(held: Holdings, cut: int | None) -> bool:
-    """Items at or past the cut are gone."""
+    """Whether items at or after the cut are gone."""
     gone = newest_gone(held)
     return gone is not None and (cut is None or gone >= cut)
 
@@ -226,7 +234,7 @@ def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
 
 
 def _joined(unreported: Loss, since: Loss | None) -> Loss:
-    """The loss of before the reader came back, joined with the loss since."""
+    """The loss before the reader came back, joined with the loss since."""
     if since is None:
         return unreported
     before, last_seq = max(unreported.before, since.before), max(unreported.last_seq, since.last_seq)

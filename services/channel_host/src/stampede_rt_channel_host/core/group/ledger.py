@@ -1,7 +1,8 @@
-"""How many items a reader in time order will never get, though they were meant for it. Pure.
+"""Counts the items that a reader in time order will never get, although they belong to its subscription. Pure.
 
-A reader has dealt with all items below some key that were given a seq before some moment. It is owed the others:
-those held at or above the key, and whatever is accepted later. What of these is neither given nor held is lost.
+A reader is done with all items below some key that got a seq before some moment. It has still to get the others: the
+held items at or above the key, and all items accepted later. Items among these that are neither given nor held are
+lost.
 """
 
 from __future__ import annotations
@@ -16,22 +17,22 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ItemKey
 
 LOOKED_AT_MAX = 4096
-"""So many items, or slices, are looked at for the lowest seq that is owed."""
+"""The most items, or slices, that a search for the lowest seq still to give looks at."""
 
 
 class Ledger:
-    """Of one reader of one channel. Costs what was put and given since the last call, at the most.
+    """The ledger of one reader of one channel. A call costs at most the items put and given since the last call.
 
-    `lowest_seq`: whatever is lost at the next settling has this seq or a later one.
+    `lowest_seq`: all items that the next `mark_read` finds lost have this seq or a later one.
     """
 
     __slots__ = ("_consumed", "_floor", "_held_from", "_low", "_owed", "lowest_seq", "next_seq")
 
     def __init__(self, held: Holdings, low: ItemKey, next_seq: int) -> None:
-        """Owed: held items at or above `low`, and all with `next_seq` or a later one."""
+        """Begin: still to give are the held items at or above `low`, and all items with `next_seq` or a later seq."""
         self._low = low
         self._owed, self.lowest_seq = _owed(held, low, next_seq)
-        self._held_from = self.lowest_seq  # what is owed and held has this seq or a later one
+        self._held_from = self.lowest_seq  # all held items that are still to give have this seq or a later one
         self._remember(held, low, next_seq)
 
     def mark_read(
@@ -49,7 +50,7 @@ class Ledger:
             if came_above is None:
                 came_above = _items(above_key(held, self._low, self.next_seq, next_seq))
             left = self._owed + came_above - given_above
-        elif held.floor >= low:  # all that is held is owed, but for what came since the step began
+        elif held.floor >= low:  # all held items are still to give, except those that came since the step began
             left = held.items - _items(held.slices_by_seq(next_seq, held.next_seq))
         else:
             left, self.lowest_seq = _owed(held, low, next_seq)
@@ -58,8 +59,10 @@ class Ledger:
         return owed - given_above - given_below - left
 
     def lowest_owed(self, held: Holdings) -> int:
-        """A seq below which nothing is owed any more: the lowest that is, unless very many lie between the last one
-        told and it."""
+        """A seq below which no item is still to give.
+
+        It is the lowest such seq, unless very many items lie between it and the last result.
+        """
         looked = [*islice(held.slices_by_seq(self._held_from, self.next_seq), LOOKED_AT_MAX)]
         parts = (split_at(part, self._low)[1] for part in looked)
         beyond = looked[-1].end_seq if len(looked) == LOOKED_AT_MAX else self.next_seq
@@ -73,8 +76,11 @@ class Ledger:
 
 
 def _owed(held: Holdings, low: ItemKey, next_seq: int) -> tuple[int, int]:
-    """How many held items at or above the key have a seq below `next_seq`, and a seq below which none is owed: the
-    lowest that is, unless they are very many."""
+    """The number of held items at or above the key with a seq below `next_seq`, and a seq below which none is still to
+    give.
+
+    The second is exact unless there are very many items.
+    """
     items = held.items - held.items_below(low) - _items(above_key(held, low, next_seq, held.next_seq))
     if items > LOOKED_AT_MAX:
         return items, held.seq_from(1, next_seq, LOOKED_AT_MAX)
@@ -87,18 +93,18 @@ def _items(parts: Iterator[Slice]) -> int:
 
 
 def newest_gone(held: Holdings) -> int | None:
-    """The latest time of an item that the channel had and has not any more."""
+    """The latest time of an item that the channel had and has no more."""
     return max((time for time in (held.newest_collected, held.newest_consumed) if time is not None), default=None)
 
 
 def above_key(held: Holdings, low: ItemKey, first_seq: int, end_seq: int) -> Iterator[Slice]:
-    """Held items with seqs from `first_seq` up to, not including, `end_seq`, at or above a key, in seq order."""
+    """Held items with seqs from `first_seq` up to `end_seq`, exclusive, at or above a key, in seq order."""
     parts = (split_at(part, low)[1] for part in held.slices_by_seq(first_seq, end_seq))
     return (part for part in parts if part.items)
 
 
 def split_at(part: Slice, key: ItemKey) -> tuple[Slice, Slice]:
-    """A slice, which ascends in (time, seq), below a key and from it on."""
+    """The parts of a slice below a key and from the key on. The slice ascends in (time, seq)."""
     time, seq = key
     run, lo, hi = part
     at = bisect_left(run.times, time, lo, hi)

@@ -1,6 +1,7 @@
-"""For each item of one channel the nearest of every other: what pairs two cameras (paper, section 3.3). Pure.
+"""Finds for each item of one channel the nearest item of every other member, for example for two cameras. Pure.
 
-Matching looks at all items, hidden ones too: it waits for what it needs by itself, and the cut says nothing about it.
+See the paper, section 3.3. Matching looks at all items, hidden ones too. It waits for the items that it needs. It does
+not depend on the cut.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ from stampede_rt_channel_host.core.group.tracks import Nearest, OwnTrack, Track
 
 CREDIT_UNLIMITED = LOOKS_UNLIMITED = 1 << 62
 OWN = b""
-"""Instead of a member's id: the matched channel itself."""
+"""The key of the matched channel itself, in the place of a member's id."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FoundMatch:
-    """One item, and what goes with it. `missing`: members that have nothing within the tolerance."""
+    """One item and its partners. `missing`: members that have no item within the tolerance."""
 
     item: DeliveredSlice
     matched: Mapping[bytes, Nearest]
@@ -33,26 +34,29 @@ class FoundMatch:
 
     @property
     def charge_bytes(self) -> int:
-        """The bytes that its items cost a reader's credit, without those of other hosts."""
+        """The bytes that its items at this host cost a reader's credit."""
         partners = (near.item for near in self.matched.values() if near.item is not None)
         return self.item.slice.charge_bytes + sum(one.slice.charge_bytes for one in partners)
 
 
 class Matcher:
-    """Matches one channel's items in time order. It keeps a position and no items: what waits, waits in the channel.
+    """Matches one channel's items in time order. It keeps a position and no items: waiting items wait in the channel.
 
-    `unmatched`: items for which some member had nothing. `dropped`: items that went before they could be matched, or
-    came after their time had been decided; as of the last `take`. `has_more`: it used up its looks, so take again soon.
+    `unmatched` counts items for which a member had no partner. `dropped` counts items that were collected before their
+    match, or that came after their time had been decided. Both are as of the last `take`. `has_more`: the call used up
+    its looks, so take again soon.
     """
 
     def __init__(
         self, channel: ChannelCore, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
         after: Position | None = None, next_seq: int | None = None, partners: Mapping[bytes, ItemKey] | None = None,
     ) -> None:  # fmt: skip
-        """From the items accepted from now on, or behind `after`, with what has `next_seq` or a later one in mind.
+        """Begin with the items accepted from now on; or after `after`, with the items of `next_seq` or a later seq,
+        too.
 
-        Are they of another incarnation, then all that this one had came since. `partners`: no item of another member
-        goes into two matches, and of each member only those behind these are matched; see `Pairing`. None: it may.
+        If these come from another incarnation, all items of this incarnation are new. `partners`: no item of another
+        member goes into two matches, and of each member only items after its entry are matched; see `Pairing`. None:
+        items may go into several matches.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -69,12 +73,12 @@ class Matcher:
         self.dropped = 0
         self.has_more = False
         self._looks_left = 0
-        # An item, and the nearest ones of some members.
+        # An item, and the partners already found for it.
         self._begun: tuple[ItemKey, dict[bytes, Nearest | None]] | None = None
 
     @property
     def position(self) -> Position:
-        """The matcher has decided everything up to here. Another one that begins `after` it goes on."""
+        """The matcher has decided all items up to here. Another matcher that begins `after` it continues."""
         time, end_seq = self._low
         return Position(clamp(time), end_seq - 1 if end_seq else None, self._channel.incarnation)
 
@@ -85,16 +89,16 @@ class Matcher:
 
     @property
     def partners(self) -> Mapping[bytes, ItemKey]:
-        """The last partner of each member, if none goes into two matches; it goes with `position`."""
+        """The last partner of each member, if no item goes into two matches. Belongs to `position`."""
         return self._partners or {}
 
     @property
     def earliest(self) -> int:
-        """No earlier time of another member is asked for any more."""
+        """The matcher needs no earlier items of other members."""
         return clamp(self._low[0] - self._tolerance)
 
     def set_tracks(self, tracks: Mapping[bytes, Track]) -> None:
-        """Members came, went, or moved to another host."""
+        """Replace the members' tracks: members came, went, or moved to another host."""
         self._tracks = dict(tracks)
         self._begun = None
 
@@ -104,16 +108,16 @@ class Matcher:
     ) -> list[FoundMatch]:  # fmt: skip
         """Take decided matches, at most `items_max`, and only while some credit is left before each.
 
-        Looks about `looks_max` times for the nearest item of a member, whatever number of members there is; what is
-        known then of an item is kept for the next call.
-
-        `has_passed(member, instant)`: nothing that is waited for can come up to `instant`; see
-        `ChannelTimes.has_passed`. It is asked for OWN, too. A member that is not waited for has passed everything.
+        Looks about `looks_max` times for the nearest item of a member. Keeps the partners found so far of an undecided
+        item for the next call. `has_passed(member, instant)` tells whether no item that is waited for can come up to
+        `instant`; see `ChannelTimes.has_passed`. It is also asked for OWN. A member that nobody waits for has passed
+        everything.
         """
         held, _ = self._channel.look(now)
         taken: list[FoundMatch] = []
         self._looks_left = looks_max
-        for one in [*islice(_ones(held.slices(self._low)), items_max)]:  # first, since each look may free entries
+        # a list first, because each look may free entries
+        for one in [*islice(_ones(held.slices(self._low)), items_max)]:
             time = one.first_time
             if credit_bytes <= 0 or not self._is_settled(time, has_passed):
                 break
@@ -138,7 +142,7 @@ class Matcher:
     def _found(
         self, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
     ) -> dict[bytes, Nearest | None] | None:  # fmt: skip
-        """Each member's item; None: one is not decided yet, or the looks are used up."""
+        """Each member's partner; None: one of them is not decided yet, or the looks are used up."""
         found = self._begun[1] if self._begun is not None and self._begun[0] == key else {}
         self._begun = None
         for member, track in self._tracks.items():
@@ -159,7 +163,7 @@ class Matcher:
     def _found_in(
         self, member: bytes, track: Track, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
     ) -> Nearest | None:
-        """One member's item. Raises Undecided."""
+        """One member's partner. Raises Undecided."""
         if self._partners is None:
             self._looks_left -= 1
             return track.nearest(key[0], self._tolerance, now)

@@ -1,8 +1,8 @@
-"""Pairs of two channels' items in which each item is once at the most: the nearest pairs first (decision 0073). Pure.
+"""Pairs the items of two channels so that no item is in two pairs: nearest pairs first (decision 0073). Pure.
 
-Of all pairs within the tolerance the one of the least distance is made; then, by the same rule, what lies before both
-of its items is paired, and what lies behind both. Of equally near pairs that with the earlier items is made. So pairs
-do not cross: the partner of a later item is a later one.
+The pair with the least distance within the tolerance comes first. Then the items before both of its items are paired by
+the same rule, and the items after both. Of equally near pairs the one with the earlier items comes first. So pairs do
+not cross: a later item has a later partner.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ class Undecided(Exception):
 
 
 class Pairing:
-    """Pairs `own` items, in the order of time, with those of `other` at or above `after`.
+    """Pairs `own` items, in time order, with `other` items at or above `after`.
 
-    Whether an item gets its nearest depends on the later items that are nearer to that one, which depends on what is
-    nearer to those, and so on, at ever smaller distances. That is followed for STEPS_MAX steps; then the item gets its
-    nearest of those left. `looks` counts looks for a nearest item.
+    Whether an item gets its nearest one depends on later items that are nearer to that one. These depend on others, at
+    ever smaller distances. The pairing follows that chain for STEPS_MAX steps. Then the item gets the nearest item
+    left. `looks` counts looks for a nearest item.
     """
 
     def __init__(
@@ -42,12 +42,15 @@ class Pairing:
         self.looks = 0
 
     def partner(self, key: ItemKey, tolerance: int) -> Nearest | None:
-        """The partner of the first own item left; `other` has passed its time + tolerance. Raises Undecided."""
+        """The partner of the first own item left.
+
+        `other` must have passed the item's time + tolerance. Raises Undecided.
+        """
         end, other_end = (
             LAST_KEY,
             LAST_KEY,
-        )  # of what is not paired: a pair hides all that is behind one of its items
-        chain = [(key, tolerance)]  # each is nearer than the one before it to what that one would get
+        )  # the end of the unpaired items: a pair hides all items after it
+        chain = [(key, tolerance)]  # each entry is nearer to its predecessor's candidate than the predecessor is
         for _ in range(STEPS_MAX):
             one, reach = chain[-1]
             self.looks += 2
@@ -66,7 +69,7 @@ class Pairing:
         return self._other.nearest(key[0], tolerance, self._now, self._after, other_end)
 
     def _rival(self, first: ItemKey, one: ItemKey, near: Nearest, end: ItemKey) -> ItemKey:
-        """The own item that is nearest to `near`; `one` is as near as told."""
+        """The own item that is nearest to `near`. `one` is an own item at the distance of the last look."""
         distance = abs(near.time - one[0])
         if not self._own_has_passed(clamp(near.time + distance - 1)):
             raise Undecided

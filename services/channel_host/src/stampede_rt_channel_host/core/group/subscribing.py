@@ -1,4 +1,4 @@
-"""Subscriptions through a group: items in the order of becoming visible (paper, section 3.3). Pure."""
+"""Subscriptions through a group: items in the order in which they become visible (paper, section 3.3). Pure."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings
 
 STEP_BYTES_MAX = 2**20
 PARTS_PER_TAKE = 8
-"""Of what a reader of the newest is not sent, so many parts are counted at a time."""
+"""The most parts of unsent items that one call counts for a reader of the newest item."""
 
 
 class VisibleAll:
-    """Every item once: what comes late as it comes, and what the cut lays open in (time, seq) order.
+    """Every item once: late items as they come, and the items between two cuts in (time, seq) order.
 
-    With `start`, visible items from there on come first; with `after`, those that are later in time or in seq than an
-    item that the reader has. Where items were put out of order, beginning so may repeat some; it never leaves one out.
-    From a `saved` cursor another goes on without a gap or a double.
+    With `start`, visible items from there on come first. With `after`, the first items are those that are later in time
+    or in seq than the stated item. If items were put out of order, such a beginning may repeat some; it never leaves
+    one out. A `saved` cursor continues without a gap or a repetition.
     """
 
     def __init__(
@@ -43,8 +43,11 @@ class VisibleAll:
         after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> None:
-        """Raises InvalidArgument for both start and after, after without a seq, and a cursor of no group;
-        IncarnationLost."""
+        """Begin a subscription.
+
+        Raises InvalidArgument for both start and after, for after without a seq, and for a cursor of no group;
+        IncarnationLost.
+        """
         self._channel = channel
         self._gap: Gap | None = None
         self.delivered = 0
@@ -65,7 +68,7 @@ class VisibleAll:
 
     @property
     def saved(self) -> SavedCursor | None:
-        """From where another goes on; None in the midst of a step."""
+        """The cursor from which another subscription continues; None during a step."""
         if self._follower.under_way:
             return None
         cut = self._follower.cut
@@ -76,11 +79,14 @@ class VisibleAll:
         )
 
     def lowest_owed_seq(self, now: int) -> int:
-        """Every item below it was sent or reported. Walks what is hidden."""
+        """Every item of a lower seq was sent or reported. Walks the hidden items."""
         return self._follower.lowest_owed_seq(now)
 
     def take(self, horizon: Horizon, now: int, limit_bytes: int) -> SubscriptionBatch:
-        """The next part; a gap comes behind the items of its step. Empty: wait for the cut or for a late item."""
+        """The next part.
+
+        A gap comes after the items of its step. An empty part means: wait for the cut or for a late item.
+        """
         follower = self._follower
         while self._gap is None and horizon.cut is not None and follower.has_news(horizon.cut):
             if not follower.under_way:
@@ -99,9 +105,10 @@ class VisibleAll:
 
 
 class VisibleNewest:
-    """Always the latest visible item by (time, seq), never going back; the other ones that became visible are counted.
+    """Always the latest visible item by (time, seq), never an earlier one. Counts the other items that became visible.
 
-    `skipped`: of the items meant for it, how many it was not given. Begins as `ChannelCore.subscribe_newest` does.
+    `skipped`: the number of the subscription's items that it did not give. Begins as `ChannelCore.subscribe_newest`
+    does.
     """
 
     def __init__(
@@ -115,7 +122,7 @@ class VisibleNewest:
         after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> None:
-        """Raises like `VisibleAll`."""
+        """Begin a subscription. Raises the errors of `VisibleAll`."""
         self._channel = channel
         self._last: ItemKey = FIRST_KEY
         self.delivered = 0
@@ -137,21 +144,21 @@ class VisibleNewest:
 
     @property
     def saved(self) -> SavedCursor | None:
-        """As in `VisibleAll`."""
+        """See `VisibleAll`."""
         dealt = self._all.saved
         return None if dealt is None else replace(dealt, low=(self._last[0], self._last[1] + 1))
 
     def lowest_owed_seq(self, now: int) -> int:
-        """As in `VisibleAll`."""
+        """See `VisibleAll`."""
         return self._all.lowest_owed_seq(now)
 
     @property
     def skipped(self) -> int:
-        """As of the last take."""
+        """The number of items not given, as of the last take."""
         return max(0, self._meant - self.delivered)
 
     def take(self, horizon: Horizon, now: int) -> SubscriptionBatch:
-        """The newest item, if it is later than the last one taken. What is behind it is counted in bounded parts."""
+        """The newest item, if it is later than the last one taken. Counts the items before it in bounded parts."""
         newest = self._newest(horizon, now)
         is_news = newest is not None and (newest.last_time, newest.end_seq - 1) > self._last
         more = self._count(horizon, now)
@@ -162,7 +169,7 @@ class VisibleNewest:
         return SubscriptionBatch(slices=(DeliveredSlice(newest, None),), more=more)
 
     def _count(self, horizon: Horizon, now: int) -> bool:
-        """Count what has become visible; True if there is more of it."""
+        """Count items that have become visible. Returns True if there are more."""
         for _ in range(PARTS_PER_TAKE):
             part = self._all.take(horizon, now, STEP_BYTES_MAX)
             if part.is_empty and not part.more:
@@ -193,5 +200,5 @@ def _resume(channel: ChannelCore, horizon: Horizon, now: int, start: Bound | Non
 
 
 def _gap(loss: Loss) -> Gap:
-    """Without an exact count it stands for one item at the least, so that a reader hears of it."""
+    """The gap of a loss. Without an exact count it has at least one item, so that a reader hears of it."""
     return Gap(first_seq=loss.first_seq, last_seq=loss.last_seq, items=max(1, loss.items), reason=loss.reason)

@@ -1,4 +1,4 @@
-"""How far channels are: the timestamps that groups broadcast (paper, section 4.1). Pure.
+"""How far channels are: the timestamps that groups exchange (paper, section 4.1). Pure.
 
 Instants are int nanoseconds since the epoch, durations int nanoseconds.
 """
@@ -16,10 +16,10 @@ from stampede_rt_channel_host.core.group.ledger import newest_gone
 
 
 class ChannelTimes(NamedTuple):
-    """How far one channel is, as its owner tells. Within an incarnation nothing of it ever shrinks.
+    """How far one channel is, as its owner tells. Within an incarnation no value ever shrinks.
 
-    `newest`: the newest item's time; `newest_end`: the latest end by duration in that item's bucket, None if none of
-    its items has one; `advance`: the highest promise. None: there never was one.
+    `newest`: the newest item's time. `newest_end`: the latest end by duration in that item's bucket, None if no item
+    there has a duration. `advance`: the highest promise. None: there never was one.
     """
 
     epoch: int
@@ -34,13 +34,18 @@ class ChannelTimes(NamedTuple):
         return _later(self.newest, self.advance)
 
     def has_passed(self, instant: int, lateness_nanos: int = 0) -> bool:
-        """No item can be at or before `instant` any more, if none is further behind the newest than `lateness_nanos`.
-        0: they come in order, other than into the newest bucket. What an advance has excluded never comes."""
+        """Whether no item can come at or before `instant`, if every item is at most `lateness_nanos` behind the newest.
+
+        With 0, items come in order, except into the newest bucket. No item comes before an advance.
+        """
         by_item = self.newest is not None and self.newest - lateness_nanos >= instant + bool(lateness_nanos)
         return by_item or (self.advance is not None and self.advance > instant)
 
     def merged(self, told: ChannelTimes) -> ChannelTimes:
-        """These times and `told`, by the same owner or a later one: the further of both, or another life's alone."""
+        """These times joined with `told`, of the same owner or a later one.
+
+        Within one incarnation the greater values hold. Of another incarnation only `told` holds.
+        """
         if told.incarnation != self.incarnation:
             return told
         newest, newest_end = max((self.newest, self.newest_end), (told.newest, told.newest_end), key=_order)
@@ -59,9 +64,9 @@ def _order(newest: tuple[int | None, int | None]) -> tuple[bool, int, bool, int]
 
 
 class OwnTimes:
-    """Follows one channel of this host; `observe` after each change of it. Costs what was put since.
+    """Follows one channel of this host. Call `observe` after each change. A call costs the items since the last call.
 
-    `silent_since`: the host's clock at the last put or advance, or when this began to look.
+    `silent_since`: the host's clock at the last put or advance, or at the start of this object.
     """
 
     def __init__(self, channel: ChannelCore, now: int) -> None:
@@ -74,7 +79,7 @@ class OwnTimes:
         self.observe(now)
 
     def observe(self, now: int) -> bool:
-        """Look at what was put since the last time; True if the times have changed."""
+        """Look at the items since the last call. Returns True if the times have changed."""
         channel = self._channel
         if channel.next_seq == self._seen_seq and channel.advanced_to == self._advance:
             return False
@@ -83,13 +88,14 @@ class OwnTimes:
         for part in held.slices_by_seq(self._seen_seq, channel.next_seq):
             self._take(part)
         gone = newest_gone(held)
-        if gone is not None and (self._newest is None or gone > self._newest):  # before this began to look
+        # the item went before this object's first look
+        if gone is not None and (self._newest is None or gone > self._newest):
             self._newest, self._newest_end = gone, None
         self._seen_seq, self._advance, self.silent_since = channel.next_seq, channel.advanced_to, now
         return before != (self._newest, self._newest_end, self._advance)
 
     def times(self, epoch: int) -> ChannelTimes:
-        """As of the last look, under the epoch in which the host owns the channel."""
+        """The times as of the last look, with the epoch in which the host owns the channel."""
         return ChannelTimes(epoch, self._channel.incarnation, self._newest, self._newest_end, self._advance)
 
     def _take(self, part: Slice) -> None:
@@ -108,9 +114,10 @@ class OwnTimes:
 
 @dataclass(slots=True)
 class Heard:
-    """The facts that a host knows of one channel. All instants are its own clock's.
+    """A host's knowledge of one channel. All instants are of that host's clock.
 
-    `known_until`: up to when it knows whether the channel is silent; None: it owns the channel and always knows.
+    `known_until`: the time until which the host knows whether the channel is silent. None: the host owns the channel
+    and always knows.
     """
 
     times: ChannelTimes
@@ -118,18 +125,18 @@ class Heard:
     known_until: int | None
 
     def silent_nanos(self, now: int) -> int:
-        """For how long the channel had no put and no advance, as far as is known."""
+        """How long the channel has had no put and no advance, as far as the host knows."""
         return max(0, (now if self.known_until is None else self.known_until) - self.silent_since)
 
     def heard_ago_nanos(self, now: int) -> int:
-        """How old this knowledge is; 0 for a channel of this host."""
+        """The age of this knowledge; 0 for a channel of this host."""
         return 0 if self.known_until is None else max(0, now - self.known_until)
 
 
 class TimesBoard:
-    """The facts that a host knows of the channels of its groups: one for each host, shared by the groups.
+    """A host's knowledge of the channels of its groups. Each host has one board, which all its groups share.
 
-    `setbacks`: how often a channel fell behind what was known of it, since its host was lost. Otherwise it only grows.
+    `setbacks` counts how often a channel fell behind the board, because its host was lost. Otherwise times only grow.
     """
 
     def __init__(self) -> None:
@@ -137,24 +144,27 @@ class TimesBoard:
         self._heard: dict[bytes, Heard] = {}
 
     def find(self, channel_id: bytes) -> Heard | None:
-        """The known facts of the channel; None: it was never heard of."""
+        """The known facts of the channel; None: the host never heard of it."""
         return self._heard.get(channel_id)
 
     def tell_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:
-        """The host owns the channel, and this is how far it is; nothing, if another owner has been heard of since."""
+        """Enter the times of a channel that the host owns. Changes nothing if the host has heard of a later owner."""
         held = self._heard.get(channel_id)
         if held is not None and times.epoch < held.times.epoch:
             return
         self._heard[channel_id] = Heard(times if held is None else self._merged(held, times), silent_since, None)
 
     def disown(self, channel_id: bytes, now: int) -> None:
-        """The host does not own the channel any more: from now on others have to tell how far it is."""
+        """Note that the host does not own the channel any more. From now on another host must tell its times."""
         held = self._heard.get(channel_id)
         if held is not None and held.known_until is None:
             held.known_until = now
 
     def hear(self, channel_id: bytes, times: ChannelTimes, silent_nanos: int, now: int) -> bool:
-        """The channel's owner has told how far it is; True if that is news. Words of a former owner change nothing."""
+        """Enter the report of a channel's owner.
+
+        Returns True if it is news. A report of a former owner changes nothing.
+        """
         held = self._heard.get(channel_id)
         if held is None:
             self._heard[channel_id] = Heard(times, now - silent_nanos, now)
@@ -167,14 +177,14 @@ class TimesBoard:
         return news
 
     def confirm(self, channel_ids: Iterable[bytes], now: int) -> None:
-        """Their owner gave a sign of life: had there been a change, it would have told."""
+        """Note a sign of life of the channels' owner: it would have told of a change."""
         for channel_id in channel_ids:
             held = self._heard.get(channel_id)
             if held is not None and held.known_until is not None:
                 held.known_until = max(held.known_until, now)
 
     def forget(self, channel_id: bytes) -> None:
-        """No group has that channel any more. Idempotent."""
+        """Forget a channel that no group has any more. Idempotent."""
         self._heard.pop(channel_id, None)
 
     def _merged(self, held: Heard, told: ChannelTimes) -> ChannelTimes:

@@ -1,4 +1,4 @@
-"""A channel as a match looks at it: which item of it is the nearest to some instant. Pure."""
+"""A member as a match needs it: a search for the item nearest to an instant. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TRACK_ITEMS_MAX = 65_536
 
 
 class Nearest(NamedTuple):
-    """An item. `item` None: it is at another host."""
+    """An item. `item` is None if it is at another host."""
 
     time: int
     seq: int
@@ -26,13 +26,13 @@ class Track(Protocol):
     def nearest(
         self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
     ) -> Nearest | None:
-        """The nearest item at most `tolerance` away; of equally near ones the earlier, in a bucket the lower seq.
+        """The nearest item at most `tolerance` away. Of equally near items: the earlier, and in a bucket the lower seq.
 
-        Of those at or above `low` and below `high`.
+        Only items at or above `low` and below `high` count.
         """
 
     def forget_before(self, time: int) -> None:
-        """Earlier items are not asked for any more."""
+        """Forget earlier items: the match needs them no more."""
 
 
 class OwnTrack:
@@ -57,18 +57,21 @@ class OwnTrack:
         return Nearest(found, one.first_seq, DeliveredSlice(one, held.next_time(found)))
 
     def forget_before(self, time: int) -> None:
-        """Retention does that."""
+        """Nothing to do, because retention collects the items."""
 
 
 class FarTrack:
-    """A member at another host, of which only the items' keys are known. It holds at most
-    TRACK_ITEMS_MAX keys. Then it drops the earliest, and items that would have matched those count as unmatched."""
+    """A member at another host. Only the keys of its items are known here.
+
+    Holds at most TRACK_ITEMS_MAX keys. Beyond that it drops the earliest keys, and items that would have matched them
+    count as unmatched.
+    """
 
     def __init__(self) -> None:
         self._keys: list[ItemKey] = []
 
     def add(self, keys: Iterable[ItemKey]) -> None:
-        """Items of the member, by time and seq."""
+        """Add items of the member, by time and seq."""
         for key in keys:
             if not self._keys or key > self._keys[-1]:
                 self._keys.append(key)
