@@ -255,7 +255,7 @@ class ChannelPuts:
             self.changed(now)
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """Refuse the waiting runs in pieces, and all runs that come meanwhile, because the host gives the channel up."""
+        """Refuse the waiting runs in pieces, and all runs that come meanwhile. The host gives the channel up."""
         if self._timer is not None:
             self._timer.cancel()
         self._ending = error

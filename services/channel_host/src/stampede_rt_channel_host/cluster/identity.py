@@ -110,7 +110,7 @@ def _read(path: Path) -> bytes:
 
 
 def default_name() -> str:
-    """The machine's name in the letters that the directory allows, and six random ones: a machine may run many hosts."""
+    """The machine's name in letters that the directory allows, and six random ones: a machine may run many hosts."""
     allowed = "abcdefghijklmnopqrstuvwxyz0123456789._-"
     machine = "".join(letter if letter in allowed else "-" for letter in socket.gethostname().lower())
     return f"{machine.lstrip('._-')[:100] or 'host'}-{secrets.token_hex(3)}"

@@ -1,22 +1,29 @@
-"""The time a host lives by: it advances with the monotonic clock and follows the wall clock by slewing. Pure.
+"""The host's time. It advances with the monotonic clock and follows the wall clock gradually (slewing). Pure.
 
-A stepped wall clock neither empties a retention window nor freezes one (paper, section 3.1: real time).
+So a step of the wall clock does not empty a retention window, and does not stop one (paper, section 3.1: real time).
 """
 
 from __future__ import annotations
 
 CATCH_UP_NANOS = 30_000_000_000
-"""An offset melts away within about this time; the smaller, the more gently: a millisecond bends time by 33 ppm."""
+"""The time in which host time makes up for an offset.
+
+A small offset slews little: a millisecond changes the rate by 33 ppm.
+"""
 
 SLEW_PPM_MAX = 500_000
-"""Never more than half as fast or slow again as the monotonic clock: a window then holds two thirds of its age, at the
-least, and a clock that was an hour wrong is right after two, not after the months that NTP's 500 ppm would take."""
+"""Host time is never more than half as fast or slow again as the monotonic clock.
+
+So a window holds at least two thirds of its age. A clock that was an hour wrong is right after two hours. With NTP's
+500 ppm that would take months.
+"""
 
 
 class HostTime:
-    """Nanoseconds since the Unix epoch that never step and never run backwards.
+    """Nanoseconds since the Unix epoch that never jump and never go back.
 
-    The caller feeds it both clocks' readings, taken together; the oftener, the closer it follows.
+    The caller gives it the readings of both clocks, taken together. More frequent readings follow the wall clock more
+    closely.
     """
 
     __slots__ = ("_carry", "_host", "_monotonic", "_offset")
@@ -26,10 +33,11 @@ class HostTime:
         self._monotonic = monotonic_nanos
         self._host = wall_unix_nano
         self._offset = 0
-        self._carry = 0  # less than a nanosecond of correction, times CATCH_UP_NANOS: quick readings lose nothing
+        # the rest of the correction below a nanosecond, times CATCH_UP_NANOS, so that frequent readings lose nothing
+        self._carry = 0
 
     def read(self, monotonic_nanos: int, wall_unix_nano: int) -> int:
-        """Host time at these readings. A monotonic reading before the last one counts as that one."""
+        """The host time at these readings. A monotonic reading before the last one counts as the last one."""
         elapsed = max(0, monotonic_nanos - self._monotonic)
         self._monotonic += elapsed
         straight = self._host + elapsed
@@ -39,12 +47,13 @@ class HostTime:
 
     @property
     def offset_nanos(self) -> int:
-        """How far the wall clock was ahead of host time at the last reading; what is still to be slewed."""
+        """The wall clock minus host time at the last reading, in nanoseconds: the offset still to be made up for."""
         return self._offset
 
     def _correction(self, offset: int, elapsed: int) -> int:
-        """The part of an offset that is made up for in `elapsed`: its share of the time to catch up, as the slew
-        allows."""
+        """The part of an offset to make up for in `elapsed` nanoseconds: its share of the time to catch up, within the
+        slew.
+        """
         share = self._carry + offset * min(elapsed, CATCH_UP_NANOS)
         made_up = abs(share) // CATCH_UP_NANOS
         self._carry = (abs(share) % CATCH_UP_NANOS) * (1 if share > 0 else -1)

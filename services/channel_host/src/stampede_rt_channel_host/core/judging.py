@@ -1,6 +1,6 @@
-"""The outcome of a run on its way into a channel or queue, item by item from its front. Pure.
+"""The outcome of a run on its way into a channel or queue, item by item from the front. Pure.
 
-A run whose last items wait for room is judged in part; when it comes again, it goes on where it was.
+If the last items of a run wait for room, the run is judged in part. If it comes again, it continues at that place.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from stampede_rt.errors import StampedeError
 
 
 class RunPart(NamedTuple):
-    """Accepted items of a run, the first of them at `position`, whose seqs follow each other from `first_seq` on.
+    """Accepted items of a run, the first of them at `position`. Their seqs are consecutive, from `first_seq` on.
 
-    `stamped_time`: the time that the host gave them; None: their producer did.
+    `stamped_time`: the time that the host gave them; None: the producer gave their times.
     """
 
     position: int
@@ -24,14 +24,15 @@ class RunPart(NamedTuple):
 
 
 class ItemRefusal(NamedTuple):
-    """An item that was refused: its position in the run, and why."""
+    """A refused item: its position in the run, and the error."""
 
     position: int
     error: StampedeError
 
 
 class Judged(NamedTuple):
-    """The outcome of a run of `items` so far: those before `judged_items` were accepted or refused, by `time`.
+    """The outcome of a run of `items` so far. The items before `judged_items` were accepted or refused, by the time
+    `time`.
 
     `parts` and `refusals` ascend. Nearly every run has one part and no refusals.
     """
@@ -44,22 +45,22 @@ class Judged(NamedTuple):
 
     @property
     def is_whole(self) -> bool:
-        """Every item is judged."""
+        """Whether every item is judged."""
         return self.judged_items == self.items
 
     @property
     def first_seq(self) -> int | None:
-        """The first accepted item's seq; None: none was."""
+        """The first accepted item's seq; None: no item was accepted."""
         return self.parts[0].first_seq if self.parts else None
 
     @property
     def stamped_time(self) -> int | None:
-        """The time that the host gave the first accepted items, if it did."""
+        """The time that the host gave the first accepted items; None: it gave none."""
         return self.parts[0].stamped_time if self.parts else None
 
 
 class Judging:
-    """A run that is being judged. `judged_items`: so many of its first items are judged."""
+    """A run in judgement. `judged_items`: the number of its first items that are judged."""
 
     __slots__ = ("_parts", "_refusals", "items", "judged_items")
 
@@ -71,21 +72,21 @@ class Judging:
 
     @property
     def accepted_any(self) -> bool:
-        """Some items are in, and must not come in again."""
+        """Whether some items are accepted. They must not be accepted again."""
         return bool(self._parts)
 
     @property
     def first_seq(self) -> int | None:
-        """The first accepted item's seq; None: none was."""
+        """The first accepted item's seq; None: no item was accepted."""
         return self._parts[0].first_seq if self._parts else None
 
     @property
     def stamped_time(self) -> int | None:
-        """The time that the host gave the first accepted items, if it did."""
+        """The time that the host gave the first accepted items; None: it gave none."""
         return self._parts[0].stamped_time if self._parts else None
 
     def accept(self, position: int, first_seq: int, items: int, stamped_time: int | None) -> None:
-        """So many items, the first at `position`, got seqs from `first_seq` on."""
+        """Note `items` accepted items, the first one at `position`, with seqs from `first_seq` on."""
         last = self._parts[-1] if self._parts else None
         if last is not None and (last.first_seq + last.items, last.stamped_time) == (first_seq, stamped_time):
             self._parts[-1] = last._replace(items=last.items + items)
@@ -93,11 +94,11 @@ class Judging:
             self._parts.append(RunPart(position, first_seq, items, stamped_time))
 
     def refuse(self, position: int, error: StampedeError) -> None:
-        """The item at `position` is refused."""
+        """Note that the item at `position` is refused."""
         self._refusals.append(ItemRefusal(position, error))
 
     def resume(self, known: Judged) -> bool:
-        """Go on where the run was when it came before; False if it is further already."""
+        """Continue a repeated run at its former place. Returns False if this judgement is already further."""
         if known.judged_items <= self.judged_items:
             return False
         self.judged_items = known.judged_items
@@ -105,5 +106,5 @@ class Judging:
         return True
 
     def outcome(self, now: int) -> Judged:
-        """As far as it is judged at `now`."""
+        """The outcome as of `now`."""
         return Judged(self.items, self.judged_items, tuple(self._parts), tuple(self._refusals), now)

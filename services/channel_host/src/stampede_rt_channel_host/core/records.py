@@ -1,7 +1,7 @@
 """Channels, queues and groups as the directory has recorded them. Pure.
 
 `message` is the record as the directory encoded it. A host passes it on to clients, so that a client of a newer release
-gets the fields that this release does not know (decision 0113).
+gets fields that this release does not know (decision 0113).
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ class RecordedChannel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PolicyChange:
-    """A change of a channel's set-up. `stated` leaves out what stays; `message` is the change as its caller sent it.
+    """A change of a channel's set-up. `stated` leaves out unchanged values. `message` is the change as its caller sent
+    it.
 
-    The directory gets the message, and refuses values that a host does not know.
+    The directory gets the message. So the directory refuses values that this host does not know.
     """
 
     stated: Policy
@@ -41,8 +42,10 @@ class PolicyChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedQueue:
-    """One queue, with its host and set-up. A mailbox has no name; its owner is the caller that registered its peer, by
-    the name that rules of access know it by."""
+    """One queue, with its host and set-up.
+
+    A mailbox has no name. Its owner is the caller that registered its peer, by its name in rules of access.
+    """
 
     queue_id: bytes
     name: str
@@ -59,7 +62,7 @@ class RecordedQueue:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ResolvedQueue:
-    """A queue, and where its host listens; `target` is None while the host is not alive."""
+    """A queue and its host's address. `target` is None while the host is not alive."""
 
     queue: RecordedQueue
     target: str | None
@@ -76,18 +79,18 @@ class RecordedGroup:
 
     @property
     def incarnation(self) -> int:
-        """Cuts compare within one incarnation."""
+        """The incarnation of the group, within which cuts compare."""
         return self.definition.incarnation
 
     @property
     def spec_version(self) -> int:
-        """Grows with each change of the set-up."""
+        """The version of the set-up, which grows with each change."""
         return self.definition.spec_version
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ResolvedGroup:
-    """A group, its member channels, and their hosts by id: where the live ones listen, and the names of all."""
+    """A group, its member channels, and their hosts by id: the addresses of the live hosts, and the names of all."""
 
     group: RecordedGroup
     channels: Mapping[bytes, RecordedChannel]
@@ -97,7 +100,7 @@ class ResolvedGroup:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedChange:
-    """A change of the directory: of the channel, the queue or the group that it has, or of rules or keys of access."""
+    """A change of the directory: of the channel, queue or group in it, or of rules or keys of access."""
 
     removed: bool
     channel: RecordedChannel | None = None

@@ -1,1 +1,1 @@
-"""Channel groups served over gRPC: reads, cut events, matches, and what hosts tell each other."""
+"""Channel groups served over gRPC: reads, cut events, matches, and the exchange between hosts."""

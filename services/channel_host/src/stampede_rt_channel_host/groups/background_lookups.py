@@ -1,4 +1,4 @@
-"""Questions of a host to the directory in the background: one at a time about each thing, and not too often."""
+"""Asks the directory in the background: one question at a time about each thing, and not too often."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ PAUSE_SECONDS = 0.2
 
 
 class BackgroundLookups:
-    """The caller remembers its question until it is answered, and asks again. A question that fails is only logged, and
-    a question too many is left out."""
+    """Background questions. A failed question is only logged. A question beyond the limit is dropped.
+
+    The caller must remember what it wants to know, and ask again until it has the answer.
+    """
 
     def __init__(self) -> None:
         self._asked: dict[bytes | None, asyncio.Task[None]] = {}
         self._closed = False
 
     def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
-        """Do `work`, unless something is being asked `about` this thing, or was just now."""
+        """Do `work`, unless a question about this thing is under way or was asked just now."""
         if self._closed or about in self._asked or len(self._asked) >= LOOKUPS_MAX:
             work.close()
             return
@@ -32,7 +34,7 @@ class BackgroundLookups:
         task.add_done_callback(lambda _: self._asked.pop(about, None))
 
     def close(self) -> None:
-        """Ask no more."""
+        """Ask no more questions."""
         self._closed = True
         for task in list(self._asked.values()):
             task.cancel()

@@ -1,7 +1,7 @@
 """One subscription to cut events at one host (paper, section 3.3, Figure 7; decision 0011).
 
-The host that decides ends each event with a boundary; the reader hands it to the others, which wait until their own cut
-has come as far and answer with their own channels' items.
+The deciding host ends each event with a boundary. The reader passes the boundary to the other hosts. They wait until
+their own cut has reached it, and answer with their own channels' items.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _TIMER_SECONDS_MIN = 0.0001
 
 
 class _Followed:
-    """One of this host's members: the channel, and where the subscription stands in it."""
+    """One of this host's members: the channel, and the subscription's place in it."""
 
     def __init__(self, hosted: HostedChannel, follower: CutFollower) -> None:
         self.hosted = hosted
@@ -56,17 +56,18 @@ class CutEvents:
         self._writer = EventWriter(context, "cut event")
         self._waiter = Waiter()
         self._arrangement = 0  # of the group, as of the last look
-        self._incarnation = 0  # of the group, when the subscription began
-        self._spec_version = 0  # that the subscription began with
+        self._incarnation = 0  # of the group, at the beginning of the subscription
+        self._spec_version = 0  # of the group, at the beginning of the subscription
         self._followed: dict[bytes, _Followed] = {}
-        self._kept: dict[bytes, pb.ChannelCursor] = {}  # cursors from the reader, of channels that are not followed yet
-        self._boundaries: deque[Boundary] = deque()  # handed over and not answered yet
-        self._credit = Credit(self._waiter.wake)  # of events, where this host decides
+        # the reader's cursors of channels that this host does not follow yet
+        self._kept: dict[bytes, pb.ChannelCursor] = {}
+        self._boundaries: deque[Boundary] = deque()  # received and not answered yet
+        self._credit = Credit(self._waiter.wake)  # for events, if this host decides
         self._room = asyncio.Event()
         self._cut: int | None = None  # of the last event
 
     async def run(self) -> None:
-        """Until the stream ends. Raises InvalidArgument, IncarnationLost, GROUP_NOT_FOUND, Unavailable."""
+        """Serve until the stream ends. Raises InvalidArgument, IncarnationLost, GROUP_NOT_FOUND, Unavailable."""
         request = await self._context.read()
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
             raise InvalidArgument("the first request of a subscription to cuts has no open; send it before boundaries")
@@ -91,7 +92,7 @@ class CutEvents:
                 followed.hosted.group_readers.discard(self)
 
     async def _begin(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
-        """Where the subscription begins: at the cut of the moment, or at the cursor of the reader."""
+        """Begin at the present cut, or at the cursor of the reader."""
         resumes = begun.HasField("after")
         kept = begun.after.cut_unix_nano if resumes else NOTHING_VISIBLE
         floor = None if kept == NOTHING_VISIBLE else kept
@@ -118,9 +119,10 @@ class CutEvents:
         )
 
     def _follow(self, group: HostedGroup) -> None:
-        """Take up members that came back to this host. Raises Unavailable once the group has other members.
+        """Follow members that came back to this host. Raises Unavailable once the group has other members.
 
-        They may be at hosts to which the reader has no stream yet: it begins anew, behind its last event.
+        The new members may be at hosts to which the reader has no stream yet. So it must subscribe again, after its
+        last event.
         """
         if group.arrangement == self._arrangement:
             return
@@ -153,7 +155,7 @@ class CutEvents:
         self._followed[channel_id] = _Followed(hosted, follower)
 
     async def _read(self, group: HostedGroup, *, decides: bool) -> None:
-        """Take in credit, or the boundaries that another host decided."""
+        """Read requests: credit, or the boundaries that another host decided."""
         async for request in requests_of(self._context.read):
             if request.HasField("open") or request.HasField("boundary") == decides:
                 raise InvalidArgument(
@@ -194,11 +196,11 @@ class CutEvents:
                 await self._waiter.wait(self._pause_s(decider))
 
     def _is_over(self, decider: EventDecider | None) -> bool:
-        """The reader has closed its side, and all that it asked for was sent."""
+        """Whether the reader has closed its side, and has got everything that it asked for."""
         return self._credit.is_final and not self._boundaries and (decider is None or self._credit.left <= 0)
 
     def _decided(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
-        """The event that is due, if the reader wants one: until then the cuts gather, and become one event."""
+        """The due event, if the reader has credit. Without credit the cuts collect, and become one event."""
         now = self._groups.channels.now()
         decider.note(group.cut.cut, now)
         if decider.wake_at() is None or self._credit.left <= 0:
@@ -206,7 +208,7 @@ class CutEvents:
         return decider.due(group.members(), now)
 
     def _handed(self, group: HostedGroup) -> Boundary | None:
-        """The next boundary, once this host's cut has come as far: the reader's word raises none."""
+        """The next boundary, once this host's cut has reached it. A boundary from the reader raises no cut."""
         if not self._boundaries or not group.has_reached(self._boundaries[0].cut):
             return None
         self._room.set()
@@ -236,7 +238,7 @@ class CutEvents:
         while follower.under_way:
             step = follower.take(self._groups.channels.now(), MESSAGE_BYTES_MAX)
             if not step.is_last and not step.late and not step.slices:
-                await asyncio.sleep(0)  # much to look at: everybody else first
+                await asyncio.sleep(0)  # there is much to look at: let others run first
                 continue
             about = pb.CutPart(channel_id=followed.hosted.record.channel_id)
             if step.loss is not None:
@@ -249,7 +251,7 @@ class CutEvents:
 
 
 def loss_message(loss: Loss) -> pb.CutLoss:
-    """What a reader is told of it; an overlap may put its end before all times that there are."""
+    """The loss as the reader gets it. With overlap its end may lie beyond all possible times, so it is limited."""
     return pb.CutLoss(
         before_unix_nano=clamp(loss.before),
         items=loss.items if loss.is_exact else None,

@@ -1,5 +1,4 @@
-"""The messages between hosts about groups (paper, section 4.1): times, cuts, and which channels a host wants to hear
-of."""
+"""The messages between hosts about groups (paper, section 4.1): times, cuts, and the channels of interest to a host."""
 
 from __future__ import annotations
 
@@ -19,7 +18,7 @@ from stampede_rt_channel_host.groups.messages import floor_from_message, times_f
 from stampede_rt_channel_host.groups.peers import Dial, PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
-FLOORS_MAX = 10_000  # of groups that are to be learned first, from all hosts together
+FLOORS_MAX = 10_000  # of groups that this host has still to look up, over all hosts
 FLOORS_MAX_PER_HOST = 1000
 GROUPS_PER_PIECE = 16
 
@@ -27,8 +26,8 @@ GROUPS_PER_PIECE = 16
 class Exchange:
     """A `Knowledge`.
 
-    `on_stale` hears of groups that are new here, or that others know in a newer version; `on_asked` of channels that
-    others believe to be members of groups, and this host's.
+    Calls `on_stale` with groups that are new here, or that other hosts know in a newer version. Calls `on_asked` with
+    channels of this host that other hosts believe to be members of groups.
     """
 
     def __init__(
@@ -49,14 +48,16 @@ class Exchange:
         self._table = table
         self._on_stale = on_stale
         self._on_asked = on_asked
-        self._names: dict[bytes, str] = {}  # of the hosts of groups known here, as the directory has them
-        self._told_all: set[bytes] = set()  # hosts that have told all they know on the link that stands
-        # Told of groups that are to be learned first: by group, then by the host that told it.
+        self._names: dict[bytes, str] = {}  # of the hosts of the groups known here, from the directory
+        self._told_all: set[bytes] = set()  # hosts that have told all their times on the present link
+        # Floors of groups that this host has still to look up: by group, then by host.
         self._floors: dict[bytes, dict[bytes, CutFloor]] = {}
-        self._waiting_floors: Counter[bytes] = Counter()  # how many of them each host has told
+        self._waiting_floors: Counter[bytes] = Counter()  # the number of floors in `_floors` of each host
 
     def share(self) -> None:
-        """The groups or their members' hosts have changed: say who the other hosts are, and what is wanted of them."""
+        """Tell the links who the other hosts are and what this host wants of them, after a change of groups
+        or owners.
+        """
         targets: dict[bytes, str] = {}
         self._names = {}
         wanted: dict[bytes, set[bytes]] = {}
@@ -71,7 +72,7 @@ class Exchange:
         self.peers.share(targets, wanted, shared)
 
     def look(self, group: HostedGroup) -> None:
-        """Settle the group if all have told, and see where its cut is."""
+        """Confirm the group's cut if all hosts have told theirs, and refresh it."""
         group.unheard = {one for one in group.unheard if one not in self._told_all or not self.peers.is_linked(one)}
         if not group.unheard and not group.cut.is_confirmed:
             group.cut.confirm()
@@ -79,12 +80,12 @@ class Exchange:
         group.changed()
 
     def take_floors(self, group_id: bytes) -> dict[bytes, CutFloor]:
-        """The floors that hosts told of a group before it was known here; they are not kept any longer."""
+        """The floors that hosts told of a group before this host knew it. Does not keep them any longer."""
         floors = self._floors.pop(group_id, {})
         self._waiting_floors -= Counter(floors.keys())
         return floors
 
-    # What links tell from and to.
+    # The calls from links.
 
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
         """See `Knowledge`."""
@@ -117,7 +118,7 @@ class Exchange:
             raise HostNotFound(f"host {self._identity.name} has no lease at present and speaks for no channel; wait")
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
-        """See `Knowledge`. Only of channels that the other host owns, as the directory says."""
+        """See `Knowledge`. Accepts only times of channels that the other host owns, as the directory says."""
         table, now, wanted = self._table, self._channels.now(), self.peers.wanted_of(host_id)
         table.board.confirm(wanted, now)
         news: set[bytes] = set()
@@ -128,7 +129,7 @@ class Exchange:
                 news |= of_channel if is_news else of_channel & table.idling
         floors = map(floor_from_message, update.floors)
         news |= {floor.group_id for floor in floors if self._merge(host_id, floor)}
-        if not news:  # a sign of life: whatever else was silent has been so for longer now
+        if not news:  # a sign of life: all unchanged channels have been silent until now
             news |= {one for one in table.idling if host_id in table.groups[one].targets}
         if is_first:
             self._told_all.add(host_id)
@@ -141,19 +142,19 @@ class Exchange:
             self.look(group)
 
     def _merge(self, host_id: bytes, floor: CutFloor) -> bool:
-        """Take in another host's floor; True if it is further. What is new or newer is asked of the directory."""
+        """Take in another host's floor. Returns True if it is higher. Asks the directory about new and newer groups."""
         group = self._table.groups.get(floor.group_id)
         if group is None or group.record.incarnation != floor.incarnation:
             self._keep_floor(host_id, floor)
             return False
         if floor.spec_version > group.record.spec_version:
             self._on_stale(floor.group_id)
-            if host_id not in group.owners.values():  # it may own a member since that version
+            if host_id not in group.owners.values():  # the host may own a member since that version
                 self._keep_floor(host_id, floor)
         return group.merge_floor(host_id, floor)
 
     def _keep_floor(self, host_id: bytes, floor: CutFloor) -> None:
-        """Keep the furthest floor that the host has told, until the directory has answered."""
+        """Keep the highest floor that the host has told, until the directory has answered."""
         floors = self._floors.get(floor.group_id, {})
         held = floors.get(host_id)
         if held is None:

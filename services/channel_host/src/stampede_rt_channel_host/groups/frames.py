@@ -1,6 +1,7 @@
-"""Messages of GroupService that carry runs, framed by hand: stored bytes are copied once and never parsed.
+"""Encodes messages of GroupService that carry runs by hand. Stored bytes are copied once and never parsed.
 
-A message of protobuf is its fields, one behind the other in any order: what is encoded and what is framed make one.
+A protobuf message is the sequence of its fields, in any order. So encoded fields and hand-made fields together are a
+message.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _MATCHED_ITEM = 3  # MatchedItem.item
 def cut_part(
     about: pb.CutPart, runs: Iterable[DeliveredSlice], late: Iterable[DeliveredSlice], *, without_payloads: bool
 ) -> bytes:
-    """A response with one part: what `about` says, and runs."""
+    """A response with one part: the fields of `about`, and runs."""
     fields = [about.SerializeToString()]
     fields += [_field(_RUNS, _delivered(one, without_payloads)) for one in runs]
     fields += [_field(_LATE_RUNS, _delivered(one, without_payloads)) for one in late]
@@ -33,7 +34,7 @@ def cut_part(
 
 def matches(about: pb.SubscribeMatchesResponse, found: Iterable[FoundMatch], incarnations: dict[bytes, int],
             *, without_payloads: bool) -> bytes:  # fmt: skip
-    """A response with matches, and what `about` says."""
+    """A response with matches, and the fields of `about`."""
     fields = [_field(_MATCHES, _match(one, incarnations, without_payloads)) for one in found]
     return b"".join((*fields, about.SerializeToString()))
 

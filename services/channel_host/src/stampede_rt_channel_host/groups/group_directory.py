@@ -1,4 +1,4 @@
-"""The questions of a host to the directory about groups (paper, sections 3.3 and 4.3)."""
+"""The host's calls to the directory about groups (paper, sections 3.3 and 4.3)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ CALL_SECONDS_MAX = 4.0
 
 
 class GroupDirectory:
-    """Each method blocks for CALL_SECONDS_MAX at most and raises what the directory answers, or Unavailable."""
+    """Each method waits for CALL_SECONDS_MAX at most.
+
+    It raises the error that the directory answers, or Unavailable.
+    """
 
     def __init__(self, supernodes: Supernodes) -> None:
         self._supernodes = supernodes
 
     async def resolve(self, group_id: bytes) -> ResolvedGroup:
-        """The group as of now, its members and their owners. Raises GROUP_NOT_FOUND."""
+        """The present record of the group, its members and their owners. Raises GROUP_NOT_FOUND."""
         request = pb.ResolveGroupRequest(group_id=group_id)
         response: pb.ResolveGroupResponse = await self._supernodes.call(
             "ResolveGroup",
@@ -29,7 +32,7 @@ class GroupDirectory:
         return resolved_group(response)
 
     async def groups_of(self, channel_id: bytes) -> list[bytes]:
-        """The ids of the groups that the channel is a member of."""
+        """The ids of the groups of which the channel is a member."""
         request = pb.ListGroupsRequest(channel_id=channel_id)
         response: pb.ListGroupsResponse = await self._supernodes.call(
             "ListGroups",

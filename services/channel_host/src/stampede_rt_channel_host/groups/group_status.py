@@ -1,4 +1,4 @@
-"""A group as a host sees it at one moment, in its protobuf form."""
+"""A group's status at one moment, in protobuf form."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stampede_rt_channel_host.groups.store import GroupStore
 
 
 def group_status(group: HostedGroup, groups: GroupStore) -> group_pb2.GroupStatus:
-    """The cut, what holds it back, and the times of each member."""
+    """The cut, the members that hold it back, and the times of each member."""
     now = groups.channels.now()
     return group_pb2.GroupStatus(
         record=group_message(group.record),
@@ -41,7 +41,7 @@ def _member(member: CutMember, group: HostedGroup, groups: GroupStore, now: int)
 
 
 def _is_too_short(member: CutMember, group: HostedGroup, lead: int | None) -> bool:
-    """Of a channel at another host its stated age is known, and no more."""
+    """Whether a channel keeps less than its lead. Of a channel at another host only its stated age is known."""
     record = group.channels.get(member.channel_id)
     if record is None or lead is None or record.policy.max_age_nanos is None:
         return False

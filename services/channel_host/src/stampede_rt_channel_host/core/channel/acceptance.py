@@ -83,7 +83,7 @@ class Acceptance:
         return least if advance is None else max(least, advance)
 
     def _sheds_alike(self, items: int, payload_bytes: int, low: int) -> bool:
-        """Whether only one limit removes items, and all removed items have spans that end before the new items begin."""
+        """Whether only one limit removes items, and all removed ones have spans that end before the new items begin."""
         held, limits = self._held, self._retention.limits
         excess_items = 0 if limits.max_items is None else held.items + items - limits.max_items
         excess_bytes = held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES - limits.max_bytes

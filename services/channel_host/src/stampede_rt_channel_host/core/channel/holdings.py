@@ -120,7 +120,7 @@ class Holdings(HeldItems):
             self._close_block()
 
     def _close_block(self) -> None:
-        """Close the tally's block, because very many items came in below the newest one, and no block counts these yet."""
+        """Close the tally's block: very many items came in below the newest one, and no block counts them yet."""
         items = payload_bytes = 0
         for part in self.slices(self._tally.end):
             items += part.items

@@ -72,7 +72,7 @@ class AllCursor:
         return self._owed
 
     def mark_done(self, seq: int) -> None:
-        """Note that the reader has received or lost all items below `seq`, which lies in the first range or at its end."""
+        """Note that the reader received or lost all items below `seq`, which lies in the first range or at its end."""
         assert self._owed is not None, "something is owed"
         end = self._owed[1]
         self._owed = (seq, end) if seq < end else next(self._owed_before, None)
@@ -243,7 +243,7 @@ def resume_newest(held: Holdings, saved: SavedCursor) -> NewestCursor:
 
 
 def open_newest(held: Holdings, low: ItemKey | None, after: ItemKey | None) -> NewestCursor:
-    """Begin with the newest item at or above `low`, then later ones; or with items after the item with the key `after`."""
+    """Begin with the newest item at or above `low`, then later ones; or with items after the key `after`."""
     if after is not None:
         return NewestCursor((after[0], after[1] + 1), after[1] + 1)
     if low is not None:

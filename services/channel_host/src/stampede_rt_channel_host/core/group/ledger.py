@@ -39,10 +39,11 @@ class Ledger:
         self, held: Holdings, low: ItemKey, next_seq: int, *, given_above: int, given_below: int,
         came_above: int | None = None,
     ) -> int:  # fmt: skip
-        """The reader has dealt with everything below `low` that has a seq below `next_seq`: how many items it lost.
+        """Note that the reader is done with all items below `low` with a seq below `next_seq`.
 
-        `given_above`, `given_below`: of the items it was given, how many were at or above the former `low`, and below.
-        `came_above`: how many came at or above it since the last call; None: count them.
+        Returns the number of lost items. `given_above` and `given_below` count the items given at or above the former
+        `low`, and below it. `came_above` counts the items that came at or above it since the last call; None: count
+        them here.
         """
         owed = self._owed + next_seq - self.next_seq
         intact = held.floor <= max(self._low, self._floor) and held.collected[CONSUMPTION] == self._consumed

@@ -46,11 +46,8 @@ class Pairing:
 
         `other` must have passed the item's time + tolerance. Raises Undecided.
         """
-        end, other_end = (
-            LAST_KEY,
-            LAST_KEY,
-        )  # the end of the unpaired items: a pair hides all items after it
-        chain = [(key, tolerance)]  # each entry is nearer to its predecessor's candidate than the predecessor is
+        end, other_end = LAST_KEY, LAST_KEY  # the ends of the unpaired items: a pair hides all items after it
+        chain = [(key, tolerance)]  # own items, each nearer to the candidate of the one before it than that one is
         for _ in range(STEPS_MAX):
             one, reach = chain[-1]
             self.looks += 2
@@ -69,7 +66,7 @@ class Pairing:
         return self._other.nearest(key[0], tolerance, self._now, self._after, other_end)
 
     def _rival(self, first: ItemKey, one: ItemKey, near: Nearest, end: ItemKey) -> ItemKey:
-        """The own item that is nearest to `near`. `one` is an own item at the distance of the last look."""
+        """The own item that is nearest to `near`. `one` is the own item for which `near` was found."""
         distance = abs(near.time - one[0])
         if not self._own_has_passed(clamp(near.time + distance - 1)):
             raise Undecided

@@ -1,7 +1,7 @@
 """The part of a channel that a group shows: items before the cut, under a clock that stops there (paper, section 3.3).
 
-Pure. Nothing is copied: a view reads the channel's own index, and answers as a channel of its own would that had never
-got the hidden items.
+Pure. A view copies nothing. It reads the channel's own index. It answers like a channel that never got the hidden
+items.
 """
 
 from __future__ import annotations
@@ -32,14 +32,16 @@ from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 
 
 class Horizon(NamedTuple):
-    """Where a group ends: its cut (None: nothing is visible), and a few words on who holds it back, when asked for."""
+    """The end of a group's visible part: its cut (None: no item is visible), and a function that names who holds it
+    back.
+    """
 
     cut: int | None
     held_by: Callable[[], str]
 
 
 class VisibleHoldings:
-    """Held items with a time before a cut, to be read like `Holdings`."""
+    """Held items with a time before a cut, to read like `Holdings`."""
 
     __slots__ = ("_end", "_held", "_last", "frontier", "gone_before", "newest", "oldest", "overlap_nanos")
 
@@ -55,16 +57,16 @@ class VisibleHoldings:
 
     @property
     def collected_by(self) -> str:
-        """As in `Holdings`."""
+        """See `Holdings`."""
         return self._held.collected_by
 
     @property
     def end(self) -> ItemKey:
-        """The visible items lie below this key."""
+        """The key below which all visible items lie."""
         return self._end
 
     def snapshot(self) -> ChannelSnapshot:
-        """All that is held now."""
+        """All items that the channel holds now."""
         return self._held.snapshot()
 
     def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY, /) -> Iterator[Slice]:
@@ -72,7 +74,7 @@ class VisibleHoldings:
         return self._held.slices_down(low, min(high, self._end))
 
     def next_time(self, time: int, /) -> int | None:
-        """The time of the next later visible bucket than `time`."""
+        """The time of the next visible bucket after `time`."""
         following = self._held.next_time(time)
         return following if following is not None and following <= self._last else None
 
@@ -82,7 +84,7 @@ class VisibleHoldings:
 
 
 class VisibleReading(Reading):
-    """Answers one query from what a horizon leaves of a channel."""
+    """Answers one query from the part of a channel before a horizon."""
 
     def __init__(self, channel: ChannelCore | Moment, horizon: Horizon, now: int) -> None:
         """`now`: the host's clock, to which the channel is aged."""
@@ -95,12 +97,12 @@ class VisibleReading(Reading):
         self._asked: tuple[Query, ResolvedInterval, int] | None = None
 
     def now(self, clock: int) -> int:
-        """The clock stops at the cut."""
+        """NOW, under a clock that stops at the cut."""
         cut = self._horizon.cut
         return super().now(clock if cut is None else min(clock, cut))
 
     def resolve_interval(self, interval: Interval, clock: int) -> ResolvedInterval | None:
-        """Before there is a cut, there is no `now` either."""
+        """The resolved interval. As long as there is no cut, NOW has no instant."""
         if self._horizon.cut is None and MetaTime.NOW in (interval.start.meta, interval.end.meta):
             return None
         return super().resolve_interval(interval, clock)
@@ -114,11 +116,11 @@ class VisibleReading(Reading):
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
         cut = self._horizon.cut
         if cut is None or first_instant > cut:
-            return WakeAt(None)  # no clock brings that about, only the cut
+            return WakeAt(None)  # only the cut brings that about, no clock
         return super()._wake_at(first_instant, clock)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
-        """The channel has passed the region, and the cut has likewise."""
+        """Whether both the channel and the cut have passed the region."""
         cut = self._horizon.cut
         return cut is not None and cut >= region.end + (not region.end_exclusive) and self._is_passed(region)
 
@@ -129,14 +131,14 @@ class VisibleReading(Reading):
     def _reason(
         self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
     ) -> Reason | None:
-        """Items that a limit cuts off are no part of the answer, and hidden items behind them neither."""
+        """The reason of a partial answer. Items that a limit cuts off, and hidden items after them, do not count."""
         reason = super()._reason(query, region, complete, truncated, more)
         if reason is None and not (more and not query.newest_first) and self._hides():
             return self._hidden()
         return reason
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
-        """Hidden items come before lost ones."""
+        """The reason while no item matches yet. Hidden items come before lost ones."""
         if self._is_passed(region) or self._hides():
             return self._hidden()
         return super()._nothing_yet(query, region)
@@ -150,7 +152,7 @@ class VisibleReading(Reading):
         return super()._no_anchor() if self._all.newest is None else self._hidden()
 
     def _hides(self) -> bool:
-        """A held item that matches what was asked for lies at or past the cut."""
+        """Whether a held item that matches the query lies at or after the cut."""
         assert self._asked is not None, "set with every answer that gives reasons"
         query, within, clock = self._asked
         cut, newest = self._horizon.cut, self._all.newest
@@ -167,7 +169,7 @@ class VisibleReading(Reading):
 
 
 def _latest_of(query: Query) -> Query:
-    """Asks for the latest of the items that `query` asks for."""
+    """A query for the latest of the items of `query`."""
     if query.newest_first:
         return replace(query, limit=1)
     positions = [one for one in (query.after, query.newer_than) if one is not None]
@@ -176,17 +178,17 @@ def _latest_of(query: Query) -> Query:
 
 
 class VisibleChannel:
-    """The visible part of one channel, read like a channel; the horizon is given with each call, and may only grow."""
+    """The visible part of one channel, to read like a channel. Each call gives the horizon, which may only grow."""
 
     def __init__(self, channel: ChannelCore) -> None:
         self._channel = channel
 
     def read(self, query: Query, horizon: Horizon, now: int) -> ReadAnswer:
-        """The visible items of the query, now. Raises IncarnationLost like `ChannelCore.read`."""
+        """The visible items of the query at `now`. Raises IncarnationLost like `ChannelCore.read`."""
         return run_to_end(self.reading(query, horizon, now))
 
     def reading(self, query: Query, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
-        """The same in pieces, all as of now."""
+        """As `read`, in pieces, all as of `now`."""
         reading = self._reading(query, horizon, now)
         return reading.answer(query, reading.resolve(query, now), now)
 
@@ -195,23 +197,23 @@ class VisibleChannel:
         return Pending(query, self._reading(query, horizon, now).resolve(query, now))
 
     def poll(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer | WakeAt:
-        """Its answer, or when to poll again: also after each change of the channel and of the cut."""
+        """Its answer, or when to poll again. Also poll after each change of the channel and of the cut."""
         return run_to_end(self.polling(pending, horizon, now))
 
     def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """The same in pieces, all as of now."""
+        """As `poll`, in pieces, all as of `now`."""
         return polling(self._channel, pending, horizon, now)
 
     def give_up(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer:
-        """The answer when the time of the get is over, with its reason."""
+        """The answer at the end of the get's waiting time, with its reason."""
         return run_to_end(self.giving_up(pending, horizon, now))
 
     def giving_up(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
-        """The same in pieces, all as of now."""
+        """As `give_up`, in pieces, all as of `now`."""
         return VisibleReading(self._channel, horizon, now).answer(pending.query, pending.interval, now)
 
     def stalled(self, floor: int, horizon: Horizon) -> ReadAnswer:
-        """The answer to a reader that has seen more than this host can show yet: nothing, rather than less."""
+        """The answer to a reader that has seen a later cut than this host can show yet. It has no items."""
         cut = horizon.cut
         behind_at = "nothing is visible here yet" if cut is None else f"the cut is at {format_instant(cut)} here"
         detail = f"the reader has seen the group up to {format_instant(floor)}, but {behind_at}, {horizon.held_by()}"
@@ -221,12 +223,14 @@ class VisibleChannel:
         )  # fmt: skip
 
     def hidden_items(self, cut: int | None, now: int) -> int:
-        """How many held items the cut hides."""
+        """The number of held items that the cut hides."""
         held, _ = self._channel.look(now)
         return held.items - held.items_below(FIRST_KEY if cut is None else (cut, 0))
 
     def window_too_short(self, cut: int | None, now: int) -> bool:
-        """Items went before the group showed them, or go so: the channel keeps less than it is ahead of the cut."""
+        """Whether items leave the channel before the group shows them: the channel keeps less than its lead over the
+        cut.
+        """
         held, retention = self._channel.look(now)
         return _has_lost(held, cut) or _outlives_its_age(held, retention, cut)
 
@@ -238,7 +242,7 @@ class VisibleChannel:
 
 
 def polling(channel: ChannelCore | Moment, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
-    """See `VisibleChannel.polling`; also of a channel as it was."""
+    """See `VisibleChannel.polling`. The channel may also be a `Moment`."""
     reading = VisibleReading(channel, horizon, now)
     found = yield from reading.poll(pending, now)
     return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found

@@ -1,6 +1,6 @@
-"""Which deliveries were acknowledged lately and by whom, so that a repeated acknowledgement succeeds. Pure.
+"""The latest acknowledged deliveries and their takers, so that a repeated acknowledgement succeeds. Pure.
 
-Delivery ids follow each other, so they are kept in columns: 16 bytes each instead of an object or two.
+Delivery ids are consecutive, so columns hold them: 16 bytes for each, instead of an object or two.
 """
 
 from __future__ import annotations
@@ -14,11 +14,14 @@ KEPT_NANOS = 600_000_000_000
 _IDS_PER_CHUNK = 256
 BYTES_PER_CHUNK = 16 * _IDS_PER_CHUNK
 CHUNKS_MAX = 2**14
-"""At most 4 million deliveries are known, in 64 MiB: with more than 7,000 a second they are known for less long."""
+"""At most 4 million deliveries are known, in 64 MiB.
+
+With more than 7,000 a second they are known for less than 10 minutes.
+"""
 
 
 class Acknowledged(NamedTuple):
-    """A delivery, its taker, and when it was acknowledged."""
+    """A delivery, its taker, and the time of the acknowledgement."""
 
     delivery_id: int
     taker_id: int
@@ -29,25 +32,25 @@ class _Chunk:
     __slots__ = ("takers", "times")
 
     def __init__(self) -> None:
-        self.takers = array("Q", bytes(8 * _IDS_PER_CHUNK))  # 0: not acknowledged; a taker's id never is
+        self.takers = array("Q", bytes(8 * _IDS_PER_CHUNK))  # 0: not acknowledged; no taker has the id 0
         self.times = array("q", bytes(8 * _IDS_PER_CHUNK))
 
 
 class AcknowledgedDeliveries:
-    """Of the last 10 minutes. `now` never runs backwards."""
+    """The acknowledgements of the last 10 minutes. `now` never goes back."""
 
     def __init__(self, *, chunks_max: int = CHUNKS_MAX) -> None:
         self._chunks_max = chunks_max
-        self._chunks: OrderedDict[int, _Chunk] = OrderedDict()  # in the order of their latest acknowledgement
+        self._chunks: OrderedDict[int, _Chunk] = OrderedDict()  # by their latest acknowledgement
         self._latest: dict[int, int] = {}  # chunk -> its latest time
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory that it takes at the host."""
+        """The memory that it occupies at the host, in bytes."""
         return len(self._chunks) * BYTES_PER_CHUNK
 
     def record(self, delivery_id: int, taker_id: int, now: int) -> None:
-        """The taker has acknowledged the delivery."""
+        """Note that the taker has acknowledged the delivery."""
         number, offset = divmod(delivery_id, _IDS_PER_CHUNK)
         chunk = self._chunks.get(number)
         if chunk is None:
@@ -58,7 +61,7 @@ class AcknowledgedDeliveries:
         self._forget(now)
 
     def knows(self, delivery_id: int, taker_id: int, now: int) -> bool:
-        """This taker acknowledged it within the last 10 minutes."""
+        """Whether this taker acknowledged the delivery within the last 10 minutes."""
         number, offset = divmod(delivery_id, _IDS_PER_CHUNK)
         chunk = self._chunks.get(number)
         return chunk is not None and chunk.takers[offset] == taker_id and chunk.times[offset] > now - KEPT_NANOS

@@ -1,4 +1,4 @@
-"""The dispatcher of a queue: takers that wait are served in turn, each with an equal share of the items. Pure."""
+"""The dispatcher of a queue. It serves waiting takers in turn, each with an equal share of the messages. Pure."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
 BATCH_BYTES_MAX = 2**20 - 2**16
-"""Of a batch with several items, on the wire: with a little beside it, it makes a message of 1 MiB."""
+"""The size of a batch with several messages on the wire. With its other fields it fits in 1 MiB."""
 ITEMS_DEALT_MAX = 256
-"""So many items one batch holds at the most, and as many in all are given out at once; then others have their turn."""
+"""The most messages of one batch, and of one call of `deal`. Then the host serves others."""
 DELIVERY_BYTES = 16
-"""The most bytes that an item's delivery id and number take on the wire."""
+"""The most bytes that a message's delivery id and number take on the wire."""
 VIEWS_MAX = 4096
 RETURNS_PER_LOOK_MAX = 1024
 
 
 class View:
-    """Where a taker stands in a queue with copies, whose items are not all for it.
+    """The place of a taker in a queue with copies, which gives each message only to some takers.
 
-    Of the items from `cursor` on it was given none; `passed` are older ones that came back since, at least once.
+    The taker got no message from `cursor` on. `passed` are older messages that came back since, at least once.
     """
 
     __slots__ = ("cursor", "passed", "returns_seen")
@@ -36,8 +36,8 @@ class View:
         self.passed: list[int] = []
 
     def next_for(self, taker_id: int, queue_items: QueueItems) -> TouchedItem | None:
-        """The oldest touched item that the taker may be given; of very many that just came back, one of the first."""
-        while True:  # each round looks at returns that were not looked at before
+        """The oldest touched message that the taker may get. If very many just came back: one of the first of them."""
+        while True:  # each round looks at returns that no earlier round has looked at
             is_behind = self._look_at_returns(taker_id, queue_items)
             while self.passed:
                 passed = queue_items.touched.get(self.passed[0])
@@ -47,11 +47,11 @@ class View:
             if not is_behind:
                 break
         while (ahead := queue_items.first_available(self.cursor)) is not None and not ahead.may_go_to(taker_id):
-            self.cursor = ahead.seq + 1  # only after the view was forgotten
+            self.cursor = ahead.seq + 1  # happens only after the view was forgotten
         return ahead
 
     def _look_at_returns(self, taker_id: int, queue_items: QueueItems) -> bool:
-        """Each return is looked at once, a bounded number in one go; True if more is left."""
+        """Look at some returns, each once, a bounded number. Returns True if more are left."""
         for item in islice(queue_items.returned_since(self.returns_seen), RETURNS_PER_LOOK_MAX):
             self.returns_seen = item.return_number
             if item.seq < self.cursor and item.may_go_to(taker_id):
@@ -63,7 +63,7 @@ class View:
 
 
 class _Draft:
-    """A batch in the making."""
+    """A batch that is being filled."""
 
     def __init__(self) -> None:
         self.slices: list[LeasedSlice] = []
@@ -71,11 +71,11 @@ class _Draft:
         self._bytes = 0
 
     def has_room(self, run: QueuedRun, position: int) -> bool:
-        """One more item keeps the message's limit; the first one always does."""
+        """Whether one more message stays within the batch's limit. The first message always does."""
         return not self.items or self._bytes + self._cost(run, position) <= BATCH_BYTES_MAX
 
     def add(self, run: QueuedRun, position: int, delivery: tuple[int, int]) -> None:
-        """Append the item with its delivery id and number."""
+        """Append the message with its delivery id and number."""
         self._bytes += self._cost(run, position)
         self.items += 1
         if self._continues(run, position):
@@ -95,36 +95,39 @@ class _Draft:
 
 
 class Dispatcher:
-    """The line of waiting takers. `dealt` gathers who was given what, until the caller takes it.
+    """The line of waiting takers. `dealt` collects the new batches until the caller takes them.
 
-    While it `is_paused` nobody is given anything: all wait in line. `has_more`: `deal` has given out as much as it may
-    at once, and is to be called again soon.
+    While it `is_paused`, no taker gets messages: all wait in line. `has_more`: `deal` has reached its limit, so call it
+    again soon.
     """
 
     def __init__(self, queue_items: QueueItems, leasing: Leasing) -> None:
         self._queue_items = queue_items
         self._leasing = leasing
         self._line: OrderedDict[TakerState, None] = OrderedDict()
-        self._views: OrderedDict[int, View] = OrderedDict()  # the latest used last
+        self._views: OrderedDict[int, View] = OrderedDict()  # by their last use
         self.dealt: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
 
     def __len__(self) -> int:
-        """How many takers wait."""
+        """The number of waiting takers."""
         return len(self._line)
 
     def wait(self, taker: TakerState, now: int) -> None:
-        """It can be served: at once if there is something, else in its turn. All others in line were tried before."""
+        """Serve a taker that can take: at once if there is a message, else in its turn.
+
+        All others in line were tried before.
+        """
         waits = taker.credit and not taker.is_busy and not taker.is_silent and taker not in self._line
         if waits and (self.is_paused or self.has_more or not self._serve(taker, 1, now)):
             self._line[taker] = None
 
     def leave(self, taker: TakerState) -> None:
-        """It does not wait any more. Idempotent."""
+        """Take a taker out of the line. Idempotent."""
         self._line.pop(taker, None)
 
     def deal(self, now: int) -> None:
-        """There may be something new for those in line."""
+        """Serve the takers in line, because there may be new messages."""
         served, items = [], 0
         self.has_more = False
         for position, taker in enumerate(self._line):
@@ -141,7 +144,7 @@ class Dispatcher:
             del self._line[taker]
 
     def _serve(self, taker: TakerState, takers: int, now: int) -> int:
-        """Give it its share among so many; gives how many items that is."""
+        """Give a taker its share among `takers` takers. Returns the number of its messages."""
         there = self._queue_items.available_items * self._queue_items.limits.copies
         share = min(-(-there // takers), taker.credit, ITEMS_DEALT_MAX)
         lease_nanos = taker.lease_nanos or self._queue_items.limits.lease_nanos

@@ -1,4 +1,5 @@
-"""Runs on their way into a queue: judged item by item, recognised when retried, in line while there is no room.
+"""Runs on their way into a queue. They are judged item by item, recognised when retried, and wait while there is no
+room.
 
 Pure.
 """
@@ -21,21 +22,23 @@ from stampede_rt_channel_host.core.queue.values import SealRun
 
 WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
-"""At least one run may wait, however large it is."""
+"""One run may wait in any case, however large."""
 OFFERED_PER_CALL_MAX = 512
-"""So many items of runs in line one call judges; the last of these runs is judged as a whole."""
+"""The most messages of waiting runs that one call judges. The last of these runs is judged whole."""
 DROPPED_PER_RUN_MAX = 1024
-"""So many items one call drops to make room for a run, beside as many as the run has twice. Where more have to go, the
-run waits a moment in line."""
+"""The most messages that one call drops to make room for a run, beside twice as many as the run has.
+
+If more have to go, the run waits a moment in line.
+"""
 MAKING_ROOM_NANOS = 1_000_000_000
-"""So long a run may wait at the most while room is made for it, though its producer does not wait."""
+"""The longest time that a run waits while the queue makes room for it, although its producer does not want to wait."""
 
 
 class Enqueue:
-    """A run that asks to be put into a queue, and how far it has come.
+    """A run that a producer puts into a queue, and its progress.
 
     `wait_nanos`: how long it may wait for room, None without limit. `is_stamped`: it came without times. A run with a
-    `message_id` holds one item. Once it is through it has either an `outcome` or, refused as a whole, an `error`.
+    `message_id` holds one message. At the end it has either an `outcome` or, if it was refused as a whole, an `error`.
     """
 
     __slots__ = (
@@ -70,19 +73,21 @@ class Enqueue:
 
     @property
     def is_through(self) -> bool:
-        """Nothing of it waits."""
+        """Whether the run is done: no message of it waits."""
         return self.outcome is not None or self.error is not None
 
     @property
     def charged_bytes(self) -> int:
-        """The bytes that its items are charged against limits of memory."""
+        """The bytes that its messages count against limits of memory."""
         return sum(self.lengths) + len(self.lengths) * ITEM_OVERHEAD_BYTES
 
 
 class Enqueuing:
-    """Behind a run that waits all wait, in the order of their coming. `finished` gathers those that waited and are
-    through, until the caller takes them. `has_more`: there may be room for the first one in line, and `offer_line` is
-    to be called again soon."""
+    """The line of waiting runs. A run that waits blocks all later ones.
+
+    `finished` collects the runs that waited and are done, until the caller takes them. `has_more`: there may be room
+    for the first run in line, so call `offer_line` again soon.
+    """
 
     def __init__(self, queue_items: QueueItems, queue_name: str) -> None:
         self._queue_items = queue_items
@@ -95,16 +100,16 @@ class Enqueuing:
         self.waiting_bytes = 0
         self.finished: list[Enqueue] = []
         self.has_more = False
-        self._ending: StampedeError | None = None  # while those in line hear that they are not taken
+        self._ending: StampedeError | None = None  # set while the waiting runs are being refused
         self._drops_left = 0
 
     def __len__(self) -> int:
-        """How many runs wait."""
+        """The number of waiting runs."""
         return len(self._line)
 
     def enqueue(self, run: Enqueue, now: int) -> None:
-        """Judge the run; unless it is through then, it stands in line. Raises InvalidArgument, Overloaded."""
-        if self._ending is not None:  # it may be one that still stands in line, sent again
+        """Judge the run. If it is not done then, it waits in line. Raises InvalidArgument, Overloaded."""
+        if self._ending is not None:  # the run may be a repetition of one that still waits
             run.error = self._ending
             return
         if self._recognise(run, now):
@@ -117,7 +122,7 @@ class Enqueuing:
         self._stand_in_line(run, now)
 
     def offer_line(self, now: int) -> None:
-        """Room may have been made: those in line are judged again, the first one first."""
+        """Judge the waiting runs again, in order, because there may be room."""
         self.has_more, offered = False, 0
         while self._line and self._ending is None:
             if offered >= OFFERED_PER_CALL_MAX:
@@ -131,7 +136,7 @@ class Enqueuing:
             offered += len(run.lengths)
 
     def give_up_one(self, now: int) -> bool:
-        """End the wait of a run whose time is over; False if there is none."""
+        """End the wait of a run whose time is over. Returns False if there is none."""
         run = self._deadlines.pop(now)
         if run is None:
             return False
@@ -141,15 +146,19 @@ class Enqueuing:
         return True
 
     def withdraw(self, run: Enqueue, now: int) -> None:
-        """Nobody waits for it any more. What of it is in stays, and is remembered: a retry goes on from there."""
+        """Take a run out of the line, because its caller waits no more.
+
+        Its accepted messages stay, and are remembered. A retry continues after them.
+        """
         if run in self._line:
             self._leave_line(run)
             self._remember(run, now)
 
     def fail(self, run: Enqueue, error: StampedeError, now: int) -> None:
-        """The run, which is not in line, is not taken.
+        """Refuse a run that is not in line, because of `error`.
 
-        If some of its items are in and it will be sent again, it goes on from there; else only the others are refused.
+        If some of its messages are accepted and the producer will repeat the run, the repetition continues after them.
+        Otherwise only the other messages are refused.
         """
         if run.judging.accepted_any and not (error.retryable and run.producer_id):
             self._refuse_rest(run, error, now)
@@ -158,8 +167,10 @@ class Enqueuing:
             run.error = error
 
     def end_line(self, error: StampedeError, now: int, runs_max: int) -> bool:
-        """The first ones in line are not taken, since the queue is not served any more; True if there are more. Until
-        there are none, nothing is taken."""
+        """Refuse the first waiting runs, because the host gives the queue up. Returns True if there are more.
+
+        The queue accepts nothing until there are none.
+        """
         self._ending = error
         for run in [*islice(self._line, runs_max)]:
             self._leave_line(run)
@@ -170,13 +181,13 @@ class Enqueuing:
         return bool(self._line)
 
     def next_deadline(self) -> int | None:
-        """When the next wait is over."""
+        """The end of the next wait."""
         return self._deadlines.next()
 
     def _recognise(self, run: Enqueue, now: int) -> bool:
-        """True if the run came before and was answered; one of which only the front was judged goes on behind it.
+        """Whether the run is a repetition of an answered run, or has a known message id. It is done then.
 
-        Also if another run came with its message id.
+        If only the first messages of the run were judged before, the run continues after them.
         """
         known = None
         if run.producer_id:
@@ -188,7 +199,10 @@ class Enqueuing:
         return known.is_whole
 
     def _is_duplicate(self, run: Enqueue, now: int) -> bool:
-        """An item was accepted under the run's message id before, whose seq answers this one, too."""
+        """Whether a message was accepted under the run's message id before.
+
+        The run gets that message's seq as its answer.
+        """
         seq = self.message_ids.find(run.message_id, now) if run.message_id else None
         if seq is not None:
             self._queue_items.tally.duplicates += 1
@@ -197,7 +211,7 @@ class Enqueuing:
         return run.is_duplicate
 
     def _judge_again(self, run: Enqueue, now: int) -> bool:
-        """Also whether the same run came in meanwhile, by another stream. True if the run is through."""
+        """Judge a waiting run, which may have come in by another stream meanwhile. Returns True if the run is done."""
         try:
             return self._recognise(run, now) or self._offer(run, now)
         except StampedeError as error:
@@ -221,7 +235,7 @@ class Enqueuing:
 
     @property
     def _is_making_room(self) -> bool:
-        """Those in line wait for no taker: what is in their way is being dropped."""
+        """Whether the waiting runs wait for no taker, because the queue is dropping messages to make room."""
         return self.has_more and self._queue_items.limits.on_full == DROP_OLDEST
 
     def _leave_line(self, run: Enqueue) -> None:
@@ -230,7 +244,7 @@ class Enqueuing:
         self.waiting_bytes -= run.charged_bytes
 
     def _offer(self, run: Enqueue, now: int) -> bool:
-        """Take in what there is room for; True if the run is through."""
+        """Accept the messages for which there is room. Returns True if the run is done."""
         queue_items, taken, judging = self._queue_items, QueuedRun(self._queue_items.next_seq, [], now), run.judging
         positions: list[int] = []
         self._drops_left = DROPPED_PER_RUN_MAX + 2 * len(run.lengths)
@@ -295,7 +309,7 @@ class Enqueuing:
 
     def _too_large(self, length: int) -> ItemTooLarge:
         return ItemTooLarge(
-            f"an item of {length} bytes is too large for {self._queue}, which takes at most "
+            f"a message of {length} bytes is too large for {self._queue}, which takes at most "
             f"{max(0, self._queue_items.limits.payload_bytes_max)}; split it, or raise the limits"
         )
 
@@ -303,7 +317,7 @@ class Enqueuing:
         limits, queue_items = self._queue_items.limits, self._queue_items
         charged = queue_items.payload_bytes + queue_items.items * ITEM_OVERHEAD_BYTES
         return QueueFull(
-            f"{self._queue} is full: it holds {queue_items.items} items charged with {charged} bytes, "
-            f"{queue_items.leased} of them leased, of at most {limits.max_items or 'any number of'} items and "
+            f"{self._queue} is full: it holds {queue_items.items} messages charged with {charged} bytes, "
+            f"{queue_items.leased} of them leased, of at most {limits.max_items or 'any number of'} messages and "
             f"{limits.max_bytes} bytes; take faster, put later, or raise its limits"
         )

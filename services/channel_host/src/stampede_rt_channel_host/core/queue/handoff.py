@@ -1,7 +1,7 @@
-"""A whole queue as values, for the host that takes it over (paper, section 4.1: queues migrate). Pure.
+"""A whole queue as values, for a host that takes it over (paper, section 4.1: queues migrate). Pure.
 
-Seqs, delivery ids and counters go on where they were. Takers and runs that wait do not travel: their streams are told
-where to go. Durations stand for instants, since two hosts' clocks differ; they follow `HandoffRecord` of the contract.
+Seqs, delivery ids and counters continue. Takers and waiting runs do not move: their streams hear of the new host.
+Durations replace instants, because two hosts' clocks differ. The values follow `HandoffRecord` of the contract.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.queue.takers import TakerState
 
 
 class LeaseState(NamedTuple):
-    """A lease, how long it still holds, and for how long it has."""
+    """A lease, its remaining time, and its whole length."""
 
     delivery_id: int
     taker_id: int
@@ -32,11 +32,11 @@ class LeaseState(NamedTuple):
 
 
 class ItemState(NamedTuple):
-    """An item that is not as it came.
+    """A message with a history.
 
-    `deliveries`: of each copy that was given out and not acknowledged: first of the leased ones, as `leases` are, then
-    of those that nobody has. `delay_nanos`: held back for so long. `is_leaving`: on its way to the dead-letter queue.
-    `last`: its last delivery in vain.
+    `deliveries` has one entry for each copy that was delivered and not acknowledged: first for the leased copies, in
+    the order of `leases`, then for the others. `delay_nanos`: the message is held back for so long. `is_leaving`: it is
+    on its way to the dead-letter queue. `last`: its last failed delivery.
     """
 
     seq: int
@@ -49,7 +49,7 @@ class ItemState(NamedTuple):
 
 
 class SeqRange(NamedTuple):
-    """Seqs from `first` to `last`, both included."""
+    """The seqs from `first` to `last`, both included."""
 
     first: int
     last: int
@@ -57,8 +57,11 @@ class SeqRange(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueHandoff:
-    """Everything. Runs ascend, and each has an item that is held. `held` ascends; held items without a state are as
-    they came. The runs' `accepted_at`, and the times of acknowledgements, recorded runs and message ids, are ages."""
+    """The whole queue.
+
+    Runs ascend, and each has a held message. `held` ascends. Held messages without a state have no history. The runs'
+    `accepted_at`, and the times of acknowledgements, recorded runs and message ids, are ages.
+    """
 
     next_seq: int
     next_delivery_id: int
@@ -72,7 +75,7 @@ class QueueHandoff:
 
 
 def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueHandoff:
-    """The queue as it is at `now`; it shares nothing that changes."""
+    """The queue as of `now`. The result shares no mutable object with it."""
     held = [item.seq for item in queue_items.touched.values()]
     fresh = [seq for run, position in queue_items.fresh() for seq in range(run.first_seq + position, run.end_seq)]
     return QueueHandoff(
@@ -89,7 +92,7 @@ def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now:
 
 
 def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> None:
-    """Fill an empty queue. Times that are over by now are looked after at the next tick."""
+    """Fill an empty queue. The next tick handles times that are already over."""
     queue_items.tally = replace(state.tally)
     leasing.next_delivery_id = state.next_delivery_id
     states = {one.seq: one for one in state.items}
@@ -107,7 +110,7 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
         elif seq < fresh_from:
             queue_items.refresh(queue_items.touched[seq])
     queue_items.next_seq = state.next_seq
-    for seq in [one.seq for one in state.items if one.is_leaving]:  # in their own order
+    for seq in [one.seq for one in state.items if one.is_leaving]:  # in the order in which they left
         queue_items.set_leaving(queue_items.touched[seq])
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
@@ -118,20 +121,22 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
 
 
 def _aged(kept: KeptRun, now: int) -> KeptRun:
-    """With its age instead of its time, or the other way round."""
+    """The run with its age instead of its time, or with its time instead of its age."""
     return kept._replace(outcome=kept.outcome._replace(time=now - kept.outcome.time))
 
 
 def _fresh_from(state: QueueHandoff) -> int:
-    """From this seq on nothing was touched: all is held up to the end. An older item may be as it came, too, having
-    come back or been passed over; it counts as touched all the same."""
+    """The seq from which on no message has a history, and all are held to the end.
+
+    Older messages may have no history either, for example after a return. They count as touched all the same.
+    """
     if not state.held or state.held[-1].last != state.next_seq - 1:
         return state.next_seq
     return max(state.held[-1].first, max((one.seq for one in state.items), default=0) + 1)
 
 
 def _runs(queue_items: QueueItems) -> Iterator[QueuedRun]:
-    """Each run of which an item is held, once."""
+    """Each run with a held message, once."""
     last: QueuedRun | None = None
     for run in chain((item.run for item in queue_items.touched.values()), (run for run, _ in queue_items.fresh())):
         if run is not last:
@@ -149,7 +154,7 @@ def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
 
 
 def _not_leaving(queue_items: QueueItems) -> Iterator[TouchedItem]:
-    """Those with something to tell."""
+    """The messages with a history that do not leave."""
     for item in queue_items.touched.values():
         told = item.returned or item.leases or item.acknowledged or item.due is not None
         if told and not item.is_leaving:

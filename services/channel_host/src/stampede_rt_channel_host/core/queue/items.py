@@ -1,6 +1,6 @@
-"""Runs of queued items, and what is known of an item once somebody was given it. Pure.
+"""Runs of queued messages, and the state of a message that was delivered once. Pure.
 
-An item that nobody has been given yet costs nothing beside its run; a queue may hold a million of them.
+A message that was never delivered costs nothing beside its run. A queue may hold a million of them.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from stampede_rt_channel_host.core.channel.run import Slicer
 
 
 class QueuedRun:
-    """Items that were accepted together; their seqs follow each other. `held`: how many have not left the queue.
+    """Messages that were accepted together. Their seqs are consecutive. `held`: how many have not left the queue.
 
-    `body` is what the shell's seal made of them, `slicer` what it knows of that once it has cut a part of it; `lengths`
-    are payload bytes; `accepted_at` is the host's clock.
+    `body` is the result of the owner's seal function. `slicer` keeps what the owner knows of the body once it has cut a
+    part out of it. `lengths` are payload bytes. `accepted_at` is the host's clock.
     """
 
     __slots__ = ("accepted_at", "body", "first_seq", "held", "lengths", "slicer")
@@ -30,7 +30,7 @@ class QueuedRun:
 
     @property
     def end_seq(self) -> int:
-        """The seq behind the last item."""
+        """The seq after the last message's."""
         return self.first_seq + len(self.lengths)
 
     @property
@@ -40,11 +40,13 @@ class QueuedRun:
 
 
 LEASE_EXPIRED, GIVEN_BACK, TERMINATED = "lease_expired", "given_back", "terminated"
-"""How a delivery can be in vain."""
+"""The ways in which a delivery can fail."""
 
 
 class FailedDelivery(NamedTuple):
-    """A delivery that ended without an acknowledgement: which of its copy it was, to whom, and how it ended."""
+    """A delivery that ended without an acknowledgement: its number among the copy's deliveries, its taker,
+    and its end.
+    """
 
     number: int
     taker_id: int
@@ -54,11 +56,11 @@ class FailedDelivery(NamedTuple):
 
 
 class TouchedItem:
-    """An item that was given to a taker, or held back, at least once.
+    """A message that was delivered or held back at least once.
 
-    `returned` has the number of deliveries of each copy that was given out and that nobody has, ascending. `leases`
-    maps takers to delivery ids, `acknowledged` lists takers that are done. `due`: held back until then. `last`: its
-    last delivery in vain.
+    `returned` has the number of deliveries of each copy that was delivered and that no taker has now, ascending.
+    `leases` maps takers to delivery ids. `acknowledged` lists takers that are done. `due`: held back until then.
+    `last`: its last failed delivery.
     """
 
     __slots__ = (
@@ -79,23 +81,26 @@ class TouchedItem:
 
     @property
     def seq(self) -> int:
-        """The item's seq."""
+        """The message's seq."""
         return self.run.first_seq + self.position
 
     @property
     def order(self) -> int:
-        """Of two that are due together, the older first."""
+        """The sort key of messages that are due together: the older first."""
         return self.seq
 
     @property
     def length(self) -> int:
-        """Payload bytes."""
+        """The payload bytes."""
         return self.run.lengths[self.position]
 
     def free_copies(self, copies: int) -> int:
-        """How many more takers may be given it."""
+        """The number of takers that may still get the message."""
         return copies - len(self.leases) - len(self.acknowledged)
 
     def may_go_to(self, taker_id: int) -> bool:
-        """The taker neither has it nor is done with it: copies go to distinct takers."""
+        """Whether the taker may get the message: it does not have it and is not done with it.
+
+        Copies go to different takers.
+        """
         return taker_id not in self.leases and taker_id not in self.acknowledged

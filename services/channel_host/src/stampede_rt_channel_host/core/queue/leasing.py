@@ -1,6 +1,6 @@
-"""Leases of a queue's items: given, settled, expired (paper, section 3.5). Pure.
+"""The leases of a queue's messages: given, settled, expired (paper, section 3.5). Pure.
 
-An item is used up only by acknowledgements; a give-back or the end of a lease puts it back in its former position.
+Only acknowledgements use a message up. A message that is given back, or whose lease ends, returns to its former place.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from stampede_rt_channel_host.core.queue.values import (
 
 
 class Lease:
-    """One delivery: a copy of `item` is the taker's until `due`. `number`: which delivery of that copy it is."""
+    """One delivery. A copy of `item` belongs to the taker until `due`. `number` counts the deliveries of that copy."""
 
     __slots__ = ("due", "item", "leased_at", "number", "order", "taker")
 
@@ -50,7 +50,7 @@ class Lease:
         self.due: int | None = None
 
     def in_vain(self, ended: str, reason: str = "") -> FailedDelivery:
-        """This delivery as a failed one, with how it ended."""
+        """This delivery as a failed one, with its end."""
         return FailedDelivery(self.number, self.taker.taker_id, self.taker.name, ended, reason)
 
 
@@ -62,14 +62,16 @@ class Leasing:
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
         self.leases: Any = SortedDict()  # delivery id -> Lease
-        self.silent: list[TakerState] = []  # who let a lease end and said nothing, until the caller takes them
+        # takers that let a lease end and sent nothing, until the caller of this class takes them
+        self.silent: list[TakerState] = []
         self.next_delivery_id = first_delivery_id
         self.acknowledged = AcknowledgedDeliveries()
 
     def deliver(self, item: TouchedItem, taker: TakerState, now: int, expires: int) -> tuple[int, int]:
-        """Lease a free copy of the item; gives the delivery's id and which delivery of that copy it is.
+        """Lease a free copy of the message. Returns the delivery's id and its number among the copy's deliveries.
 
-        The copy that came back most often goes first: an item that no taker can cope with is soon found out.
+        The copy with the most failed deliveries goes first. So a message that no taker can process reaches its limit
+        soon.
         """
         number = 1 + (item.returned.pop() if item.returned else 0)
         delivery_id = self.next_delivery_id
@@ -80,14 +82,17 @@ class Leasing:
         return delivery_id, number
 
     def enter(self, lease: Lease, expires: int) -> None:
-        """The lease holds from now on."""
+        """Start a lease."""
         self._queue_items.leased += not lease.item.leases
         lease.item.leases[lease.taker.taker_id] = lease.order
         self.leases[lease.order] = lease
         self._deadlines.arm(lease, expires)
 
     def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
-        """Do what the taker says of a delivery, or say that it cannot any more."""
+        """Perform a taker's settlement of a delivery.
+
+        Returns an error if the taker does not have the lease any more.
+        """
         delivery_id, verdict = settlement
         lease: Lease | None = self.leases.get(delivery_id)
         if lease is None or lease.taker.taker_id != taker_id or lease.due is None or lease.due <= now:
@@ -108,7 +113,7 @@ class Leasing:
         return SettlementResult(delivery_id)
 
     def expire_one(self, now: int) -> bool:
-        """Take back the item of the lease that ended longest ago; False if none has ended."""
+        """Take back the message of the lease that ended first. Returns False if no lease has ended."""
         lease = self._deadlines.pop(now)
         if lease is None:
             return False
@@ -121,16 +126,16 @@ class Leasing:
         return True
 
     def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
-        """At most so many of the leases behind a delivery, in the order of deliveries."""
+        """The leases after a delivery, by delivery id, `limit` at most."""
         found: Iterable[int] = self.leases.irange(minimum=after_delivery_id, inclusive=(False, True))
         return [_pending(self.leases[delivery_id]) for delivery_id in islice(found, limit)]
 
     def next_deadline(self) -> int | None:
-        """When the next lease ends."""
+        """The time of the next lease end."""
         return self._deadlines.next()
 
     def recall(self, slices: Iterable[LeasedSlice]) -> None:
-        """Deliveries that were dealt and never sent go back as if they had not been dealt."""
+        """Take back dealt deliveries that were never sent, as if they had not been dealt."""
         for one in slices:
             for delivery_id in one.delivery_ids:
                 lease = self.leases.get(delivery_id)
@@ -139,13 +144,13 @@ class Leasing:
                     self._end(lease)
                     if lease.number > 1:
                         insort(lease.item.returned, lease.number - 1)
-                    if self.is_exhausted(lease.item):  # fewer deliveries are allowed since
+                    if self.is_exhausted(lease.item):  # the limit may have been lowered meanwhile
                         self.give_up(lease.item)
                     else:
                         self._put_back(lease.item)
 
     def settle_copies(self, item: TouchedItem) -> bool:
-        """Use the item up if enough takers are done with it; True if it has gone."""
+        """Use the message up if enough takers have acknowledged it. Returns True if it has left."""
         if len(item.acknowledged) < self._queue_items.limits.copies:
             return False
         self._void(item)
@@ -154,7 +159,7 @@ class Leasing:
         return True
 
     def check_again(self, item: TouchedItem) -> None:
-        """Hold an item that was touched under other limits to those of now."""
+        """Apply the present limits to a message that was touched under other limits."""
         if item.is_leaving and not self._queue_items.limits.dead_letters:
             self.expel(item)
         elif not self.settle_copies(item):
@@ -164,12 +169,14 @@ class Leasing:
                 self._put_back(item)
 
     def is_exhausted(self, item: TouchedItem) -> bool:
-        """One of its copies was delivered as often as is allowed, in vain."""
+        """Whether one of its copies has failed as often as the limit allows."""
         most = self._queue_items.limits.max_deliveries
         return most is not None and bool(item.returned) and item.returned[-1] >= most
 
     def give_up(self, item: TouchedItem) -> None:
-        """It leaves, and its other leases end: for the dead-letter queue if there is one, else for good."""
+        """Have the message leave, and end its other leases: for the dead-letter queue if there is one, else
+        for good.
+        """
         if self._queue_items.limits.dead_letters:
             self._void(item)
             self._queue_items.set_leaving(item)
@@ -177,7 +184,7 @@ class Leasing:
             self.expel(item)
 
     def expel(self, item: TouchedItem) -> None:
-        """It leaves the queue for good."""
+        """Remove the message for good."""
         self._void(item)
         self._queue_items.tally.expelled += 1
         self._queue_items.remove(item)
@@ -195,15 +202,17 @@ class Leasing:
         return SettlementResult(lease.order, None, verdict.lease_nanos)
 
     def _terminate(self, lease: Lease, reason: str) -> None:
-        """The item leaves, and with it its other leases."""
+        """Have the message leave, and end its other leases."""
         self._queue_items.tally.terminated += 1
         self._end(lease)
         lease.item.last = lease.in_vain(TERMINATED, reason)
         self.give_up(lease.item)
 
     def _take_back(self, lease: Lease, ended: str | None, not_before: int | None = None) -> None:
-        """The delivery was in vain, or does not count (`ended` None). After the last that is allowed the item leaves,
-        and with it its other leases."""
+        """End a delivery that failed, or that does not count (`ended` None).
+
+        After the last allowed delivery the message leaves, and its other leases end.
+        """
         item = lease.item
         self._end(lease)
         if lease.number:
@@ -233,7 +242,7 @@ class Leasing:
     def _stale(self, delivery_id: int) -> LeaseExpired:
         return LeaseExpired(
             f"delivery {delivery_id} of {self._queue} is not leased to this taker now: its lease has ended, or "
-            "it was settled; the item may have gone to another taker: settle sooner, extend, or lease for longer"
+            "it was settled; the message may have gone to another taker: settle sooner, extend, or lease for longer"
         )
 
 

@@ -1,4 +1,4 @@
-"""How a queue is set up, with its defaults filled in and checked (paper, section 3.5). Pure."""
+"""The set-up of a queue, checked and with its defaults filled in (paper, section 3.5). Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stampede_rt.values.queueing import QueuePolicy
 
 BLOCK, REJECT, DROP_OLDEST = "block", "reject", "drop_oldest"
 ITEM_OVERHEAD_BYTES = 64
-"""The bytes that an item is charged against max_bytes beside its payload."""
+"""The bytes that a message counts against max_bytes beside its payload."""
 ITEM_BYTES_MAX = 16 * 2**20
 _NUMBERS = ("max_items", "max_bytes", "max_item_bytes", "copies", "lease_nanos", "max_deliveries")
 LEASE_NANOS_MAX = 3_600_000_000_000
@@ -19,8 +19,10 @@ LEASE_NANOS_MAX = 3_600_000_000_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueLimits:
-    """The limits that a queue keeps to. None: no such limit. Raises InvalidArgument, naming the value and what it may
-    be."""
+    """The limits of a queue.
+
+    None: no such limit. Raises InvalidArgument, which names the value and its allowed range.
+    """
 
     max_items: int | None = None
     max_bytes: int = 256 * 2**20
@@ -30,11 +32,11 @@ class QueueLimits:
     lease_nanos: int = 30_000_000_000
     max_deliveries: int | None = None
     dead_letters: bool = False
-    """Items that reach max_deliveries wait for being moved; else they are expelled."""
+    """Messages that reach max_deliveries wait for their move to the dead-letter queue; else they are expelled."""
 
     @classmethod
     def of(cls, policy: QueuePolicy) -> QueueLimits:
-        """The policy with the defaults of what was never stated. Raises InvalidArgument."""
+        """The policy with defaults for all values that it does not state. Raises InvalidArgument."""
         values: dict[str, Any] = {name: getattr(policy, name) for name in _NUMBERS}
         stated = {name: value for name, value in values.items() if value is not None}
         return cls(on_full=policy.on_full or BLOCK, dead_letters=policy.dead_letter_queue_id is not None, **stated)
@@ -51,5 +53,5 @@ class QueueLimits:
 
     @property
     def payload_bytes_max(self) -> int:
-        """The greatest payload that fits at all; below 0 if none does."""
+        """The greatest payload that the queue accepts; below 0 if it accepts none."""
         return min(self.max_item_bytes, self.max_bytes - ITEM_OVERHEAD_BYTES)

@@ -1,6 +1,6 @@
-"""Which messages were put lately under an id of their own, so that a second put of the same id is not held again.
+"""The message ids of the latest messages, so that a second message of the same id is not stored. Pure.
 
-Pure. What is known is bounded in time and in bytes; the oldest is forgotten first.
+The memory is bounded in time and in bytes. The oldest ids are forgotten first.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 KEPT_NANOS = 600_000_000_000
 OVERHEAD_BYTES = 192
-"""The bytes, about, that an id takes beside its characters."""
+"""The approximate bytes that an id takes beside its characters."""
 KNOWN_BYTES_MAX = 16 * 2**20
-"""Of one queue: about 70,000 ids of 36 characters."""
+"""The bound of one queue: about 70,000 ids of 36 characters."""
 
 
 class KnownMessage(NamedTuple):
-    """A message that was accepted under an id: its seq, and when."""
+    """An accepted message with an id: its seq, and the time."""
 
     message_id: str
     seq: int
@@ -25,10 +25,10 @@ class KnownMessage(NamedTuple):
 
 
 class MessageIds:
-    """Of the last 10 minutes. `now` never runs backwards."""
+    """The ids of the last 10 minutes. `now` never goes back."""
 
     def __init__(self) -> None:
-        self._known: OrderedDict[str, KnownMessage] = OrderedDict()  # in the order of their acceptance
+        self._known: OrderedDict[str, KnownMessage] = OrderedDict()  # in the order of acceptance
         self.footprint_bytes = 0
 
     def find(self, message_id: str, now: int) -> int | None:
@@ -37,7 +37,7 @@ class MessageIds:
         return known.seq if known is not None and known.time > now - KEPT_NANOS else None
 
     def record(self, message_id: str, seq: int, now: int) -> None:
-        """The message was accepted. Its id is not known, or was forgotten by now."""
+        """Note an accepted message. Its id must not be known."""
         if message_id in self._known:
             self._forget(message_id)
         self._known[message_id] = KnownMessage(message_id, seq, now)
@@ -46,7 +46,7 @@ class MessageIds:
             self._forget(next(iter(self._known)))
 
     def forget_one(self, now: int) -> bool:
-        """Forget an id that was accepted too long ago; False if there is none."""
+        """Forget one id that was accepted too long ago. Returns False if there is none."""
         due = self.next_deadline()
         if due is None or due > now:
             return False
@@ -54,7 +54,7 @@ class MessageIds:
         return True
 
     def next_deadline(self) -> int | None:
-        """When the oldest is to be forgotten."""
+        """The time at which the oldest id is to be forgotten."""
         return next(iter(self._known.values())).time + KEPT_NANOS if self._known else None
 
     def all(self, now: int) -> Iterator[KnownMessage]:

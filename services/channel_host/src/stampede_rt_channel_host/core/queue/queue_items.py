@@ -1,7 +1,7 @@
-"""The items of a queue: fresh ones, which nobody was given yet, in order, and touched ones, by what may be done with
-them.
+"""The messages of a queue.
 
-Pure. Every operation is O(log n), amortised.
+Fresh messages were never delivered, and stand in order. Touched messages are sorted by what may be done with them.
+Pure. Every operation is amortised O(log n).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, Queu
 
 @dataclass(slots=True)
 class QueueTally:
-    """Counts of items and deliveries until now; see QueueCounters."""
+    """Counts of messages and deliveries so far; see QueueCounters."""
 
     accepted: int = 0
     accepted_bytes: int = 0
@@ -40,10 +40,10 @@ class QueueTally:
 
 
 class QueueItems:
-    """The held items. Seqs start at 1; all touched items are older than all fresh ones.
+    """The held messages. Seqs start at 1. All touched messages are older than all fresh ones.
 
-    `touched` is in the order of seqs. `leased` counts items with a lease, `stored_bytes` whole runs of which an item is
-    held. `leaving` are those that wait for being moved to the dead-letter queue.
+    `touched` is in the order of seqs. `leased` counts messages with a lease. `stored_bytes` counts whole runs with a
+    held message. `leaving` are the messages that wait for their move to the dead-letter queue.
     """
 
     def __init__(self, limits: QueueLimits) -> None:
@@ -57,25 +57,25 @@ class QueueItems:
         self.delays: Deadlines[TouchedItem] = Deadlines()
         self.returns_logged = 0
         self._fresh: deque[QueuedRun] = deque()
-        self._fresh_position = 0  # of the first fresh item in the first fresh run
-        self._available: Any = SortedList()  # seqs of touched items that some taker may be given
-        self._unleased: Any = SortedList()  # seqs of touched items that nobody has
-        self._returns: Any = SortedDict()  # number of the latest return -> seq, of available items; with copies only
+        self._fresh_position = 0  # of the first fresh message in the first fresh run
+        self._available: Any = SortedList()  # seqs of touched messages that some taker may get
+        self._unleased: Any = SortedList()  # seqs of touched messages without a lease
+        self._returns: Any = SortedDict()  # number of the latest return -> seq, of available messages; only with copies
 
     def has_room(self, length: int) -> bool:
-        """One more item of so many payload bytes keeps the limits."""
+        """Whether one more message of `length` payload bytes stays within the limits."""
         limits = self.limits
         if limits.max_items is not None and self.items >= limits.max_items:
             return False
         return self.payload_bytes + length + (self.items + 1) * ITEM_OVERHEAD_BYTES <= limits.max_bytes
 
     def add(self, run: QueuedRun, length: int) -> None:
-        """Take one more item into a run, which is the last one and has no body yet."""
+        """Add one more message to a run, which must be the last one and have no body yet."""
         run.lengths.append(length)  # type: ignore[attr-defined]  # a list until it is sealed
         run.held += 1
         if not self._fresh or self._fresh[-1] is not run:
             if not self._fresh:
-                self._fresh_position = len(run.lengths) - 1  # older items of it were dropped to make room
+                self._fresh_position = len(run.lengths) - 1  # older messages of the run were dropped to make room
             self._fresh.append(run)
         self._count_in(length)
 
@@ -88,7 +88,7 @@ class QueueItems:
         self.tally.accepted_bytes += length
 
     def put_back(self, run: QueuedRun, position: int, *, is_fresh: bool) -> None:
-        """An item that another host held goes on here. Items come in the order of seqs, the touched ones first."""
+        """Enter a message that another host held. Messages must come in the order of seqs, touched ones first."""
         if not run.held:
             self.stored_bytes += len(run.body)
         run.held += 1
@@ -105,14 +105,14 @@ class QueueItems:
             self._fresh.append(run)
 
     def seal(self, run: QueuedRun, body: bytes) -> None:
-        """The run is complete."""
+        """Note that the run is complete."""
         run.lengths = tuple(run.lengths)
         run.body = body
         if run.held:
             self.stored_bytes += len(body)
 
     def drop_oldest(self) -> bool:
-        """Remove the oldest item that nobody has; False if there is none."""
+        """Remove the oldest message without a lease. Returns False if there is none."""
         if self._unleased:
             self.remove(self.touched[self._unleased[0]])
         elif (run := self.fresh_run()) is not None:
@@ -126,7 +126,7 @@ class QueueItems:
         return True
 
     def fresh_run(self) -> QueuedRun | None:
-        """The run of the first item that nobody was given yet; None if all were."""
+        """The run of the first message that was never delivered; None if all were."""
         while self._fresh and self._fresh_position >= len(self._fresh[0].lengths):
             self._fresh.popleft()
             self._fresh_position = 0
@@ -134,11 +134,11 @@ class QueueItems:
 
     @property
     def fresh_position(self) -> int:
-        """Where the first fresh item is in `fresh_run()`."""
+        """The position of the first fresh message in `fresh_run()`."""
         return self._fresh_position
 
     def touch_fresh(self) -> TouchedItem:
-        """The first fresh item, which somebody is given now. There must be one."""
+        """Turn the first fresh message into a touched one, for its first delivery. There must be a fresh message."""
         run = self.fresh_run()
         assert run is not None, "the caller has looked"
         item = TouchedItem(run, self._fresh_position)
@@ -148,7 +148,7 @@ class QueueItems:
         return item
 
     def fresh(self) -> Iterator[tuple[QueuedRun, int]]:
-        """The fresh runs, each with the position of its first fresh item."""
+        """The fresh runs, each with the position of its first fresh message."""
         if self.fresh_run() is not None:
             position = self._fresh_position
             for run in self._fresh:
@@ -157,11 +157,11 @@ class QueueItems:
 
     @property
     def available_items(self) -> int:
-        """Items that some taker may be given."""
+        """The number of messages that some taker may get."""
         return self.fresh_items + len(self._available)
 
     def first_available(self, from_seq: int = 0) -> TouchedItem | None:
-        """The oldest touched item from `from_seq` on that some taker may be given."""
+        """The oldest touched message from `from_seq` on that some taker may get."""
         if not self._available:
             return None
         for seq in self._available.irange(minimum=from_seq):
@@ -169,17 +169,17 @@ class QueueItems:
         return None
 
     def returned_since(self, number: int) -> Iterator[TouchedItem]:
-        """The available items that came back after so many returns were logged, in the order of their coming back."""
+        """The available messages whose return has a higher number than `number`, in the order of their returns."""
         for later in self._returns.irange(minimum=number, inclusive=(False, True)):
             yield self.touched[self._returns[later]]
 
     @property
     def latest_return(self) -> int:
-        """The number of the latest return of an item that is still available; 0: there is none."""
+        """The number of the latest return of a message that is still available; 0: there is none."""
         return self._returns.peekitem(-1)[0] if self._returns else 0
 
     def log_return(self, item: TouchedItem) -> None:
-        """A copy came back: takers that passed the item by look at it again."""
+        """Note that a copy came back: takers that passed the message by look at it again."""
         if self.limits.copies > 1 and item.is_available:
             self._returns.pop(item.return_number, None)
             self.returns_logged += 1
@@ -187,7 +187,7 @@ class QueueItems:
             self._returns[self.returns_logged] = item.seq
 
     def refresh(self, item: TouchedItem) -> None:
-        """Enter the item where it belongs, after something about it changed."""
+        """Enter the message at its places after a change."""
         available = not item.is_leaving and item.due is None and item.free_copies(self.limits.copies) > 0
         unleased = not item.is_leaving and not item.leases
         if available != item.is_available:
@@ -200,14 +200,14 @@ class QueueItems:
             (self._unleased.add if unleased else self._unleased.remove)(item.seq)
 
     def set_leaving(self, item: TouchedItem) -> None:
-        """It waits for being moved to the dead-letter queue; no taker is given it any more."""
+        """Mark a message that waits for its move to the dead-letter queue. No taker gets it any more."""
         item.is_leaving = True
         self.delays.disarm(item)
         self.leaving[item.seq] = item
         self.refresh(item)
 
     def remove(self, item: TouchedItem) -> None:
-        """It leaves the queue. It has no lease any more."""
+        """Remove a message, which must have no lease."""
         assert not item.leases, "its leases have ended"
         del self.touched[item.seq]
         self.leaving.pop(item.seq, None)
@@ -228,7 +228,7 @@ class QueueItems:
 
     @property
     def oldest_accepted_at(self) -> int | None:
-        """When the oldest held item was accepted."""
+        """The time at which the oldest held message was accepted."""
         if self.touched:
             return next(iter(self.touched.values())).run.accepted_at
         run = self.fresh_run()

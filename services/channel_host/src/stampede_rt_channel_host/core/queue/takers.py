@@ -1,4 +1,4 @@
-"""One who takes from a queue, as the queue knows it. Pure."""
+"""A taker, as its queue sees it. Pure."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from stampede_rt_channel_host.core.queue.values import Batch
 
 
 class TakerState:
-    """One stream that takes. `credit` is what it may still be sent; it waits whenever that is left and it is not busy.
+    """One stream of a taker. `credit` is the number of messages it may still get.
 
-    `lease_nanos` None: the queue's. `name` is for people. `unsent` was dealt to it, and nobody has begun to send it.
-    `heard_at`: when it last said something. `is_silent`: it is not dealt anything before it says something.
+    It waits whenever it has credit and is not busy. `lease_nanos` None: the queue's lease. `name` is for people.
+    `unsent`: deliveries that were dealt to it and are not being sent yet. `heard_at`: the time of its last request.
+    `is_silent`: it gets nothing before its next request.
     """
 
     __slots__ = ("credit", "heard_at", "is_busy", "is_silent", "lease_nanos", "name", "taker_id", "unsent")
@@ -20,6 +21,6 @@ class TakerState:
         self.name = name
         self.credit = 0
         self.heard_at = 0
-        self.is_busy = False  # from being dealt a batch until that is sent
+        self.is_busy = False  # from the dealing of a batch until it is sent
         self.is_silent = False
         self.unsent: Batch | None = None

@@ -1,4 +1,4 @@
-"""The values that callers give a queue and get back from it (paper, section 3.5). Pure.
+"""The arguments and results of a queue's methods (paper, section 3.5). Pure.
 
 Instants are int nanoseconds of the host's clock, durations int nanoseconds, sizes bytes.
 """
@@ -14,14 +14,17 @@ from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun
 
 
 class SealRun(Protocol):
-    """Makes the bytes of accepted items, which are about to be stored. Must not raise."""
+    """Makes the stored bytes of accepted messages. Must not raise."""
 
     def __call__(self, first_seq: int, positions: Sequence[int], stamped_time: int | None) -> bytes:
-        """`positions`: of the accepted items in their run; `stamped_time`: set if the run came without times."""
+        """The bytes.
+
+        `positions`: those of the accepted messages in their run. `stamped_time`: set if the run had no times.
+        """
 
 
 class LeasedSlice(NamedTuple):
-    """Items of a run from position `lo` up to, not including, `hi`, each with its delivery id and number."""
+    """The messages of a run from position `lo` up to `hi`, exclusive, each with its delivery id and number."""
 
     run: QueuedRun
     lo: int
@@ -31,27 +34,27 @@ class LeasedSlice(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """The items that one taker is given at one moment. The leases hold until `expires`."""
+    """The messages that one taker gets at one moment. The leases hold until `expires`."""
 
     slices: Sequence[LeasedSlice]
     expires: int
 
     @property
     def items(self) -> int:
-        """How many deliveries it is."""
+        """The number of deliveries."""
         return sum(one.hi - one.lo for one in self.slices)
 
 
 @dataclass(frozen=True, slots=True)
 class Acknowledge:
-    """The item is used up for its taker."""
+    """The taker is done with the message."""
 
 
 @dataclass(frozen=True, slots=True)
 class GiveBack:
-    """The item goes back to its position in the queue, and is not delivered again for `delay_nanos`, 0 or more.
+    """The message returns to its place in the queue, and is not delivered again for `delay_nanos`, 0 or more.
 
-    `uncounted`: nobody was handed the item, so that the delivery does not count towards max_deliveries.
+    `uncounted`: the taker handed the message to nobody, so the delivery does not count towards max_deliveries.
     """
 
     delay_nanos: int = 0
@@ -60,14 +63,14 @@ class GiveBack:
 
 @dataclass(frozen=True, slots=True)
 class Extend:
-    """The lease lasts `lease_nanos` from now on, which is more than 0."""
+    """The lease lasts `lease_nanos` from now on; more than 0."""
 
     lease_nanos: int
 
 
 @dataclass(frozen=True, slots=True)
 class Terminate:
-    """The item is given up for good, for all takers, and leaves the queue. `reason` is for people."""
+    """The message is given up for all takers, and leaves the queue. `reason` is for people."""
 
     reason: str = ""
 
@@ -76,14 +79,14 @@ AccessRuling = Acknowledge | GiveBack | Extend | Terminate
 
 
 class Settlement(NamedTuple):
-    """The verdict of a taker on a delivery."""
+    """A taker's settlement of a delivery."""
 
     delivery_id: int
     verdict: AccessRuling
 
 
 class SettlementResult(NamedTuple):
-    """The outcome of a settlement; `error` None: it is done. `lease_nanos`: the new length, of an Extend."""
+    """The outcome of a settlement. `error` None: it succeeded. `lease_nanos`: the new length, for an Extend."""
 
     delivery_id: int
     error: StampedeError | None = None
@@ -91,7 +94,7 @@ class SettlementResult(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """The item at `position` of `run`, on its way to the dead-letter queue. `last`: the last delivery in vain."""
+    """The message at `position` of `run`, on its way to the dead-letter queue. `last`: its last failed delivery."""
 
     seq: int
     run: QueuedRun
@@ -100,7 +103,7 @@ class Departure(NamedTuple):
 
 
 class PendingDelivery(NamedTuple):
-    """An item in the hands of a taker: `number` says which delivery of it that is, from 1."""
+    """A message that a taker has. `number` counts the deliveries of its copy, from 1."""
 
     delivery_id: int
     seq: int
@@ -113,7 +116,7 @@ class PendingDelivery(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueCounters:
-    """Items by what became of them: `accepted == held + consumed + dropped + dead_lettered + expelled`, always."""
+    """Messages by their fate: always `accepted == held + consumed + dropped + dead_lettered + expelled`."""
 
     accepted: int = 0
     held: int = 0
