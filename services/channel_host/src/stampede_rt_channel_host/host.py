@@ -1,6 +1,6 @@
-"""A channel host as a whole: its server, its channels, its registration at the directory.
+"""A whole channel host: its server, its channels, its registration at the directory.
 
-It runs as a service of its own, or inside another process on the event loop of that process.
+It runs as a service of its own, or inside another process on that process's event loop.
 """
 
 from __future__ import annotations
@@ -43,17 +43,16 @@ from stampede_rt_runtime.overload import RefusedCalls
 
 logger = logging.getLogger(__name__)
 
-CHANNELS_TOLD_MAX = QUEUES_TOLD_MAX = 1000  # how many a registration's answer names
+CHANNELS_TOLD_MAX = QUEUES_TOLD_MAX = 1000  # the most that the answer to a registration names
 
 
 class ChannelHost:
-    """Order of use, on one event loop: make, `add_to` a server, `enter` once that listens, `leave`.
+    """Order of use, on one event loop: make it, `add_to` a server, `enter` once that server listens, `leave`.
 
-    `dial` opens connections for that loop; `dial_for_lease` opens those of the lease, which has a thread of its own.
-    `access` judges the callers of the server that the host is added to; it is told here what the directory holds.
-    `refused_calls` are those of the same server.
-    `on_serving` hears whether the host may serve, each time that changes; `on_defect` that a task of the host died,
-    which must end the host.
+    `dial` opens connections for that loop. `dial_for_lease` opens those of the lease, which has a thread of its own.
+    `access` judges the callers of the same server; the host gives it the directory's rules. `refused_calls` counts the
+    refused calls of that server. `on_serving` is called whenever the host starts or stops serving. `on_defect` is
+    called if a task of the host dies, which must end the host.
     """
 
     def __init__(
@@ -102,7 +101,7 @@ class ChannelHost:
         self._entering: asyncio.Future[None] | None = None
 
     def _make_registration(self, supernodes: Supernodes, clock: HostClock, serving: ServingLoop) -> Registration:
-        """Work on channels is done on the loop that serves them, in the order in which the lease changed."""
+        """The registration. It performs work on channels on their loop, in the order in which the lease changed."""
 
         async def registered(response: directory_service_pb2.RegisterHostResponse) -> None:
             await serving.run(lambda: self._registered(response))
@@ -120,7 +119,7 @@ class ChannelHost:
     def _make_queues(
         self, memory: MemoryBudget, on_defect: Callable[[BaseException], None]
     ) -> tuple[QueueStore, DeadLetterMover]:
-        """The queues, and who takes what leaves them to their dead-letter queues: each asks the other."""
+        """The queues, and the mover of their dead letters. Each of the two needs the other."""
         directory = QueueDirectory(self._supernodes)
         queues = QueueStore(
             self.identity,
@@ -135,21 +134,21 @@ class ChannelHost:
         return queues, mover
 
     def add_to(self, server: grpc.aio.Server) -> None:
-        """Serve gatekeeper and data on `server`."""
+        """Serve the gatekeeper and the data services on `server`."""
         gatekeeper_service_pb2_grpc.add_GatekeeperServiceServicer_to_server(self._gatekeeper, server)
         ChannelServicer(self.store, GroupReads(self.groups), self._streams).add_to(server)
         GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
 
     async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
-        """Register as reachable at `target`, and keep the lease from then on.
+        """Register the host under the address `target`, and keep the lease from then on.
 
-        Blocks until the directory knows the host; raises its refusal, or what went wrong last after `timeout_s`.
+        Waits until the directory knows the host. Raises the directory's refusal, or after `timeout_s` the last failure.
         """
         self._gatekeeper.target = target
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
-        self._supernodes.learn(self._known_by_lease())  # the front-ends may be gone before anything else is asked
+        self._supernodes.learn(self._known_by_lease())  # the front-ends may be gone before the next request needs them
         self._start(self._lease.keep(), "lease")
         self._start(self.store.sweep.run_forever(), "sweep")
         self._start(self.groups.keep(), "groups")
@@ -163,7 +162,7 @@ class ChannelHost:
         self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")
 
     async def leave(self) -> None:
-        """Deregister, then tell whoever waits and all streams that the host goes. Ends an `enter` under way."""
+        """Deregister the host. Then end all waits and streams. Ends a running `enter`."""
         for task in self._tasks:
             task.cancel()
         if self._entering is not None and not self._entering.done():

@@ -1,4 +1,4 @@
-"""One group as a host serves it: the directory's record, the cut, and whoever waits for it or listens to it."""
+"""One group at a host: the directory's record, the cut, its waiting callers and its readers."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ from stampede_rt_channel_host.core.channel.limits import DEFAULT_MAX_FUTURE_NANO
 from stampede_rt_channel_host.core.group import CutFloor, CutMember, GroupCut, Horizon, TimesBoard
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
 
-NOTHING_VISIBLE = MIN_INSTANT  # stands on the wire for the cut of a group that has none yet
+NOTHING_VISIBLE = MIN_INSTANT  # the wire value for a group that has no cut yet
 _TIMER_SECONDS_MIN = 0.001
 _arrivals = itertools.count()
 
 
 class HostedGroup:
-    """`record` is the directory's, as last told; `owners` gives each member's host, `targets` where such hosts listen.
+    """One group at this host.
 
-    `unheard`: live hosts of members that have not told how far the cut was; until they have, nothing is shown.
-    `listeners` and `gets` are woken when the group shows more or is arranged anew, `watchers` by all news of a member.
-    `arrangement` grows whenever members, their hosts, or what this host serves of them may have changed.
+    `record` is the latest record from the directory. `owners` gives each member's host, `targets` the addresses of the
+    live ones. `unheard`: live hosts of members that have not told their cut. Until they have, the group shows nothing.
+    The group wakes `listeners` and `gets` when it shows more or when members or owners change. It wakes `watchers` at
+    all news of a member. `arrangement` grows whenever members, their hosts, or the members served here may have
+    changed.
     """
 
     def __init__(
@@ -41,20 +43,25 @@ class HostedGroup:
         on_idle: Callable[[bytes], None],
         begin: Callable[[Pieces[None]], None],
     ) -> None:
-        """`on_moved` hears whenever the cut has moved, `on_idle` of each member of this host that falls idle; `begin`
-        does long work that nobody waits for (`PieceScheduler.begin`)."""
+        """Set up the group.
+
+        The group calls `on_moved` whenever the cut has moved, and `on_idle` with each member of this host that becomes
+        idle. `begin` does long work that nobody waits for (`PieceScheduler.begin`).
+        """
         self.cut = GroupCut(told.group.definition, board)
         self.listeners = Observers(begin)
         self.watchers = Observers(begin)
-        self.gets: dict[object, ChannelObserver] = {}  # by channel, whoever has blocked gets of it
-        self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))  # floors that are waited for, with their futures
+        self.gets: dict[object, ChannelObserver] = {}  # by channel: the object with the blocked gets of that channel
+        # the floors that callers wait for, with their futures
+        self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))
         self._is_releasing = False
         self._begin = begin
         self.unheard: set[bytes] = set()
         self.arrangement = 0
-        self.looked_up_s = 0.0  # on the loop's clock: when the directory was asked last, and when somebody named it
+        # loop time of the last question to the directory, and of the last request that named the group
+        self.looked_up_s = 0.0
         self.named_s = 0.0
-        self.is_stale = False  # the directory has, or may have, something else by now
+        self.is_stale = False  # the directory has, or may have, another version by now
         self._now = now
         self._on_moved = on_moved
         self._on_idle = on_idle
@@ -63,7 +70,10 @@ class HostedGroup:
         self.adopt(told)
 
     def adopt(self, told: ResolvedGroup) -> bool:
-        """The directory says how the group is now; True if it began anew, so that its readers must, too."""
+        """Take over the directory's record.
+
+        Returns True if the group began anew, so that its readers must begin anew, too.
+        """
         anew = told.group.incarnation != self.cut.definition.incarnation
         self.record: RecordedGroup = told.group
         self.owners: dict[bytes, bytes] = {one: record.host_id for one, record in told.channels.items()}
@@ -78,15 +88,15 @@ class HostedGroup:
         return anew
 
     def check_incarnation(self, incarnation: int) -> None:
-        """Raises IncarnationLost if the group began anew since then: of many readers some are ended a moment later."""
+        """Raises IncarnationLost if the group began anew since. Of many readers, some are ended a moment after that."""
         if self.record.incarnation != incarnation:
             raise began_anew(self.record)
 
     def merge_floor(self, host_id: bytes, floor: CutFloor) -> bool:
-        """Take in another host's floor, if it can be true; True if it is further.
+        """Take in another host's floor, if it is plausible. Returns True if it is higher.
 
-        It can be if the host owns a member, and items can be so far by now: a member takes items and advances up to its
-        `max_future` ahead of its host's clock, and a cut lies at most `max_lead` beyond them.
+        A floor is plausible if the host owns a member and items can have that time by now. A member accepts items and
+        advances up to its `max_future` ahead of its host's clock. A cut lies at most `max_lead` after them.
         """
         if host_id not in self._owner_ids or floor.incarnation != self.record.incarnation:
             return False
@@ -95,13 +105,13 @@ class HostedGroup:
         return self.cut.merge_floor(floor.cut)
 
     def horizon(self, cut: int | None = None) -> Horizon:
-        """Up to where the group can be seen now; or up to an earlier `cut`."""
+        """The present horizon of the group, or the one at an earlier `cut`."""
         if cut == NOTHING_VISIBLE:
             return Horizon(None, self.held_by)
         return Horizon(self.cut.cut if cut is None else cut, self.held_by)
 
     def held_by(self) -> str:
-        """The members or hosts that hold the cut back, in a few words."""
+        """The members or hosts that hold the cut back, as a phrase for error texts."""
         if not self.cut.is_confirmed:
             hosts = ", ".join(sorted(self.host_names.get(one, one.hex()) for one in self.unheard)) or "the directory"
             return f"until {hosts} has told how far it was"
@@ -109,12 +119,12 @@ class HostedGroup:
         return f"held back by {', '.join(names)}" if names else "where its members have not come again yet"
 
     def waiting_on(self) -> list[bytes]:
-        """The members that hold the cut back; while hosts have yet to tell how far it was, those that are there."""
+        """The members that hold the cut back. While hosts have not told their cuts, the members at those hosts."""
         untold = sorted(channel_id for channel_id, host_id in self.owners.items() if host_id in self.unheard)
         return untold if untold and not self.cut.is_confirmed else self.cut.waiting_on(self._now())
 
     def ownerless(self) -> list[bytes]:
-        """Members whose host has lost its lease: until they have another one, nothing can be put there."""
+        """The members whose host has lost its lease. Nobody can put there until they have another host."""
         return [channel_id for channel_id, host_id in self.owners.items() if host_id not in self.targets]
 
     def name_of(self, channel_id: bytes) -> str:
@@ -122,11 +132,11 @@ class HostedGroup:
         return self.channels[channel_id].name if channel_id in self.channels else channel_id.hex()
 
     def members(self) -> list[CutMember]:
-        """All members as of now."""
+        """The present state of all members."""
         return list(self.cut.members(self._now()))
 
     def changed(self) -> None:
-        """A member or what is known of it has changed: look at the cut and wake those whom that may concern."""
+        """Refresh the cut after a change of a member or of its times, and wake the observers concerned."""
         if self.cut.refresh(self._now()):
             self._on_moved(self.record.group_id)
         shown = self.cut.cut, self.cut.is_confirmed, self.arrangement
@@ -140,12 +150,14 @@ class HostedGroup:
         self._arm()
 
     def end(self, error: StampedeError) -> None:
-        """End the waits of the group's callers and the streams of its readers with `error`. With many, the last end a
-        moment later."""
+        """End the waits of the group's callers and the streams of its readers with `error`.
+
+        If there are many, the last ones end a moment later.
+        """
         self._begin(self.ending(error))
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """The same in pieces: those that are there when it begins."""
+        """As `end`, in pieces, for the callers and readers that are there when it begins."""
         if self._idle_timer is not None:
             self._idle_timer.cancel()
         for gets in [*self.gets.values()]:
@@ -161,9 +173,9 @@ class HostedGroup:
                     reached.set_exception(error)
 
     async def reach(self, floor: int | None, timeout_s: float | None) -> bool:
-        """Block until the group's cut is confirmed and has come to `floor`. Returns False after `timeout_s`, if given.
+        """Wait until the group's cut is confirmed and has reached `floor`. Returns False after `timeout_s`, if given.
 
-        Raises what ends the group.
+        Raises the error that ends the group.
         """
         if self.has_reached(floor):
             return True
@@ -192,7 +204,7 @@ class HostedGroup:
             self._is_releasing = False
 
     def _release_some(self) -> bool:
-        """True if there may be others."""
+        """Wake some callers. Returns True if others may be left."""
         for _ in range(OBSERVERS_PER_PIECE):
             if not self._reaching or not self.has_reached(self._reaching[0][0]):
                 return False
@@ -202,12 +214,12 @@ class HostedGroup:
         return True
 
     def has_reached(self, floor: int | None) -> bool:
-        """The group's cut is confirmed and its cut is at or past `floor`."""
+        """Whether the group's cut is confirmed and at or beyond `floor`."""
         cut = self.cut.cut
         return self.cut.is_confirmed and (floor in (None, NOTHING_VISIBLE) or (cut is not None and cut >= floor))
 
     def floor(self) -> CutFloor | None:
-        """The floor of this host, as it tells others."""
+        """The floor of this host, as other hosts get it; None: there is no cut."""
         cut = self.cut.cut
         if cut is None:
             return None
@@ -219,7 +231,7 @@ class HostedGroup:
         )
 
     def _arm(self) -> None:
-        """Look again when a member falls idle, though nothing is put."""
+        """Set the timer for the next member that becomes idle, which moves the cut without a put."""
         if self._idle_timer is not None:
             self._idle_timer.cancel()
             self._idle_timer = None
@@ -247,6 +259,6 @@ def began_anew(record: RecordedGroup) -> StampedeError:
 
 
 def _future_nanos(channel: RecordedChannel) -> int:
-    """How far ahead of its host's clock the channel takes items."""
+    """How far ahead of its host's clock the channel accepts items, in nanoseconds."""
     stated = channel.policy.max_future_nanos
     return DEFAULT_MAX_FUTURE_NANOS if stated is None else stated

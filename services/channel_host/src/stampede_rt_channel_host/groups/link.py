@@ -1,8 +1,7 @@
-"""One stream between two hosts that share a group: how far channels are, and cuts have come (paper, section 4.1).
+"""One stream between two hosts that share a group: the times of channels, and the cuts (paper, section 4.1).
 
-Both sides do the same. What has changed is gathered while a message is being written, and for PACE_SECONDS after it;
-only the latest of it is sent. So what is new after a silence goes at once, and busy channels cost a bounded number of
-messages.
+Both sides do the same. Changes are collected while a message is being written, and for PACE_SECONDS after it. Only the
+latest state is sent. So a change after a silence is sent at once, and busy channels cost a bounded number of messages.
 """
 
 from __future__ import annotations
@@ -27,32 +26,32 @@ INTEREST_MAX = 4096
 
 
 class Knowledge(Protocol):
-    """The source of the messages of a link, and the receiver of the other side's."""
+    """The source of a link's messages, and the receiver of the other host's messages."""
 
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
-        """How far a channel of this host is; None if it is none of it."""
+        """The times of a channel of this host; None if this host does not own it."""
 
     def floor_of(self, group_id: bytes) -> CutFloor | None:
-        """How far the group's cut has come here; None: nothing is visible, or the group is not known."""
+        """The group's cut at this host; None: no item is visible, or the host does not know the group."""
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
-        """The other host has told this. An `is_first` update is the last of those that bring all that it knows."""
+        """Take in an update of the other host. An `is_first` update is the last of those with its whole state."""
 
     def name_of_host(self, host_id: bytes) -> str:
         """The name that the directory has for a host of a group known here; empty for any other host."""
 
     def greeted(self, link: HostLink) -> None:
-        """The other host has said who it is."""
+        """The other host has sent its id."""
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
-        """The other host wants to hear of these channels, which it believes to be this one's."""
+        """The other host wants to hear of these channels, which it believes to be at this host."""
 
     def check_lease(self) -> None:
-        """Raises HostNotFound if this host may not speak for its channels."""
+        """Raises HostNotFound if this host may not report on its channels."""
 
 
 class HostLink:
-    """`write` and `read` are those of either side's call; `message` is what this side sends."""
+    """`write` and `read` belong to either side's call. `message` makes the messages that this side sends."""
 
     def __init__(
         self,
@@ -65,21 +64,24 @@ class HostLink:
         certified_name: str = "",
     ) -> None:
         """`certified_name` is the one in the caller's certificate; empty if there is none, or this side has called."""
-        self.host_id = b""  # the other one, once it has greeted
+        self.host_id = b""  # of the other host, once it has sent its hello
         self._identity = identity
         self._cluster_id = cluster_id
         self._knowledge = knowledge
         self._message, self._write, self._read = message, write, read
         self._certified_name = certified_name
-        self._told = False  # all that the other side knew has come
-        self._wanted: set[bytes] = set()  # channels of this host that the other one wants to hear of
+        self._told = False  # whether the other side has told its whole state
+        self._wanted: set[bytes] = set()  # channels of this host that the other host wants to hear of
         self._times: dict[bytes, None] = {}
         self._floors: dict[bytes, None] = {}
         self._interest: list[bytes] | None = None
         self._news = asyncio.Event()
 
     async def run(self, peer: bytes | None = None) -> None:
-        """Until the other side ends it or falls silent; `peer` is who it must be. Raises what breaks it."""
+        """Serve until the other side ends the stream or is silent too long.
+
+        `peer` is the id that the other host must have. Raises the error that broke the stream.
+        """
         hello = pb.ExchangeHello(
             cluster_id=self._cluster_id,
             host_id=self._identity.host_id,
@@ -95,18 +97,18 @@ class HostLink:
             writing.cancel()
 
     def want(self, channel_ids: Iterable[bytes]) -> None:
-        """Of these channels of the other host this one wants to hear, and of no others."""
+        """Set the other host's channels of which this host wants to hear."""
         self._interest = sorted(channel_ids)[:INTEREST_MAX]
         self._news.set()
 
     def tell_times(self, channel_id: bytes) -> None:
-        """A channel of this host has changed."""
+        """Tell the other host soon that a channel of this host has changed."""
         if channel_id in self._wanted:
             self._times[channel_id] = None
             self._news.set()
 
     def tell_floor(self, group_id: bytes) -> None:
-        """A cut has come further here, in a group that both hosts have members of."""
+        """Tell the other host soon that a cut has moved here, in a group that both hosts have members of."""
         self._floors[group_id] = None
         self._news.set()
 
@@ -129,7 +131,7 @@ class HostLink:
         self.host_id = hello.host_id
 
     def _check_name(self, host_id: bytes) -> None:
-        """A certificate speaks for the host of its own name alone. Raises PermissionDenied."""
+        """Check that the certificate's name is the name of the host. Raises PermissionDenied."""
         name = self._knowledge.name_of_host(host_id)
         if self._certified_name and name and name != self._certified_name:
             raise PermissionDenied(
@@ -138,13 +140,13 @@ class HostLink:
             )
 
     async def _next(self) -> Any:
-        """The next message; None if the other side has ended."""
+        """The next message; None if the other side has ended the stream."""
         try:
             async with asyncio.timeout(BROKEN_AFTER_SECONDS):
                 message = await self._read()
         except TimeoutError:
             raise Unavailable(f"the other host was silent for {BROKEN_AFTER_SECONDS:g} s") from None
-        return message if hasattr(message, "HasField") else None  # else it is gRPC's EOF
+        return message if hasattr(message, "HasField") else None  # gRPC's EOF has no fields
 
     async def _read_all(self) -> None:
         while (message := await self._next()) is not None:
@@ -156,11 +158,11 @@ class HostLink:
                 self._news.set()
             first = not self._told and len(update.floors) < ENTRIES_MAX
             self._told = self._told or first
-            self._check_name(self.host_id)  # the host may have become known, with its name, since the hello
+            self._check_name(self.host_id)  # the host and its name may have become known since the hello
             self._knowledge.hear(self.host_id, update, is_first=first)
 
     async def _write_all(self) -> None:
-        while True:  # ends with the stream; paced by news and signs of life
+        while True:  # the end of the stream ends it; news and signs of life pace it
             await self._write(self._message(update=self._gather()))
             await asyncio.sleep(PACE_SECONDS)
             if not (self._times or self._floors):
@@ -174,7 +176,7 @@ class HostLink:
             return
 
     def _gather(self) -> pb.TimesUpdate:
-        """The latest of what has changed; an empty update is a sign of life."""
+        """The latest state of all changes. An empty update is a sign of life."""
         self._knowledge.check_lease()
         self._news.clear()
         interest, self._interest = self._interest, None

@@ -1,4 +1,4 @@
-"""One subscription to matches, at the owner of the channel whose items each get one (paper, section 3.3)."""
+"""Serves one subscription to matches, at the owner of the matched channel (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from stampede_rt_runtime.rpc import Context
 
 MATCHES_PER_MESSAGE_MAX = 64
 LOOKS_PER_TURN_MAX = 128
-"""So many looks for a member's nearest item take a millisecond or two; then others have a turn."""
+"""So many looks for a member's nearest item take one or two milliseconds. Then the stream lets others run."""
 
 
 class MatchStream:
@@ -41,11 +41,11 @@ class MatchStream:
         self._writer = EventWriter(context, "match")
         self._waiter = Waiter()
         self._credit = Credit(self._waiter.wake)
-        self._near: dict[bytes, HostedChannel] = {}  # members of this host, the one that is matched among them
+        self._near: dict[bytes, HostedChannel] = {}  # members at this host, the matched channel among them
         self._far: dict[bytes, tuple[FarMember, asyncio.Task[None]]] = {}
 
     async def run(self) -> None:
-        """Until the stream ends, or what the reader lets it send is sent and it has closed its side.
+        """Serve until the stream ends, or until the reader has closed its side and its credit is spent.
 
         Raises InvalidArgument, StaleBinding, GROUP_NOT_FOUND, Unavailable.
         """
@@ -60,7 +60,8 @@ class MatchStream:
             raise InvalidArgument(f"lateness_nanos is {request.lateness_nanos}; it is a time to wait: give 0 or more")
         group = await self._groups.find(request.group_id)
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
-        matched = self._groups.channels.find(request.per_channel_id, request.epoch)  # before it is waited for
+        # checked before the wait below, and found again after it
+        matched = self._groups.channels.find(request.per_channel_id, request.epoch)
         check_access(AccessVerb.READ, AccessKind.CHANNEL, matched.record.name)
         if not await group.reach(None, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
@@ -81,7 +82,7 @@ class MatchStream:
                 following.cancel()
 
     async def _read(self) -> None:
-        """Take in credit."""
+        """Read requests that grant credit."""
         async for request in requests_of(self._context.read):
             if request.HasField("open"):
                 raise InvalidArgument("the stream is open already; leave `open` out after the first request")
@@ -92,7 +93,8 @@ class MatchStream:
         now = self._groups.channels.now()
         matcher = _matcher(hosted, request, now)
         arrangement, incarnation = 0, group.record.incarnation
-        counted: tuple[int, int] | None = None  # no response yet; the first one says that every member is followed
+        # None: no response yet; the first response tells that every member is followed
+        counted: tuple[int, int] | None = None
         while counted is None or not self._credit.is_over:
             if arrangement != group.arrangement:
                 arrangement = group.arrangement
@@ -100,11 +102,11 @@ class MatchStream:
                 matcher.set_tracks(self._arrange(group, member_of(group, hosted), matcher.earliest))
             found = self._take(matcher, group, request)
             if matcher.has_more and not found:
-                await asyncio.sleep(0)  # much to look at: everybody else first
+                await asyncio.sleep(0)  # there is much to look at: let others run first
                 continue
             holds = counted is not None or all(far.is_followed for far, _ in self._far.values())
             news = bool(found) or (holds and counted != (matcher.unmatched, matcher.dropped))
-            wanted = counted is None or self._credit.left > 0  # without credit nothing is taken or said
+            wanted = counted is None or self._credit.left > 0  # without credit the stream takes and sends nothing
             if not (news and (found or wanted)) and (self._writer.silence_left_s > 0 or not wanted):
                 await self._waiter.wait(self._writer.silence_left_s if wanted else None)
                 continue
@@ -143,7 +145,7 @@ class MatchStream:
         return far
 
     def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[FoundMatch]:
-        """Take decided matches for about one message, as credit allows."""
+        """Take decided matches for about one message, within the credit."""
         now, credit = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
 
         def has_passed(channel_id: bytes, instant: int) -> bool:
@@ -156,7 +158,7 @@ class MatchStream:
         return found
 
     def _has_passed(self, group: HostedGroup, channel_id: bytes, instant: int, lateness_nanos: int, now: int) -> bool:
-        """Whether a member has; one that is idle is not waited for."""
+        """Whether a member has passed `instant`. An idle member counts as having passed it."""
         member = group.cut.member(channel_id, now)
         if member.is_idle:
             return True
@@ -184,7 +186,7 @@ class MatchStream:
 
 
 def _check_life(group: HostedGroup, incarnation: int) -> None:
-    """Raises IncarnationLost if the group has begun anew since; 0: not known."""
+    """Raises IncarnationLost if the group has begun anew since `incarnation`; 0: not known."""
     if incarnation not in (0, group.record.incarnation):
         raise IncarnationLost(
             f"the position comes from another incarnation of group {group.record.name}, which began anew after all "

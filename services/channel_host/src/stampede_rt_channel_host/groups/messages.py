@@ -1,4 +1,4 @@
-"""Times of channels and floors of cuts, to and from their protobuf form (`group.proto`)."""
+"""Converts times of channels and floors of cuts from and to protobuf (`group.proto`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from stampede_rt_channel_host.core.group import ChannelTimes, CutFloor
 
 
 def times_to_message(channel_id: bytes, times: ChannelTimes, silent_nanos: int) -> group_pb2.ChannelTimes:
-    """The times of a channel, as its owner tells them."""
+    """The message with a channel's times, as its owner sends it."""
     return group_pb2.ChannelTimes(
         channel_id=channel_id,
         epoch=times.epoch,
@@ -20,7 +20,7 @@ def times_to_message(channel_id: bytes, times: ChannelTimes, silent_nanos: int) 
 
 
 def times_from_message(told: group_pb2.ChannelTimes) -> ChannelTimes:
-    """The times that an owner has told."""
+    """The times in a message of the channel's owner."""
     return ChannelTimes(
         epoch=told.epoch,
         incarnation=told.incarnation,
@@ -31,7 +31,7 @@ def times_from_message(told: group_pb2.ChannelTimes) -> ChannelTimes:
 
 
 def floor_to_message(floor: CutFloor) -> group_pb2.CutFloor:
-    """The floor of a group, as a host tells it."""
+    """The message with a group's floor, as a host sends it."""
     return group_pb2.CutFloor(
         group_id=floor.group_id,
         incarnation=floor.incarnation,
@@ -41,5 +41,5 @@ def floor_to_message(floor: CutFloor) -> group_pb2.CutFloor:
 
 
 def floor_from_message(told: group_pb2.CutFloor) -> CutFloor:
-    """The floor that a host has told."""
+    """The floor in a message of a host."""
     return CutFloor(told.group_id, told.incarnation, told.cut_unix_nano, told.spec_version)

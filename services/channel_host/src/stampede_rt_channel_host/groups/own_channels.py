@@ -1,4 +1,4 @@
-"""The channels of this host that are members of groups: how far they are, told as soon as it changes."""
+"""The channels of this host that are members of groups. Each change of their times goes on the board at once."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from stampede_rt_channel_host.core.group import OwnTimes, TimesBoard
 
 
 class OwnChannel:
-    """Follows one channel as a `ChannelObserver` from the event loop, and enters it on the board.
+    """Follows one channel as a `ChannelObserver`, and enters its times on the board.
 
-    `on_change` hears of every put and advance, `on_end` once that the host does not serve the channel any more.
+    Calls `on_change` after every put and advance, and `on_end` once, when the host serves the channel no more.
     """
 
     def __init__(
@@ -35,21 +35,21 @@ class OwnChannel:
         hosted.followers[self] = None
 
     def wake(self) -> None:
-        """Something was put, or the channel advanced."""
+        """Enter the new times after a put or an advance."""
         self._own.observe(self._now())
         self.tell()
         self._on_change(self.channel_id)
 
     def end(self, error: StampedeError) -> None:
-        """The host does not serve the channel any more."""
+        """Stop, because the host serves the channel no more."""
         self.let_go()
         self._on_end(self.channel_id)
 
     def let_go(self) -> None:
-        """Follow it no more; what is known of it stays on the board."""
+        """Stop following the channel. Its last times stay on the board."""
         self.hosted.followers.pop(self, None)
         self._board.disown(self.channel_id, self._now())
 
     def tell(self) -> None:
-        """Enter it on the board, under the epoch of now."""
+        """Enter the channel's times on the board, under its present epoch."""
         self._board.tell_own(self.channel_id, self._own.times(self.hosted.epoch), self._own.silent_since)

@@ -1,7 +1,7 @@
 """Gets and subscriptions of channels that name a group (paper, section 3.3).
 
-The cut is computed beside each channel: a read costs no further round trip, unless the reader has seen more than this
-host, which then waits for the others.
+Each host computes the cut itself, so a read costs no further round trip. Only if a reader has seen a later cut does the
+host wait for the other hosts.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ SETTLE_SECONDS_MAX = 5.0
 
 
 class GroupReads:
-    """A `GroupAccess`."""
+    """Implements `GroupAccess`."""
 
     def __init__(self, groups: GroupStore) -> None:
         self._groups = groups
@@ -80,17 +80,17 @@ class GroupReads:
     async def _get(
         self, group: HostedGroup, hosted: HostedChannel, at: int | None, query: Query, deadline_s: float | None
     ) -> GroupAnswer:
-        """Answer, or wait for what releases the get."""
+        """Answer, or wait until the get is released."""
         if len(hosted.group_gets) >= WAITING_GETS_MAX:
             raise Overloaded(f"{WAITING_GETS_MAX} gets wait at the channel already, the limit; subscribe, or get later")
         channels, view = self._groups.channels, VisibleChannel(hosted.channel)
         pending = PendingAt(view.begin(query, group.horizon(at), channels.now()), at)
-        while True:  # ends with an answer
+        while True:  # an answer ends it
             horizon, stood = group.horizon(at), _state(group, hosted)
             found = await channels.scheduler.do(view.polling(pending, horizon, channels.now()))
             if not isinstance(found, WakeAt):
                 return GroupAnswer(found, horizon.cut)
-            if _state(group, hosted) != stood:  # it has changed between the pieces
+            if _state(group, hosted) != stood:  # the state has changed between the pieces
                 member_of(group, hosted)
                 continue
             left_s = -1 if deadline_s is None else max(deadline_s - _now_s(), 0.0)
@@ -109,11 +109,11 @@ class GroupReads:
     async def subscribe(
         self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: ChannelObserver
     ) -> AsyncIterator[Cursor]:
-        """See `GroupAccess`. Raises Unavailable if other hosts do not tell how far the group was."""
+        """See `GroupAccess`. Raises Unavailable if other hosts do not tell their cuts."""
         group = await self._groups.find(begun.group_id)
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         member_of(group, hosted)
-        saved = begun.cursor  # one of another incarnation waits for nothing: it is refused
+        saved = begun.cursor  # a cursor of another incarnation needs no wait, because it is refused
         seen = saved.cut_unix_nano if saved.incarnation == hosted.channel.incarnation else None
         if not await group.reach(seen, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing new {group.held_by()}; subscribe again")
@@ -126,7 +126,7 @@ class GroupReads:
             group.listeners.discard(listener)
 
     def _check_served(self, hosted: HostedChannel) -> None:
-        """After a wait: the channel may have gone elsewhere meanwhile. Raises StaleBinding."""
+        """Check after a wait that the channel is still here. Raises StaleBinding."""
         found = self._groups.channels.find(hosted.record.channel_id, hosted.epoch)
         if found is not hosted:
             raise refusals.wrong_epoch(hosted.record.name, hosted.epoch, found.epoch)
@@ -199,12 +199,12 @@ def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
 
 
 def _state(group: HostedGroup, hosted: HostedChannel) -> object:
-    """The state on which answers to gets depend."""
+    """The state on which the answers to gets depend."""
     return hosted.channel.next_seq, hosted.channel.advanced_to, group.cut.cut, group.arrangement
 
 
 def _wanted(ask: GroupAsk) -> int | None:
-    """How far the cut must have come."""
+    """The cut that the request needs; None: any."""
     return max((one for one in (ask.floor, ask.at) if one is not None), default=None)
 
 

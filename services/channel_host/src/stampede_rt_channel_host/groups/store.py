@@ -1,4 +1,4 @@
-"""The groups of this host: learned from the directory when first named, and looked up again while they are in use."""
+"""The groups of this host. The host learns a group from the directory at its first use, and looks it up again later."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ GROUPS_MAX = 10_000
 GROUPS_PER_PIECE = 16
 GROUPS_PER_LOOK = 256
 ROUND_SECONDS = 0.5
-LOOK_UP_SECONDS = 30.0  # the directory tells of changes by itself; this is for what goes missing
+LOOK_UP_SECONDS = 30.0  # the directory tells of changes by itself; this covers lost messages
 LOOK_UP_SECONDS_IN_TROUBLE = 0.5
 IN_USE_SECONDS = 60.0
 
 
 class GroupStore:
-    """Every request that names a group comes through `find`. Is `Watched`."""
+    """Every request that names a group gets it by `find`. Implements `Watched`."""
 
     def __init__(
         self,
@@ -58,18 +58,18 @@ class GroupStore:
         self._changed_groups: Backlog[HostedGroup] = Backlog(
             HostedGroup.changed, channels.scheduler.begin, GROUPS_PER_PIECE
         )
-        self._to_learn: set[bytes] = set()  # channels that others ask for, and that no group known here has
+        self._to_learn: set[bytes] = set()  # channels that other hosts ask for and that no group known here has
         self.in_use = asyncio.Event()
 
     def known(self, group_id: bytes) -> HostedGroup | None:
-        """The group, if this host has learned of it."""
+        """The group, if this host has learned it."""
         group = self._table.groups.get(group_id)
         if group is not None:
             group.named_s = _now_s()
         return group
 
     async def find(self, group_id: bytes, spec_version: int = 0) -> HostedGroup:
-        """The group; the directory is asked if it, or its version, is new here.
+        """The group. Asks the directory if the group or its version is new here.
 
         Raises GROUP_NOT_FOUND, Overloaded, Unavailable.
         """
@@ -84,12 +84,15 @@ class GroupStore:
         return group
 
     def own(self, channel_id: bytes) -> OwnChannel | None:
-        """A member that this host owns and serves."""
+        """A member that this host owns and serves; None if it is none."""
         return self._table.own.get(channel_id)
 
     async def keep(self) -> NoReturn:
-        """Look up the groups in use now and then, and soon what has changed or where a member is not heard of."""
-        while True:  # paced
+        """Look up the groups in use from time to time.
+
+        Looks up changed groups, and groups with a silent member, soon.
+        """
+        while True:  # paced by the sleep in it
             await asyncio.sleep(ROUND_SECONDS)
             self._learn_of(set())
             for part in batched(list(self._table.groups.items()), GROUPS_PER_LOOK):
@@ -99,7 +102,7 @@ class GroupStore:
                 await asyncio.sleep(0)
 
     async def aclose(self) -> None:
-        """Forget everything."""
+        """Stop all lookups, links and followed channels."""
         self._lookups.close()
         for own in self._table.own.values():
             own.let_go()
@@ -111,22 +114,26 @@ class GroupStore:
             raise refusals.fenced(self._identity.name)
 
     def not_here(self, channel_id: bytes) -> StampedeError:
-        """Why a member is not served by this host."""
+        """The error for a member that this host does not serve."""
         return refusals.not_here(self._identity.name, channel_id)
 
     def fence(self) -> None:
-        """The lease ran out: readers of groups must look for their channels elsewhere, or wait."""
+        """End all waits and streams, because the lease ran out: readers must look for the channels
+        elsewhere, or wait.
+        """
         self.end_all(refusals.fenced(self._identity.name))
 
     def end_all(self, error: StampedeError) -> None:
-        """End the waits of all callers and the streams of all readers of groups with `error`. With many, the last end a
-        moment later."""
+        """End the waits of all callers and the streams of all readers of groups with `error`.
+
+        If there are many, the last ones end a moment later.
+        """
         self.channels.scheduler.begin(_ending(list(self._table.groups.values()), error))
 
-    # What the directory, and other hosts, tell by themselves.
+    # Reports from the directory and from other hosts.
 
     async def missed(self) -> None:
-        """See `Watched`: they are looked up in the next round."""
+        """See `Watched`. The next round looks up all groups."""
         for group in self._table.groups.values():
             group.is_stale = True
 
@@ -140,14 +147,16 @@ class GroupStore:
                     self._stale(group.record.group_id)
 
     def _stale(self, group_id: bytes) -> None:
-        """Ask about a group soon: in the next round at the latest, if it is known here already."""
+        """Look up a group soon: in the next round at the latest, if the host knows it."""
         group = self._table.groups.get(group_id)
         if group is not None:
             group.is_stale = True
         self._lookups.ask(group_id, self._look_up(group_id, only_new=False))
 
     def _learn_of(self, channel_ids: set[bytes]) -> None:
-        """Others know groups of these channels of which this host may not have heard, or not their last version."""
+        """Look up groups of these channels: other hosts know groups, or versions of groups, that this host may not
+        know.
+        """
         self._to_learn |= channel_ids - self._table.own.keys()
         if self._to_learn:
             self._lookups.ask(None, self._learn_groups())
@@ -159,20 +168,20 @@ class GroupStore:
                 await self._look_up(group_id, only_new=group_id in self._table.ids_of(channel_id))
             self._to_learn.discard(channel_id)
 
-    # What the directory answers.
+    # The directory's answers.
 
     def _is_due(self, group: HostedGroup) -> bool:
         since_s = _now_s() - group.looked_up_s
         if since_s < LOOK_UP_SECONDS_IN_TROUBLE:
             return False
         if group.is_stale:
-            return True  # others may wait for this host, though nobody reads the group here
+            return True  # other hosts may wait for this host, even if nobody here reads the group
         if not (group.listeners or group.watchers or group.gets) and _now_s() - group.named_s > IN_USE_SECONDS:
             return False
         return since_s >= LOOK_UP_SECONDS or self._misses_a_host(group)
 
     def _misses_a_host(self, group: HostedGroup) -> bool:
-        """A host is not heard of: it may be gone, and another one may own its channels."""
+        """Whether a host is silent: it may be gone, and another host may own its channels."""
         others = {host_id for host_id in group.owners.values() if host_id != self._identity.host_id}
         return bool(group.unheard) or not all(self.exchange.peers.is_linked(one) for one in others)
 
@@ -192,7 +201,7 @@ class GroupStore:
         if known is None and len(self._table.groups) >= GROUPS_MAX:
             raise Overloaded(f"host {self._identity.name} has {GROUPS_MAX} groups, the limit; use another host")
         if known is not None:
-            known.is_stale = False  # what changes from now on is asked for again
+            known.is_stale = False  # a later change causes another lookup
         try:
             told = await self._directory.resolve(group_id)
         except StampedeError as error:
@@ -239,7 +248,8 @@ class GroupStore:
             if self._table.adopt(group, told):
                 group.end(began_anew(told.group))
             if version != (told.group.spec_version, told.group.incarnation):
-                self.exchange.peers.tell_floor(group_id)  # with it goes the version, so that the others ask, too
+                # the version goes along, so that the other hosts look it up, too
+                self.exchange.peers.tell_floor(group_id)
         for host_id, floor in self.exchange.take_floors(group_id).items():
             group.merge_floor(host_id, floor)
         if not group.cut.is_confirmed:
@@ -273,12 +283,12 @@ class GroupStore:
         self.exchange.peers.tell_times(channel_id)
 
     def _changed(self, channel_id: bytes) -> None:
-        """A channel of this host has changed."""
+        """Report a change of a channel of this host."""
         self.exchange.peers.tell_times(channel_id)
         self._changed_groups.add(self._table.groups_of(channel_id))
 
     def _ended(self, channel_id: bytes) -> None:
-        """A channel is not served here any more; who owns it now is asked soon."""
+        """Stop a channel that this host serves no more. Looks up its new owner soon."""
         self._table.own.pop(channel_id, None)
         self._rearranged(channel_id)
         for group in self._table.groups_of(channel_id):

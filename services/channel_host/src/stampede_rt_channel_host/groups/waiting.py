@@ -1,4 +1,4 @@
-"""Coroutines that wait for a group or a channel to change."""
+"""An object on which coroutines wait for a change of a group or a channel."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from stampede_rt.errors import StampedeError
 
 
 class Waiter:
-    """A `ChannelObserver` that a coroutine waits on; register it wherever news may come from."""
+    """A `ChannelObserver` on which a coroutine waits. Register it at each source of news."""
 
     def __init__(self) -> None:
         self._news = asyncio.Event()
         self._error: StampedeError | None = None
 
     def wake(self) -> None:
-        """There may be something to look at."""
+        """There may be news."""
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """The channel or group that was waited for is not served any more."""
+        """The host does not serve the group or channel any more."""
         self._error = error
         self._news.set()
 
     async def wait(self, timeout_s: float | None) -> bool:
-        """Block until there is news, which is then taken note of; False after `timeout_s`. Raises what ended it."""
+        """Wait for news. Returns True and forgets them, or False after `timeout_s`. Raises the error of `end`."""
         try:
             async with asyncio.timeout(timeout_s):
                 await self._news.wait()

@@ -1,4 +1,7 @@
-"""The blocked gets that read one channel through one group: looked at when the channel or the cut comes so far."""
+"""The blocked gets of one channel through one group.
+
+They are looked at when the channel or the cut has moved enough.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +30,10 @@ Released = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer]
 
 
 class PendingAt(Pending):
-    """A blocking get through a group; `at`: the cut that it reads at, None: that of the moment; `cut`: that of its last
-    look."""
+    """A blocking get through a group.
+
+    `at`: the cut at which it reads, None: the present cut. `cut`: the cut of its last look.
+    """
 
     __slots__ = ("at", "cut")
 
@@ -39,7 +44,7 @@ class PendingAt(Pending):
 
 
 class _Moment:
-    """The channel and the cut as they were."""
+    """The channel and the cut as they were at one moment."""
 
     def __init__(self, group: HostedGroup, then: Moment) -> None:
         self._group = group
@@ -59,9 +64,10 @@ class _Moment:
 
 
 class GroupGets:
-    """A `ChannelObserver` of the group and the channel as long as somebody waits, and a `Source` of answers.
+    """Observes the group and the channel while gets wait, as a `ChannelObserver`. Answers the gets, as a `Source`.
 
-    `check` raises if the channel is no member any more; `scheduler` are for long work, `limits` those of all gets.
+    `check` raises if the channel is no member any more. `scheduler` does long work in pieces. `limits` ends the waits
+    of all gets of the host.
     """
 
     def __init__(
@@ -91,15 +97,15 @@ class GroupGets:
         scheduler: PieceScheduler,
         limits: TimeLimits,
     ) -> GroupGets:
-        """Those that wait already, or nobody yet."""
+        """The object with the gets that already wait, or a new one."""
         waiting = group.gets.get(hosted)
         return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, scheduler, limits)
 
     async def wait(self, pending: PendingAt, wake: WakeAt, wait_nanos: int) -> tuple[Released, int | None]:
-        """Block until the get, which was just polled, is released, or its time is over; below 0: without limit. The
-        answer, or its beginning, and the cut that it reads at.
+        """Wait until the get, which was just polled, is released or its time is over.
 
-        Raises Overloaded, what ended the group or the channel, and if the channel is no member any more.
+        `wait_nanos` below 0: without limit. Returns the answer, or its beginning, and the cut at which it reads. Raises
+        Overloaded, the error that ends the group or the channel, and an error if the channel is no member any more.
         """
         released: asyncio.Future[tuple[Released, int | None]] = asyncio.get_running_loop().create_future()
 
@@ -145,7 +151,7 @@ class GroupGets:
             self.gets.changed(self._now())
 
     def end(self, error: StampedeError) -> None:
-        """The group or the channel is not served any more."""
+        """The host does not serve the group or the channel any more."""
         self._leave()
         self._scheduler.begin(self.gets.ending(error))
 

@@ -1,4 +1,4 @@
-"""The writing side of a stream of events: a time limit for each write, and when a sign of life is due."""
+"""The writing side of a stream of events: a time limit for each write, and the time of the next sign of life."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
 from stampede_rt_runtime.rpc import Context
 
-LIFE_SECONDS = 4.0  # the contract says after 5 s
+LIFE_SECONDS = 4.0  # the contract promises one every 5 s
 
 
 class EventWriter:
-    """Of one stream. `what`: what its reader takes, for people."""
+    """Writes one stream. `what` names the reader's things in error texts, such as "event"."""
 
     def __init__(self, context: Context, what: str) -> None:
         self._context = context
@@ -21,11 +21,11 @@ class EventWriter:
 
     @property
     def silence_left_s(self) -> float:
-        """In how many seconds a sign of life is due; 0 or less: now. Only what is written puts it off."""
+        """The seconds until a sign of life is due; 0 or less: now. Every write postpones it."""
         return self._written_s + LIFE_SECONDS - _now_s()
 
     async def write(self, message: bytes) -> None:
-        """Blocks while the reader takes nothing; raises Overloaded after WRITE_SECONDS_MAX."""
+        """Write a message. Waits while the reader takes nothing. Raises Overloaded after WRITE_SECONDS_MAX."""
         try:
             async with asyncio.timeout(WRITE_SECONDS_MAX):
                 await self._context.write(message)

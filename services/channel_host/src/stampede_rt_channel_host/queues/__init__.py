@@ -1,1 +1,1 @@
-"""The shell of queues and mailboxes: enqueue and take streams, leases by the host's clock, dead letters."""
+"""Queues and mailboxes served over gRPC: enqueue and take streams, leases by the host's clock, dead letters."""

@@ -1,4 +1,4 @@
-"""Who may do what with a queue, or with a mailbox, which goes by its peer's name and is its owner's."""
+"""The rules of access to queues and mailboxes. A mailbox goes by its peer's name and belongs to the peer's owner."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 
 
 def check_queue_access(verb: AccessVerb, queue: RecordedQueue) -> None:
-    """Whether the caller may do that. Raises PermissionDenied, Unavailable."""
+    """Check that the caller may do `verb` with the queue. Raises PermissionDenied, Unavailable."""
     if not queue.is_mailbox:
         check_access(verb, AccessKind.QUEUE, queue.name)
     elif not _is_owned(queue) or verb is not AccessVerb.TAKE:
@@ -16,7 +16,7 @@ def check_queue_access(verb: AccessVerb, queue: RecordedQueue) -> None:
 
 
 def check_queue_known(queue: RecordedQueue) -> None:
-    """Whether the caller may see how the queue does. Raises PermissionDenied, Unavailable."""
+    """Check that the caller may see the queue's status. Raises PermissionDenied, Unavailable."""
     if not queue.is_mailbox:
         check_known(AccessKind.QUEUE, queue.name)
     elif not _is_owned(queue):
@@ -24,5 +24,5 @@ def check_queue_known(queue: RecordedQueue) -> None:
 
 
 def _is_owned(queue: RecordedQueue) -> bool:
-    """Whether the caller registered the mailbox's peer. Those whom rules do not judge need not ask."""
+    """Whether the caller registered the mailbox's peer. Not needed for callers whom no rules judge."""
     return bool(queue.mailbox_owner) and queue.mailbox_owner == owner_name()

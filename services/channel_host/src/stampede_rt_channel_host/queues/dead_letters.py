@@ -1,8 +1,8 @@
-"""Moves items that were delivered too often, or given up by a taker, to the dead-letter queue (paper, section 3.5).
+"""Moves messages that failed too often, or that a taker gave up, to the dead-letter queue (paper, section 3.5).
 
-An item stays until the other queue has acknowledged it. The move is an enqueue like any other, from a producer whose
-id follows from the queue and whose numbers follow from the items' seqs: one that is tried again, by any host, is not
-doubled. A refusal is an answer that would only be repeated, so that the next try has another number.
+A message stays in its queue until the other queue has acknowledged it. The move is an enqueue like any other. Its
+producer id follows from the queue, and its numbers follow from the messages' seqs. So a move that any host repeats is
+stored only once. After a refusal the next try has another number, because the same number would get the same refusal.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ATTEMPT_SECONDS_MAX = 10.0
 ROOM_WAIT_NANOS = 2_000_000_000
 """How long an attempt waits for room in a dead-letter queue that blocks."""
 _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.1, 30.0
-_SEQ_BITS = 48  # of a number; above them it counts refusals
+_SEQ_BITS = 48  # of a number; the higher bits count refusals
 _ENDS = {
     LEASE_EXPIRED: item_pb2.DELIVERY_END_LEASE_EXPIRED,
     GIVEN_BACK: item_pb2.DELIVERY_END_GIVEN_BACK,
@@ -45,9 +45,9 @@ _ENQUEUE = "/stampede_rt.v1.QueueService/Enqueue"
 
 
 class DeadLetterMover:
-    """One task for each queue that has something to move; it tries until all is moved, with growing pauses.
+    """Runs one task for each queue with messages to move. The task tries until all are moved, with growing pauses.
 
-    `may_move` says whether the queue is still this host's; `on_defect` hears of a task that died.
+    `may_move` says whether the queue still belongs to this host. `on_defect` is called if a task dies.
     """
 
     def __init__(
@@ -65,14 +65,14 @@ class DeadLetterMover:
         self._tasks: dict[HostedQueue, asyncio.Task[None]] = {}
 
     def departures(self, hosted: HostedQueue) -> None:
-        """The queue has items to move. Idempotent."""
+        """Start moving, because the queue has messages to move. Idempotent."""
         if hosted not in self._tasks:
             task = asyncio.create_task(self._move_all(hosted), name="dead letters")
             self._tasks[hosted] = task
             task.add_done_callback(lambda done: self._ended(hosted, done))
 
     def close(self) -> None:
-        """Move no more."""
+        """Stop all moves."""
         for task in list(self._tasks.values()):
             task.cancel()
 
@@ -84,7 +84,8 @@ class DeadLetterMover:
 
     async def _move_all(self, hosted: HostedQueue) -> None:
         pause_s, refusals = _PAUSE_SECONDS_MIN, Counter[int]()
-        while hosted.queue.is_moving_out and self._may_move(hosted):  # paced by its pauses, ends with the queue
+        # paced by its pauses; ends when the queue has nothing to move
+        while hosted.queue.is_moving_out and self._may_move(hosted):
             try:
                 await self._attempt(hosted, refusals)
                 pause_s = _PAUSE_SECONDS_MIN
@@ -95,7 +96,7 @@ class DeadLetterMover:
                 pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
 
     async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
-        """Move some. Raises what kept any of them. `refusals` counts by seq."""
+        """Move some messages. Raises the error that kept any of them. `refusals` counts by seq."""
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:
             raise Unavailable(f"the dead-letter queue {display_name(found.queue)} has no live host at present")
@@ -107,14 +108,14 @@ class DeadLetterMover:
         except grpc.RpcError as error:
             raise from_rpc_error(error, target) from error
         except TimeoutError:
-            raise Unavailable(f"{target} did not take the items in {ATTEMPT_SECONDS_MAX:g} s") from None
+            raise Unavailable(f"{target} did not take the messages in {ATTEMPT_SECONDS_MAX:g} s") from None
         finally:
             await connection.close(None)
         _conclude(hosted, items, acks, refusals)
 
 
 def producer_id_of(record: RecordedQueue) -> int:
-    """As whom a queue puts into others: the same number at whichever host it is; never 0."""
+    """The producer id under which a queue puts into others: the same at every host, never 0."""
     about = record.queue_id + record.incarnation.to_bytes(8, "little")
     return int.from_bytes(hashlib.blake2b(about, digest_size=8).digest(), "little") | 1
 
@@ -122,7 +123,7 @@ def producer_id_of(record: RecordedQueue) -> int:
 def _requests(
     source: RecordedQueue, target: RecordedQueue, items: Sequence[Departure], refusals: Counter[int]
 ) -> list[bytes]:
-    """One for each item, since several together might exceed the limit of a request."""
+    """One request for each message, because several together might exceed the limit of a request."""
     requests = []
     for item in items:
         run = raw_run_pb2.RawEnqueueRun(
@@ -139,7 +140,9 @@ def _requests(
 
 
 def _run_of(item: Departure, content_type: str) -> bytes:
-    """The item as its producer put it. What it took from its queue's set-up goes along: the other's may differ."""
+    """The message as its producer put it, with the content type of its queue if it has none: the other queue's may
+    differ.
+    """
     alone = select_items(item.run.body, [item.position])
     if content_type and not item_pb2.ItemRun.FromString(alone).content_type:
         return alone + item_pb2.ItemRun(content_type=content_type).SerializeToString()
@@ -177,7 +180,7 @@ def _conclude(
     acks: Sequence[channel_service_pb2.PutAck],
     refusals: Counter[int],
 ) -> None:
-    """Items that were taken have left. Items that were refused let the others go first. Raises the last refusal."""
+    """Remove the accepted messages. Refused messages go behind the others. Raises the last refusal."""
     failure: StampedeError | None = None
     for item, ack in zip(items, acks, strict=True):
         if ack.HasField("first_seq"):

@@ -1,4 +1,7 @@
-"""One stream of enqueues: runs are judged and acked in order; acks gather while the last write is in flight."""
+"""Serves one stream of enqueues: judges and acks runs in order.
+
+Acks that come during a write go out in the next one.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +31,15 @@ from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 
-ACKS_QUEUED_MAX = 256  # also the most in one message: with 256 refused items each they stay below its limit
+# also the most acks in one message, which stays below its size limit even with 256 refused messages in each
+ACKS_QUEUED_MAX = 256
 REQUEST_BYTES_MAX = 4 * 2**20
 _FRAMING_BYTES_MAX = 4096
-_ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # what ends the stream, beside what is no enqueue at all
+_ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # refusals that end the stream, as an invalid request does
 
 
 class EnqueueStream:
-    """Serves one stream. Behind a run that waits for room the next ones wait, too, each for its own time at most."""
+    """Serves one stream. A run that waits for room blocks the later runs. Each waits no longer than its own limit."""
 
     def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
         self._store = store
@@ -52,9 +56,9 @@ class EnqueueStream:
         self._requests = ReadAhead(context.read, store.memory, self._account)
 
     async def run(self) -> None:
-        """Until the caller has closed its side and every run is acked.
+        """Serve until the caller has closed its side and every run is acked.
 
-        Raises InvalidArgument, Overloaded, or that the host shuts down; what was judged before is acked first.
+        Raises InvalidArgument, Overloaded, or an error that the host shuts down. Sends the acks of judged runs first.
         """
         writer = self._stream.spawn(self._write_acks())
         try:
@@ -69,13 +73,13 @@ class EnqueueStream:
             self._requests.close()
 
     async def _finish(self, writer: asyncio.Task[None]) -> None:
-        """Nothing more is taken: write the acks that are left."""
+        """Take in nothing more, and write the remaining acks."""
         self._closed = True
         self._news.set()
         await writer
 
     def _read_request(self, raw: Any, came_s: float) -> tuple[deque[EnqueueRun], float] | None:
-        """Its runs, and when it came; None at the end. Nothing refers to the request behind this."""
+        """The runs of a request, and the time at which it came; None at the end. Keeps no reference to the request."""
         if raw is EOF:
             return None
         request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")
@@ -96,10 +100,13 @@ class EnqueueStream:
         while runs:
             await self._add(await self._enqueue(runs.popleft(), came_s, failure))
         self._news.set()
-        await asyncio.sleep(0)  # the writer's turn: who waits for this ack does not wait until the next read has begun
+        await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _failure_to_find(self) -> StampedeError | None:
-        """Why the queue cannot be used. Asks the directory once for a request, however many runs that holds."""
+        """The reason why the queue cannot be used; None if it can.
+
+        Asks the directory once for a request, not for each run.
+        """
         try:
             await self._store.use(self._queue_id, self._epoch)
         except StampedeError as error:
@@ -109,7 +116,7 @@ class EnqueueStream:
     async def _enqueue(
         self, message: EnqueueRun, came_s: float, failure: StampedeError | None
     ) -> channel_service_pb2.PutAck:
-        """The ack of one run. Blocks while the run waits for room."""
+        """The ack of one run. Waits while the run waits for room."""
         check_number(self._producer_id, message.first_number)
         hosted: HostedQueue | None = None
         try:
@@ -132,7 +139,7 @@ class EnqueueStream:
 
     @contextmanager
     def _waiting(self, run: Enqueue) -> Iterator[None]:
-        """A run has to wait for room. The acks before it do not. Raises Overloaded."""
+        """Inside, a run waits for room. Sends the acks that came before it, and reads on. Raises Overloaded."""
         self._news.set()
         with self._account.waiting(run.charged_bytes):
             self._requests.go_on()
@@ -146,7 +153,7 @@ class EnqueueStream:
         self._acks.append(ack)
 
     async def _write_acks(self) -> None:
-        """All that gathered while the last write was in flight go out in one message."""
+        """Write acks. All acks that came during the last write go out in one message."""
         while not (self._closed and not self._acks):
             if not self._acks:
                 self._news.clear()

@@ -1,4 +1,4 @@
-"""TakeResponse framed by hand: stored runs are copied once, into the message, and never parsed if they go whole."""
+"""Encodes TakeResponse by hand. Stored runs are copied once, into the message. A whole run is never parsed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def take_response(
     incarnation: int = 0,
     drained: bool = False,
 ) -> bytes:
-    """An encoded TakeResponse. The order of fields on the wire does not matter to protobuf."""
+    """An encoded TakeResponse. Its fields need no order, because protobuf accepts any order on the wire."""
     parts = [pb.TakeResponse(results=results, incarnation=incarnation, drained=drained).SerializeToString()]
     if batch is not None:
         for one in batch.slices:
@@ -44,7 +44,7 @@ def _add_run(parts: list[bytes], one: LeasedSlice, lease_nanos: int) -> None:
 
 
 def _run_bytes(one: LeasedSlice) -> bytes:
-    """The stored bytes wherever the whole run is meant."""
+    """The encoded run of a slice. A slice that covers its whole run gives the stored bytes."""
     run = one.run
     if one.hi - one.lo == len(run.lengths):
         return run.body

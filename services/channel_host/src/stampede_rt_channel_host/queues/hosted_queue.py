@@ -1,4 +1,4 @@
-"""One queue at its host: the core, the directory's record, the streams of its takers, and runs that wait for room."""
+"""One queue at its host: the core, the directory's record, the streams of its takers, and its waiting runs."""
 
 from __future__ import annotations
 
@@ -29,27 +29,28 @@ from stampede_rt_channel_host.queues.refusals import display_name
 TAKERS_MAX = 4096
 STREAMS_PER_PIECE = 256
 _orders = itertools.count()
-FIRST_DELIVERY_IDS = range(1, 2**62)  # the last ids, too, fit into the signed integers of other languages
-_TIMER_SECONDS_MIN = 0.0001  # the host's clock may run slower than the loop's: never spin
+FIRST_DELIVERY_IDS = range(1, 2**62)  # the last ids, too, fit in the signed integers of other languages
+_TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: the timer must not fire again and again
 
 
 class TakerStream(Protocol):
-    """A stream that takes, as the queue knows it."""
+    """A taker's stream, as its queue sees it."""
 
     def deliver(self, batch: Batch) -> None:
-        """It was dealt this, and sends it."""
+        """Send a batch that was dealt to the taker."""
 
     def ask(self) -> None:
-        """It is silent: ask whether it lives."""
+        """Ask the taker, which was silent, whether it lives."""
 
     def end(self, error: StampedeError) -> None:
-        """The queue is not served any more."""
+        """The host does not serve the queue any more."""
 
 
 class HostedQueue:
-    """`record` is the directory's, as last told; its epoch fences, its incarnation is the core's.
+    """One queue at this host.
 
-    `on_departures` hears that items wait for being moved to the dead-letter queue.
+    `record` is the latest record from the directory. Requests must name its epoch. Its incarnation is the core's.
+    `on_departures` is called if messages wait for their move to the dead-letter queue.
     """
 
     def __init__(
@@ -61,9 +62,10 @@ class HostedQueue:
         deadlines: Deadlines[HostedQueue],
         may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`deadlines` are those of all queues; `may_serve` says whether the host has its lease.
+        """Set up the queue of `record`.
 
-        Raises InvalidArgument if the record's limits cannot hold.
+        `deadlines` are those of all queues. `may_serve` says whether the host has its lease. Raises InvalidArgument if
+        the record's limits are not possible.
         """
         self.record = record
         self.epoch: int = record.epoch
@@ -88,15 +90,14 @@ class HostedQueue:
         self._is_forgotten = False
 
     def update(self, record: RecordedQueue) -> None:
-        """The directory has a newer record of the same incarnation. Raises InvalidArgument for an unusable set-up."""
+        """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable set-up."""
         if record.spec_version != self.record.spec_version:
             self.queue.configure(QueueLimits.of(record.policy), self._now())
         self.record, self.epoch = record, record.epoch
         self._follow_up()
 
     async def enqueue(self, run: Enqueue, waiting: Callable[[], AbstractContextManager[None]]) -> None:
-        """Put a run; returns when it is through, and blocks while it waits for room, inside `waiting`. Cut short, it
-        is withdrawn.
+        """Put a run. Waits, inside `waiting`, while the run waits for room. A cancellation withdraws the run.
 
         Raises InvalidArgument, Overloaded.
         """
@@ -110,7 +111,7 @@ class HostedQueue:
             self._count_overloaded(run, error)
             raise
         finally:
-            self._follow_up()  # what was due is looked after, even if the run is refused
+            self._follow_up()  # the call may have handled due things, even if the run is refused
         if done is None:
             return
         try:
@@ -129,61 +130,63 @@ class HostedQueue:
         self._memory.refused(display_name(self.record), len(run.lengths), error)
 
     def refuse_unread(self, error: StampedeError) -> None:
-        """Count a run that could not be read."""
+        """Count a run that the host could not read."""
         if isinstance(error, ItemTooLarge):
             self.queue.reject_too_large()
         else:
             self.queue.reject_malformed()
 
     def attach(self, taker: TakerState, stream: TakerStream) -> None:
-        """A stream begins to take; `leave` must follow. Raises Overloaded."""
+        """Enter a stream that begins to take. `leave` must follow. Raises Overloaded."""
         if len(self._streams) >= TAKERS_MAX:
             raise Overloaded(f"queue {display_name(self.record)} has {TAKERS_MAX} takers, the limit; close some")
         self._streams[taker] = stream
 
     def grant(self, taker: TakerState, credit: int) -> None:
-        """The taker may be sent so many more; 0: it lives."""
+        """Allow the taker `credit` more messages; 0 is only a sign of life."""
         self.queue.grant(taker, credit, self._now())
         self._follow_up()
 
     def sent(self, taker: TakerState) -> None:
-        """The batch that the taker was dealt last has been sent."""
+        """Note that the taker's last batch has been sent."""
         self.queue.sent(taker, self._now())
         self._follow_up()
 
     def leave(self, taker: TakerState) -> None:
-        """Its stream has ended: nothing is left of it but its leases."""
+        """Forget a stream that has ended. Its leases stay."""
         del self._streams[taker]
         self.queue.leave(taker, self._now())
         self._follow_up()
 
     def settle(self, taker_id: int, settlements: Sequence[Settlement]) -> list[SettlementResult]:
-        """The outcome of each settlement, in order."""
+        """Perform settlements. Returns their results in order."""
         results = self.queue.settle(taker_id, settlements, self._now())
         self._follow_up()
         return results
 
     def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
-        """The leased deliveries and their takers, at most `limit` deliveries behind the one named."""
+        """The leased deliveries and their takers: at most `limit`, after the delivery `after_delivery_id`."""
         found = self.queue.pending(after_delivery_id, limit, self._now())
         self._follow_up()
         return found
 
     def departed(self, seq: int) -> None:
-        """The dead-letter queue has the item."""
+        """Note that the dead-letter queue has the message."""
         self.queue.departed(seq, self._now())
         self._follow_up()
 
     def tick(self) -> None:
-        """Look after what is due by the host's clock."""
+        """Handle everything that is due by the host's clock."""
         now = self._now()
         self.queue.tick(now)
         self.queue.expire(now)
         self._follow_up()
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """The queue is not served any more: runs that wait are refused with `error`, takers' streams end with it. In
-        pieces; nothing is taken or dealt meanwhile."""
+        """Refuse all waiting runs and end all takers' streams with `error`, in pieces.
+
+        The queue accepts and deals nothing meanwhile.
+        """
         self.queue.pause()
         streams = list(self._streams.items())
         while self.queue.end_line(error, self._now()):
@@ -196,23 +199,23 @@ class HostedQueue:
             if at % STREAMS_PER_PIECE == 0:
                 yield
         if not self._is_forgotten:
-            yield  # streams that were interrupted have let go of it
+            yield  # by now the interrupted streams have let go of the queue
             self.queue.go_on(self._now())
             self._follow_up()
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, for good: the queue is not held here any more. Lets go of its items, in pieces."""
+        """As `ending`, but for good: the host gives the queue up. Frees its messages, in pieces."""
         self._is_forgotten = True
         if self._timer is not None:
             self._timer.cancel()
         self._deadlines.disarm(self)
         self._charge.set(0)
         yield from self.ending(error)
-        yield  # streams that were interrupted have let go of it
+        yield  # by now the interrupted streams have let go of the queue
         yield from self.queue.emptying()
 
     def _follow_up(self) -> None:
-        """After every call of the core: hand on what came of it, and see when something is due."""
+        """Pass on the results of a call of the core, and set the next deadline."""
         for taker, batch in self.queue.take_dealt():
             self._streams[taker].deliver(batch)
         for taker in self.queue.take_silent():
@@ -229,11 +232,12 @@ class HostedQueue:
         due = self.queue.next_deadline()
         self._arm(due)
         due = self.queue.next_expiry() if due is None else due
-        if due is not None and (self.due is None or due < self.due):  # one that comes too early only looks again
+        # an earlier deadline stays, because a look too early does no harm
+        if due is not None and (self.due is None or due < self.due):
             self._deadlines.arm(self, due)
 
     def _arm(self, due: int | None) -> None:
-        """A timer that fires too early only looks again, so that it is set anew only for what is due sooner."""
+        """Set the timer, but only for an earlier time: a timer that fires too early only looks again."""
         if due is None or (self._timer_due is not None and self._timer_due <= due):
             return
         if self._timer is not None:

@@ -1,4 +1,4 @@
-"""Runs as they come from a producer, turned into what the core judges, and its outcome into an ack."""
+"""Turns a producer's run into the core's form, and the core's outcome into an ack."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ ORIGIN_BYTES_MAX = 4096
 
 
 class EnqueueRun(NamedTuple):
-    """One run of a request. It refers to its own bytes alone, so that one that waits keeps no more. `wait_nanos` None:
-    without limit."""
+    """One run of a request. `wait_nanos` None: without limit.
+
+    It refers only to its own bytes, so that a waiting run does not keep the whole request.
+    """
 
     first_number: int
     wait_nanos: int | None
@@ -32,13 +34,16 @@ class EnqueueRun(NamedTuple):
 
     @classmethod
     def of(cls, message: raw_run_pb2.RawEnqueueRun) -> EnqueueRun:
-        """As the request has it."""
+        """The run of a message."""
         wait_nanos = message.wait_nanos if message.HasField("wait_nanos") else None
         return cls(message.first_number, wait_nanos, message.run, message.message_id, message.origin)
 
 
 def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float) -> Enqueue:
-    """The run that came then, not judged yet. Raises MalformedRun, or ItemTooLarge for what no queue can hold."""
+    """The run as it came, not judged yet.
+
+    Raises MalformedRun, or ItemTooLarge for a message larger than any queue can hold.
+    """
     encoded = message.run
     columns = parse_run(encoded)
     items = len(columns.lengths)
@@ -63,14 +68,14 @@ def _message_id_of(message: EnqueueRun, items: int) -> str:
     length = len(message.message_id.encode())
     if length > MESSAGE_ID_BYTES_MAX or (length and items != 1):
         raise MalformedRun(
-            f"the run of {items} items has a message_id of {length} bytes; an id has {MESSAGE_ID_BYTES_MAX} bytes of "
-            "UTF-8 at most, and names one message: put each message in a run of its own"
+            f"the run of {items} messages has a message_id of {length} bytes; an id has "
+            f"at most {MESSAGE_ID_BYTES_MAX} bytes of UTF-8 and names one message: put each message in a run of its own"
         )
     return message.message_id
 
 
 def _origin_of(message: EnqueueRun, items: int) -> bytes:
-    """The bytes to append to the stored run of a dead letter; none for other runs."""
+    """The bytes to append to the stored run of a dead letter; empty for other runs."""
     if not message.origin:
         return b""
     try:
@@ -79,14 +84,14 @@ def _origin_of(message: EnqueueRun, items: int) -> bytes:
         raise MalformedRun("the run's origin is no valid DeadLetterOrigin; encode it from item.proto") from error
     if items != 1 or len(message.origin) > ORIGIN_BYTES_MAX:
         raise MalformedRun(
-            f"the run has {items} items and an origin of {len(message.origin)} bytes; a dead letter is a run of one "
-            f"item, its origin has {ORIGIN_BYTES_MAX} bytes at most"
+            f"the run has {items} messages and an origin of {len(message.origin)} bytes; a dead letter is a run of one "
+            f"message, its origin has {ORIGIN_BYTES_MAX} bytes at most"
         )
     return origin_field(message.origin)
 
 
 def check_forwards(caller: Identity | None) -> None:
-    """Raises PermissionDenied for a caller that no dead letters come from. None: there are no certificates to tell."""
+    """Raises PermissionDenied for a caller that is no host. None: there are no certificates, so every caller may."""
     if caller is not None and caller.role is not Role.HOST:
         raise PermissionDenied(
             f"{caller.role} {caller.name} may not set the origin of a run, which says where a dead letter comes from: "
@@ -95,13 +100,15 @@ def check_forwards(caller: Identity | None) -> None:
 
 
 def check_number(producer_id: int, first_number: int) -> None:
-    """Raises InvalidArgument for a producer that wants its retries recognised and does not count."""
+    """Raises InvalidArgument if a producer has an id, so that its retries are recognised, and no number."""
     if producer_id and not first_number:
-        raise InvalidArgument("first_number is 0; a producer with an id numbers its items from 1, or leaves its id out")
+        raise InvalidArgument(
+            "first_number is 0; a producer with an id numbers its messages from 1, or leaves its id out"
+        )
 
 
 def answer(run: Enqueue, now: int, incarnation: int) -> pb.PutAck:
-    """The ack of a run that is through."""
+    """The ack of a run that is done."""
     if run.error is not None:
         return refused(run.first_number, len(run.lengths), run.error, now, incarnation)
     assert run.outcome is not None, "a run that is through has an outcome"

@@ -1,5 +1,8 @@
-"""QueueService on the wire. Methods that carry runs take and give bytes, so that a producer's run is stored as it came
-and sent as it is; the others use the generated messages."""
+"""QueueService on the wire.
+
+Methods that carry runs take and return bytes. So the host stores a producer's run as it came, and sends a stored run as
+it is. The other methods use the generated messages.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ SERVICE = "stampede_rt.v1.QueueService"
 
 
 class QueueServicer:
-    """Each method: find the queue, hand over, let errors rise."""
+    """Each method finds the queue and passes the request on. Errors rise to the caller."""
 
     def __init__(self, store: QueueStore, streams: OpenStreams) -> None:
         self._store = store

@@ -1,4 +1,4 @@
-"""A queue's counters in their protobuf form."""
+"""A queue's counters in protobuf form."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 
 
 def queue_status(hosted: HostedQueue, now: int) -> queue_pb2.QueueStatus:
-    """Everything at the one moment `now`."""
+    """The status of the queue as of `now`."""
     hosted.tick()
     counters = hosted.queue.counters(now)
     return queue_pb2.QueueStatus(

@@ -1,5 +1,8 @@
-"""The queues of this host: learned from the directory when they are first used, fenced with the lease, dropped when
-they went away."""
+"""The queues of this host.
+
+The host learns a queue from the directory at its first use. It serves no queue without the lease. It drops a queue that
+was deleted or that another host owns.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +30,15 @@ logger = logging.getLogger(__name__)
 QUEUES_MAX = 100_000
 QUEUES_PER_PIECE = 256
 RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
-LOOKUPS_MAX = 3  # each next one is asked because the host registered while the last was under way
+LOOKUPS_MAX = 3  # the store asks again if the host registered while it waited for the answer
 
 
 class QueueStore:
-    """A stream begins with `use`, which may ask the directory; every later request on it goes through `find`. Is
-    `Watched`.
+    """A stream begins with `use`, which may ask the directory. Every later request on it gets the queue by `find`.
 
-    `lease_held` says whether the host may serve at this moment, `now` is the host's clock. `scheduler` are for
-    long work. `on_departures` hears of queues with items for their dead-letter queue.
+    Implements `Watched`. `lease_held` says whether the host may serve at this moment. `now` is the host's clock.
+    `scheduler` does long work in pieces. `on_departures` is called with queues that have messages for their dead-letter
+    queue.
     """
 
     def __init__(
@@ -75,7 +78,7 @@ class QueueStore:
         return hosted
 
     async def use(self, queue_id: bytes, epoch: int | None) -> HostedQueue:
-        """The queue under that epoch (None: any); the directory is asked if it or its epoch is new here.
+        """The queue under that epoch (None: any). Asks the directory if the queue or its epoch is new here.
 
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), QueueNotFound, Overloaded, Unavailable.
         """
@@ -88,9 +91,11 @@ class QueueStore:
         return self.find(queue_id, held.epoch if epoch is None and held else epoch or 0)
 
     def registering(self, records: Iterable[RecordedQueue], *, all_told: bool) -> Pieces[None]:
-        """The directory's view of this host's queues at a registration, in pieces, before anything is served under it.
+        """Take in the directory's list of this host's queues at a registration, in pieces. The host serves nothing
+        meanwhile.
 
-        Queues that are not in it went elsewhere; if it is not complete, they are in doubt until asked for.
+        Queues that are not in the list went elsewhere. If the list is not complete (`all_told` False), the store serves
+        such a queue only after the next `use` of it.
         """
         self._registrations += 1
         held = [(hosted, hosted.record.epoch) for hosted in self._queues.values()]
@@ -106,7 +111,7 @@ class QueueStore:
             yield
 
     def _compare(self, hosted: HostedQueue, record: RecordedQueue | None, *, all_told: bool) -> None:
-        """Of a queue that has not changed since the registration."""
+        """Compare a queue that has not changed since the registration with the directory's record of it."""
         if record is not None:
             self._adopt(record)
         elif all_told:
@@ -116,7 +121,7 @@ class QueueStore:
             hosted.epoch = 0  # no request can name it: the next use asks the directory
 
     def changed(self, record: RecordedQueue, *, removed: bool) -> None:
-        """The directory tells of a change. Of queues that nobody used here nothing is kept."""
+        """Take in a change that the directory reports. Ignores queues that nobody used here."""
         hosted = self._queues.get(record.queue_id)
         if hosted is None:
             return
@@ -128,7 +133,7 @@ class QueueStore:
             self._forget(record.queue_id, refusals.moved(record))
 
     async def missed(self) -> None:
-        """See `Watched`: ask about every queue that is held here."""
+        """See `Watched`: ask about every queue that this host has."""
         for queue_id in list(self._queues):
             try:
                 await self._ask(queue_id)
@@ -141,23 +146,26 @@ class QueueStore:
             self.changed(change.queue, removed=change.removed)
 
     def fence(self) -> None:
-        """The lease ran out: takers and producers must look for their queues elsewhere."""
+        """End all streams, because the lease ran out: takers and producers must look for the queues elsewhere."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def close(self) -> None:
-        """From now on the lease counts as given up, because the host goes."""
+        """Refuse all requests from now on, as without a lease, because the host shuts down."""
         self._closing = refusals.SHUTTING_DOWN
 
     def end_all(self, error: StampedeError) -> None:
-        """All takers and waiting producers hear `error`; of many, the last ones a moment later."""
+        """End the streams of all takers and the waits of all producers with `error`.
+
+        If there are many, the last ones end later.
+        """
         self._scheduler.begin(_ending(self.all(), error))
 
     def all(self) -> list[HostedQueue]:
-        """All queues that were used here."""
+        """All queues that callers have used here."""
         return list(self._queues.values())
 
     def holds(self, hosted: HostedQueue) -> bool:
-        """The queue is this host's, and the host may serve."""
+        """Whether the queue belongs to this host and the host may serve."""
         return self._lease_held() and self._queues.get(hosted.record.queue_id) is hosted
 
     def _may_serve(self) -> bool:
@@ -170,7 +178,7 @@ class QueueStore:
             raise refusals.fenced(self._identity.name)
 
     def _knows(self, queue_id: bytes, epoch: int | None) -> bool:
-        """No need to ask: an older epoch than the one held is wrong, whatever the directory says."""
+        """Whether no question to the directory is needed. An epoch below the known one is wrong in any case."""
         hosted = self._queues.get(queue_id)
         return hosted is not None and hosted.epoch > 0 and (epoch or 0) <= hosted.epoch
 
@@ -189,8 +197,11 @@ class QueueStore:
         self._adopt(record)
 
     async def _resolve(self, queue_id: bytes) -> RecordedQueue:
-        """The queue, asked for since the last registration: an older answer may be out of date, since the lease had
-        ended in between. Raises what the directory answers, or StaleBinding if the host cannot keep a lease."""
+        """The directory's record of the queue, asked for after the host's last registration.
+
+        An answer to an earlier question may be out of date, because the lease ended in between. Raises the error that
+        the directory answers, or StaleBinding if the host cannot keep a lease.
+        """
         for _ in range(LOOKUPS_MAX):
             registrations = self._registrations
             record = (await self._directory.resolve(queue_id)).queue
@@ -199,7 +210,7 @@ class QueueStore:
         raise refusals.fenced(self._identity.name)
 
     def _adopt(self, record: RecordedQueue) -> None:
-        """Serve the queue as the directory describes it. An older description than the one held changes nothing."""
+        """Serve the queue according to a record of the directory. Ignores a record older than the present one."""
         held = self._queues.get(record.queue_id)
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):

@@ -1,4 +1,4 @@
-"""The sentences with which a host refuses requests for queues that it does not serve. Pure."""
+"""The errors with which a host refuses requests for queues that it does not serve. Pure."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ SHUTTING_DOWN = error_for(
 
 
 def display_name(record: RecordedQueue) -> str:
-    """The name of a queue for people; for a mailbox, which has no name, its id."""
+    """The name of a queue for people. A mailbox has no name, so its id stands for it."""
     return record.name or record.queue_id.hex()
 
 
 def fenced(host: str) -> StampedeError:
-    """The lease was not renewed in time: another host may own the queues by now."""
+    """The host did not renew its lease in time: another host may own the queues by now."""
     return error_for(
         "NOT_HERE",
         f"host {host} could not renew its lease in time and serves nothing until it does; resolve the "
@@ -26,7 +26,7 @@ def fenced(host: str) -> StampedeError:
 
 
 def not_here(host: str, queue_id: bytes) -> StampedeError:
-    """The queue went elsewhere, or is in doubt until somebody begins to use it."""
+    """Another host owns the queue now, or nobody has used the queue here since the last registration."""
     text = f"queue {queue_id.hex()} is not at host {host}; resolve it at the directory, and call its host"
     return error_for("NOT_HERE", text, {"queue_id": queue_id.hex(), "host": host})
 
@@ -39,12 +39,12 @@ def moved(record: RecordedQueue) -> StampedeError:
 
 
 def wrong_epoch(record: RecordedQueue, stated: int) -> StampedeError:
-    """The caller believes in another epoch."""
+    """The request names another epoch than the queue's."""
     name, epoch = display_name(record), record.epoch
     text = f"queue {name} is at epoch {epoch} and the request names {stated}; resolve the queue again"
     return error_for("WRONG_EPOCH", text, {"queue": name, "epoch": str(epoch)})
 
 
 def deleted(record: RecordedQueue) -> StampedeError:
-    """The queue was deleted while something was under way."""
+    """Somebody deleted the queue while a call or a stream used it."""
     return QueueNotFound(f"queue {display_name(record)} was deleted", metadata={"queue": display_name(record)})

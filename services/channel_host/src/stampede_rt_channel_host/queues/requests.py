@@ -1,4 +1,4 @@
-"""The requests of QueueService, checked and turned into the core's values."""
+"""Checks the requests of QueueService and turns them into the core's values."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ PAGE_SIZE_MAX = 1000
 
 
 def check_queue_id(queue_id: bytes) -> None:
-    """Raises InvalidArgument."""
+    """Raises InvalidArgument for an id of the wrong length."""
     if len(queue_id) != ID_BYTES:
         raise InvalidArgument(f"queue_id has {len(queue_id)} bytes; give the {ID_BYTES} bytes that the directory gave")
 
 
 def check_taker_id(taker_id: int) -> None:
-    """Raises InvalidArgument."""
+    """Raises InvalidArgument for the id 0."""
     if not taker_id:
         raise InvalidArgument("taker_id is 0; choose a random number above 0, and keep it")
 
@@ -63,14 +63,14 @@ def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]
 
 
 def page_size_of(request: pb.ListPendingRequest) -> int:
-    """How many deliveries are asked for. Raises InvalidArgument."""
+    """The number of deliveries that the request asks for. Raises InvalidArgument."""
     if request.page_size > PAGE_SIZE_MAX:
         raise InvalidArgument(f"page_size is {request.page_size}; it is at most {PAGE_SIZE_MAX}")
     return request.page_size or PAGE_SIZE_MAX
 
 
 def pending_message(one: PendingDelivery) -> queue_pb2.PendingDelivery:
-    """A delivery that is leased."""
+    """The message of a leased delivery."""
     return queue_pb2.PendingDelivery(
         delivery_id=one.delivery_id,
         seq=one.seq,

@@ -1,4 +1,4 @@
-"""Looks after queues that nobody uses at the moment: leases end there, too."""
+"""Handles due things in queues that nobody uses at the moment, such as the ends of leases."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ QUEUES_PER_STEP_MAX = 64
 
 
 async def sweep_queues_forever(store: QueueStore) -> NoReturn:
-    """Look twice a second at the queues in which something is due, a bounded number of them in one go.
+    """Twice a second, handle all queues in which something is due, a bounded number at a time.
 
-    Each queue has a timer of its own for what is due; but the host's clock may run ahead of the loop's.
+    Each queue has a timer of its own. But the host's clock may be faster than the loop's.
     """
     while True:  # paced
         await asyncio.sleep(ROUND_SECONDS)
@@ -23,7 +23,7 @@ async def sweep_queues_forever(store: QueueStore) -> NoReturn:
 
 
 def sweep_queues(store: QueueStore) -> int:
-    """A bounded part; how many were due."""
+    """Handle a bounded number of due queues. Returns how many were due."""
     for at in range(QUEUES_PER_STEP_MAX):
         hosted = store.deadlines.pop(store.now())
         if hosted is None:
