@@ -6,7 +6,7 @@ subscribes to them. All calls here block; `stampede_rt.aio` has the same names w
 
 from __future__ import annotations
 
-TYPE_CHECKING = False  # importing `typing` takes as long as all of this
+TYPE_CHECKING = False  # importing `typing` would take as long as the rest of this module
 
 if TYPE_CHECKING:
     from stampede_rt.surface import *  # noqa: F403
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name):
-        """Load a submodule, or a name of the surface and with it the whole surface.
+        """Load the submodule `name`, or load the whole surface and return `name` from it.
 
-        The package loads the surface late: gRPC and protobuf take 0.1 s to load. A program that needs one submodule
-        alone does not pay for them, and the command line loads them where Ctrl-C works.
+        The package loads the surface late, because gRPC and protobuf take 0.1 s to load. A program that needs only one
+        submodule does not load them. The command line loads them at a moment when Ctrl-C works.
         """
         from importlib import import_module
         from importlib.util import find_spec

@@ -1,7 +1,7 @@
-"""All errors of the product, on both sides of the wire. Pure.
+"""All errors of the product. Clients and services use the same classes. Pure.
 
-Each has a `reason` (a value of `stampede_rt.v1.ErrorReason` without its prefix), a sentence that names the thing, the
-reason and the way out, and `metadata` with the particulars.
+Each error has a `reason` (a value of `stampede_rt.v1.ErrorReason` without its prefix), and `metadata` with the details.
+Its text names the thing, the reason and the way out.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class StampedeError(Exception):
             self.reason = reason
 
     def concerning(self, kind: str, name: str) -> None:
-        """Add the kind and name of the thing to the message, such as "channel" and its name, if they are not in it."""
+        """Add the kind and name of the thing, such as "channel" and its name, to the message if it lacks them."""
         if name not in self.message:
             self.message = f"{kind} {name!r}: {self.message}"
             self.args = (self.message,)
@@ -58,7 +58,7 @@ class MalformedRun(InvalidArgument):
 
 
 class ItemTooLarge(InvalidArgument):
-    """The item is larger than one channel, or one message, can hold."""
+    """The item is larger than a channel can hold, or than one gRPC message can carry."""
 
     reason = "ITEM_TOO_LARGE"
 
@@ -194,13 +194,13 @@ class Unavailable(StampedeError, ConnectionError):
 
 
 class WrongCluster(Unavailable):
-    """A supernode, host or front-end is of another cluster than the caller; others may answer at other addresses."""
+    """A supernode, host or front-end belongs to another cluster than the caller. Try another address."""
 
     reason = "WRONG_CLUSTER"
 
 
 class DeadlineExceeded(StampedeError, TimeoutError):
-    """The call's time was over before the work was done. The server may still do it."""
+    """The call's time was over before the server had answered. The server may still do the work."""
 
     reason = "DEADLINE_EXCEEDED"
 
@@ -220,7 +220,7 @@ class NotLeader(StampedeError):
 
 
 class ForkedProcess(StampedeError, RuntimeError):
-    """The process was forked, and the connection that it inherited does not work in it. Only the client raises it."""
+    """A forked process inherited the connection, which does not work there. Only the client raises this error."""
 
     reason = "FORKED_PROCESS"
 
@@ -258,5 +258,5 @@ _BY_REASON |= {
 
 
 def error_for(reason: str, message: str, metadata: Mapping[str, str] | None = None) -> StampedeError:
-    """The exception for `reason`. A reason that this client does not know is a plain StampedeError."""
+    """Return the exception for `reason`; a plain StampedeError if this release does not know the reason."""
     return _BY_REASON.get(reason, StampedeError)(message, reason=reason, metadata=metadata)

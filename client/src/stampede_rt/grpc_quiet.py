@@ -1,11 +1,12 @@
-"""Imports gRPC with settings that leave its users' programs alone.
+"""Imports gRPC with settings that do not disturb the program that uses this package.
 
 Import this before any other module that imports gRPC.
 
-gRPC logs errors only. Otherwise it writes two lines about each refused handshake to standard error, although the
-program gets the reason as an exception. gRPC does nothing at a fork. Otherwise it starts its threads in the child,
-where they crash one child in three of a parent that uses asyncio, even if the child never uses gRPC (decision 0067).
-gRPC reads `$GRPC_VERBOSITY` and `$GRPC_ENABLE_FORK_SUPPORT` once, at its import. If the user has set them, they decide.
+With these settings gRPC logs errors only. By default it writes two lines about each refused handshake to standard
+error, although the program gets the reason as an exception. With these settings gRPC also does nothing at a fork. By
+default it starts its threads in the child. If the parent uses asyncio, they crash one child in three, even if the child
+never uses gRPC (decision 0067). gRPC reads `$GRPC_VERBOSITY` and `$GRPC_ENABLE_FORK_SUPPORT` once, at its import. If
+the user has set them, this module leaves them as they are.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What handles print, and how they are copied and pickled. Pure."""
+"""How handles are printed, copied and pickled. Pure."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ ID_DIGITS_SHOWN = 8
 
 
 def handle_repr(kind: str, name: str, id_: bytes, host: str, state: str) -> str:
-    """`<Channel 'cam/left' 3fa2c1d0 at host 'h1'>`, with the state of a closed handle at the end."""
+    """Return a text such as `<Channel 'cam/left' 3fa2c1d0 at host 'h1'>`. The state of a closed handle follows."""
     identity = f" {id_.hex()[:ID_DIGITS_SHOWN]}" if id_ else ""
     place = f" at host {host!r}" if host else ""
     return f"<{kind} {name!r}{identity}{place}{f', {state}' if state else ''}>"
 
 
 class Reference:
-    """A handle that only names something. Its copies are the handle itself."""
+    """A handle that only names a thing. `copy` returns the handle itself."""
 
     def __copy__(self) -> Self:
         return self
@@ -25,7 +25,7 @@ class Reference:
 
 
 class BoundToProcess:
-    """A handle that works in this process. It cannot be copied, nor passed to another process."""
+    """A handle that works only in this process. It cannot be copied or pickled."""
 
     def __reduce_ex__(self, protocol: object) -> NoReturn:
         raise TypeError(

@@ -1,6 +1,6 @@
-"""Connections and handles in other processes: a pickle has the cluster's address and the name of the thing.
+"""Pickles connections and handles for other processes. A pickle has the cluster's address and the name of the thing.
 
-It never has the secret. If the secret comes from a file, the other process finds it as `connect` does.
+It never has the secret. If the secret comes from a file, the other process reads the file as `connect` does.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ClusterReference:
 
     @classmethod
     def of(cls, target: Target, secret: str | None) -> ClusterReference:
-        """The reference of a connection; `secret` is the argument of `connect`."""
+        """Return the reference of a connection; `secret` is the argument of `connect`."""
         return cls(target.frontends, target.zone, target.tls.files if target.tls else None, secret is not None)
 
     def __reduce__(self) -> tuple[Callable[..., ClusterReference], tuple[Any, ...]]:
@@ -51,17 +51,20 @@ class ClusterReference:
         return ClusterReference, (self.frontends, self.zone, self.tls)
 
     def connection(self) -> Connection:
-        """Make a connection of the other process."""
+        """Connect to the cluster in the other process."""
         return Connection(self._connect(), "")
 
     def channel(self, name: str, stated: Policy, create: bool, coding: Coding | None) -> Channel:
-        """Open a channel's handle as it was opened first."""
+        """Open a channel's handle with the arguments of its first opening."""
         session = self._session()
         info = session.open_channel(name, stated, None, create)
         return Channel(session, session.state_of(info, stated, create, coding))
 
     def group_members(self, name: str, codings: Sequence[tuple[str, Coding]]) -> GroupMembers:
-        """Open what a group's handle and its descriptors share; `codings`: the codecs of its members, by name."""
+        """Open the members of a group, for its handle and its descriptors.
+
+        `codings`: the codecs of the members, by name.
+        """
         members = Connection(self._session(), "").group(name)._members
         by_name = dict(codings)
         for channel in members.channels:
@@ -87,13 +90,13 @@ class ClusterReference:
         prefetch: int,
         reconnect: DurationLike | None,
     ) -> Queue:
-        """Open a queue's handle as it was opened first."""
+        """Open a queue's handle with the arguments of its first opening."""
         session = self._session()
         info = open_queue(session, name, stated, None, create)
         return Queue(session, queue_state(session, name, info, stated, create, coding), prefetch, reconnect)
 
     def _session(self) -> Session:
-        """The session that all unpickled handles of a cluster share in this process."""
+        """Return the session that all unpickled handles of a cluster share in this process."""
         session = _sessions.get(self)
         if session is None or session.closed or session.inherited:
             session = _sessions[self] = self._connect()

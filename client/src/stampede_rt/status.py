@@ -1,7 +1,7 @@
-"""The one table from errors to gRPC status codes, and their wire form (`proto/stampede_rt/v1/error.proto`).
+"""The table from errors to gRPC status codes, and the wire form of errors (`proto/stampede_rt/v1/error.proto`).
 
-It writes and reads `google.rpc.Status` and `google.rpc.ErrorInfo` field by field: their Python stubs are a distribution
-of their own, which the base client does not need.
+The module writes and reads `google.rpc.Status` and `google.rpc.ErrorInfo` field by field. Their Python stubs are in
+another distribution. So the base client does not depend on it.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ _PREFIX = "ERROR_REASON_"
 _GRPC_PREAMBLE = re.compile(
     r"^failed to connect to all addresses; last error: [A-Z]+: [^ ]+: (Failed to connect to remote host: )?"
 )
-# How gRPC tells of a broken connection where it does not say UNAVAILABLE: grpc.aio of a write that failed, the core of
-# a stream that was reset (INTERNAL for most codes, see doc/PROTOCOL-HTTP2.md of gRPC), older ones of a lost connection.
-# A service's own INTERNAL has an ErrorInfo, and a defect there is UNKNOWN with another text.
+# The texts of gRPC for a broken connection, if its status code is not UNAVAILABLE. They come from grpc.aio after a
+# failed write, from the core after a reset of the stream (INTERNAL for most codes, see doc/PROTOCOL-HTTP2.md of gRPC),
+# and from older releases after a lost connection. If a service itself answers INTERNAL, its answer has an ErrorInfo. A
+# defect in a service is UNKNOWN, with another text.
 _BROKEN = re.compile(
     r"Internal error from Core$|(Received )?RST_STREAM|GOAWAY|Stream (removed|closed)|Socket closed|"
     r"(Client )?[Tt]ransport closed|Endpoint (closed|read failed)|(recvmsg|sendmsg):|Connection (reset|closed)"
@@ -78,7 +79,7 @@ _CODES: dict[str, grpc.StatusCode] = {
 
 
 def code_for(reason: str) -> grpc.StatusCode:
-    """The gRPC status code of a reason; INTERNAL for an unknown one."""
+    """Return the gRPC status code of a reason; INTERNAL for an unknown reason."""
     return _CODES.get(reason, grpc.StatusCode.INTERNAL)
 
 
@@ -98,7 +99,7 @@ async def abort(context: Any, error: StampedeError) -> NoReturn:
 
 
 def to_error_message(error: StampedeError) -> error_pb2.Error:
-    """Return `error` in its form inside streams."""
+    """Return `error` in the form that messages of a stream carry."""
     return error_pb2.Error(reason=_PREFIX + error.reason, message=error.message, metadata=error.metadata)
 
 
@@ -106,7 +107,7 @@ def from_error_message(message: error_pb2.Error) -> StampedeError:
     """Return the exception for an Error inside a stream."""
     try:
         reason = error_pb2.ErrorReason.Name(message.reason).removeprefix(_PREFIX)
-    except ValueError:  # the reason of a newer server
+    except ValueError:  # the server is newer, and this release does not know its reason
         reason = "INTERNAL"
     return error_for(reason, message.message, dict(message.metadata))
 
@@ -117,7 +118,7 @@ def from_rpc_error(error: grpc.RpcError, peer: str) -> StampedeError:
 
 
 def error_in(trailers: Iterable[tuple[str, str | bytes]] | None) -> StampedeError | None:
-    """The exception that a call's trailing metadata carry; None: `abort` has not ended it."""
+    """Return the exception in a call's trailing metadata; None if the server did not end the call with `abort`."""
     for key, value in trailers or ():
         if key == DETAILS_KEY and isinstance(value, bytes):
             found = _from_status(value)
@@ -136,13 +137,13 @@ def _from_status(encoded: bytes) -> StampedeError | None:
         status = rpc_status_pb2.Status.FromString(encoded)
         found = next((one for one in status.details if one.type_url == _ERROR_INFO_URL), None)
         info = None if found is None else rpc_status_pb2.ErrorInfo.FromString(found.value)
-    except DecodeError:  # the status code tells enough
+    except DecodeError:  # then the status code alone explains the failure
         return None
     return None if info is None else error_for(info.reason, status.message, dict(info.metadata))
 
 
 def _brief(details: str) -> str:
-    """Shorten gRPC's text to the words that matter."""
+    """Shorten gRPC's text to its essential words."""
     return _GRPC_PREAMBLE.sub("", details)
 
 

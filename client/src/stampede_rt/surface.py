@@ -204,11 +204,11 @@ def connect(
 ) -> Connection:
     """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
 
-    - `name`: the peer name of this connection, which gives it a mailbox. Without a name other peers cannot send to it.
+    - `name`: the peer name of this connection. With a name it has a mailbox; without one other peers cannot send to it.
     - `proof`: a secret text of 16 characters or more that the program keeps over restarts. A restarted program that
-      gives the same proof takes over name and mailbox at once.
+      gives the same proof takes over the name and the mailbox at once.
     - `secret`: the cluster's secret. On the cluster's own machine the client finds it by itself.
-    - `zone`: the caller's zone. The client prefers supernodes of the same zone.
+    - `zone`: the name of the caller's network or site. The client prefers supernodes of the same zone.
     - `tls`: the certificates, if the cluster asks for them.
 
     Blocks for at most 5 s.
@@ -225,5 +225,8 @@ def connect(
 
 
 def now() -> int:
-    """Return this machine's clock in nanoseconds since the epoch. A host's clock may differ, see `Channel.stats`."""
+    """Return the time of this machine's clock, in nanoseconds since the epoch.
+
+    A host's clock may differ, see `Channel.stats`.
+    """
     return time.time_ns()

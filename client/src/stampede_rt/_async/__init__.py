@@ -1,1 +1,1 @@
-"""The client. This folder is the source; its synchronous twin is generated from it (see tools/generate.py)."""
+"""The client. This folder is the source; `tools/generate.py` makes the blocking client in `_sync` from it."""

@@ -1,4 +1,4 @@
-"""Cross-sections: the items of several channels at one item of a reference, without a group (paper, section 3.3)."""
+"""Cross-sections: an item of a reference channel with items of other channels, without a group (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -55,7 +55,10 @@ async def cross_section(
 async def _beside(
     other: Reader, item: Item, over: Over, *, complete: bool, payloads: bool, timeout: float | None
 ) -> Items:
-    """Return the items of `other` at the item's time or over its span. An open span ends now."""
+    """Return the items of `other` at the time of `item` (over "start") or during its span (over "span").
+
+    If the span has no end yet, it counts as ending now.
+    """
     end: BoundLike = item.time
     bounds: Bounds = "[]"
     if over == "span" and item.end != item.time:

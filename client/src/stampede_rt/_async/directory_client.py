@@ -31,17 +31,17 @@ from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 MEASURE_EVERY_S = 60.0
 PING_TIMEOUT_S = 1.0
-TRY_TIMEOUT_S = 2.5  # for one of several supernodes: a stopped one must leave time for the others
+TRY_TIMEOUT_S = 2.5  # for one of several supernodes; if it is stopped, time is left for the others
 CONNECT_TIMEOUT_S = 5.0
-OTHERS_TIMEOUT_S = 0.5  # for front-ends that tell only whether they are of the same cluster
+OTHERS_TIMEOUT_S = 0.5  # for front-ends that the client asks only for their cluster
 EXPLAIN_TIMEOUT_S = 1.0  # the search for a reason ends after this time
-LEADERS_ASKED_MAX = 3  # for one call: the last leader, the one it names, and one more
+LEADERS_ASKED_MAX = 3  # for one call: the last known leader, the leader that it names, and one more
 
 
 class _Call(NamedTuple):
     """A call that the client may repeat.
 
-    `since_s`: when it first made this call, or another one with the same request id.
+    `since_s`: when the client first made this call, or an earlier call with the same request id.
     """
 
     method: str
@@ -50,7 +50,7 @@ class _Call(NamedTuple):
 
 
 class _Pong(NamedTuple):
-    """What a supernode says of itself. `clock`: this machine's, by that supernode; None if it cannot serve."""
+    """A supernode's answer to a ping. `clock`: the offset of this machine's clock; None if it cannot serve."""
 
     cluster: ClusterSeen
     clock: ClockOffset | None
@@ -69,13 +69,14 @@ class DirectoryClient:
         self._measure_again_s = float("-inf")
         self._leader = ""  # the last known leader
         self._strangers: set[str] = set()  # addresses at which another cluster answers
-        self.clock: ClockOffset | None = None  # measured by the last call that told a supernode's time
+        self.clock: ClockOffset | None = None  # measured by the last call whose answer had a supernode's time
 
     async def bind(self, timeout_s: float) -> None:
         """Ask one front-end after the other for the supernodes, and put the nearest first.
 
-        All front-ends that answer soon must be of one cluster the first time. The client is of that one from then on.
-        Raises Unavailable, PermissionDenied, VersionMismatch or WrongCluster if no front-end helps within `timeout_s`.
+        At the first call, all front-ends that answer soon must be of one cluster. From then on the client belongs to
+        that cluster. Raises Unavailable, PermissionDenied, VersionMismatch or WrongCluster if no front-end helps within
+        `timeout_s`.
         """
         deadline_s = time.monotonic() + timeout_s
         failure: StampedeError | None = None
@@ -99,7 +100,7 @@ class DirectoryClient:
 
     @property
     def cluster_id(self) -> str:
-        """The caller's cluster, which every call names; empty: none is known yet."""
+        """The id of the client's cluster, which every call names. Empty as long as the client knows none."""
         return self._endpoints.metadata.cluster_id
 
     def _be_of(self, cluster_id: str) -> None:
@@ -111,7 +112,7 @@ class DirectoryClient:
             raise wrong_cluster(f"the front-end {target}", response.cluster_id, self.cluster_id)
 
     async def _check_others(self, cluster_id: str, target: str, others: tuple[str, ...]) -> None:
-        """Raises WrongCluster if another front-end, which answers within OTHERS_TIMEOUT_S, is of another cluster."""
+        """Raise WrongCluster if one of `others` is of another cluster, and answers within OTHERS_TIMEOUT_S."""
         found = await run_concurrently([functools.partial(self._cluster_of, other) for other in others])
         for other, its_id in zip(others, found, strict=True):
             if cluster_id and its_id not in ("", cluster_id):
@@ -131,7 +132,10 @@ class DirectoryClient:
         return response
 
     async def _cluster_of(self, frontend: str) -> str:
-        """The cluster of a front-end; empty if it does not answer soon: it is asked again when it is needed."""
+        """Return the cluster id of a front-end.
+
+        Empty if it does not answer soon; the client asks it again when needed.
+        """
         try:
             return (await self._ask(frontend, OTHERS_TIMEOUT_S)).cluster_id
         except StampedeError:
@@ -165,9 +169,9 @@ class DirectoryClient:
         return None
 
     async def _measure(self) -> None:
-        """Ping all supernodes at once and put the nearest first, those of the own zone before others.
+        """Ping all supernodes at once, and put the nearest first. Those of the client's own zone go before others.
 
-        Supernodes that do not answer within PING_TIMEOUT_S go last, and so do those of another cluster, such as a
+        Supernodes that do not answer within PING_TIMEOUT_S go last. So do supernodes of another cluster, such as a
         restored backup at an old address. The time of the next ping is random, so that many clients do not ping at
         once.
         """
@@ -192,7 +196,9 @@ class DirectoryClient:
         began, sent = (
             time.monotonic_ns(),
             time.time_ns(),
-        )  # in this order a pause makes the round trip longer, not shorter
+            # The monotonic clock is first: a pause between the two readings then makes the round trip longer, not
+            # shorter.
+        )
         try:
             endpoint = self._endpoints.to(target)
             pong = await endpoint.call(
@@ -209,10 +215,9 @@ class DirectoryClient:
     async def call(self, method: str, request: Any, timeout_s: float, *, since_s: float | None = None) -> Any:
         """Make one call of the directory.
 
-        If a supernode cannot serve, ask the next one, and at last the front-ends for others.
-
-        Updates are safe to repeat: they carry a request id and their age, counted from now, or from `since_s` by
-        `age_clock_s`. Raises the directory's error, or Unavailable after `timeout_s`.
+        If a supernode cannot serve, the client asks the next one. If none can, it asks the front-ends for other
+        supernodes. Updates are safe to repeat: they carry a request id and their age. The age counts from now, or from
+        `since_s` on the clock `age_clock_s`. Raises the directory's error, or Unavailable after `timeout_s`.
         """
         backoff = Backoff(time.monotonic() + timeout_s)
         call = _Call(method, request, age_clock_s() if since_s is None else since_s)
@@ -232,7 +237,7 @@ class DirectoryClient:
             await self._rebind(backoff.deadline_s)
 
     async def _call_each(self, call: _Call, rounds: DirectoryCall) -> Any:
-        """Ask one supernode after the other. Raises the one error that sums up all failures so far."""
+        """Ask one supernode after the other. If all fail, raises one error that sums up all failures so far."""
         if time.monotonic() > self._measure_again_s:
             await self._measure()
         asked = self._asked()
@@ -250,11 +255,14 @@ class DirectoryClient:
         raise rounds.failure(self._targets)
 
     def _asked(self) -> list[str]:
-        """The supernodes to ask, best first; those of another cluster only if there are no others."""
+        """The supernodes to ask, best first. They are those of another cluster only if there are no others."""
         return [target for target in self._targets if target not in self._strangers] or list(self._targets)
 
     def demote(self, target: str, error: StampedeError) -> None:
-        """The supernode at `target` did not serve: others go first. One of another cluster is not asked any more."""
+        """Ask other supernodes before `target`, which did not serve.
+
+        If it is of another cluster, do not ask it any more.
+        """
         if target in self._targets:
             self._targets.remove(target)
             self._targets.append(target)
@@ -264,7 +272,7 @@ class DirectoryClient:
     async def _rebind(self, deadline_s: float) -> None:
         """Ask the front-ends for other supernodes, because all known ones failed.
 
-        Keep these if no front-end answers.
+        If no front-end answers, keep the known ones.
         """
         left_s = deadline_s - time.monotonic()
         try:
@@ -273,9 +281,9 @@ class DirectoryClient:
             self._measure_again_s = float("-inf")
 
     async def present_cluster(self, deadline_s: float) -> str:
-        """Return the id of the client's cluster. It is a new one if the directory has begun anew.
+        """Return the id of the client's cluster. The id is a new one if the directory has begun anew.
 
-        Raises Unavailable if no supernode of it answers.
+        Raises Unavailable if no supernode of that cluster answers.
         """
         backoff = Backoff(min(deadline_s, time.monotonic() + CONNECT_TIMEOUT_S))
         while not await self._find_cluster():
@@ -289,7 +297,7 @@ class DirectoryClient:
         return self.cluster_id
 
     async def _find_cluster(self) -> bool:
-        """Whether a supernode of the caller's cluster answers, or else one of a cluster that took its place."""
+        """Whether a supernode of the client's cluster answers, or a supernode of a cluster that took over from it."""
         seen: list[ClusterSeen] = []
         for target in self._asked():
             pong = await self._ping(target)
@@ -301,7 +309,7 @@ class DirectoryClient:
         return any(one.cluster_id == self.cluster_id for one in seen)
 
     async def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
-        """Make one call of the leader, which alone can answer it. Does not try again.
+        """Make one call that only the leader can answer. Does not try again.
 
         Raises the leader's error, and Unavailable if there is no leader.
         """

@@ -53,7 +53,7 @@ class Discovery:
         return found
 
     async def queues(self, name_glob: str = "*") -> list[QueueInfo]:
-        """List the queues whose names match, sorted by name. It leaves out mailboxes; `peers` lists their peers."""
+        """List the queues whose names match, sorted by name. Mailboxes are left out; `peers` lists their peers."""
         found: list[QueueInfo] = []
         async for page in self._pages("ListQueues", queue_directory_pb.ListQueuesRequest(name_glob=name_glob)):
             hosts = {host.host_id: host for host in page.hosts}
@@ -116,7 +116,7 @@ class Discovery:
             request.page_token = page.next_page_token
 
     async def _ask(self, method: str, request: Any) -> Any:
-        """Ask any supernode, or for clocks the leader, which alone knows them.
+        """Ask any supernode; for clocks, ask the leader, because only the leader knows them.
 
         Without a leader the answer has no clocks.
         """
@@ -136,12 +136,13 @@ class Discovery:
         return [supernode_info(record) for record in response.supernodes]
 
     def watch(self, name_glob: str = "*", *, reconnect: DurationLike | None = None) -> Watch:
-        """Watch changes from now on: of channels whose names match, and of all hosts. An iterator and context manager.
+        """Watch the channels whose names match, and all hosts, from now on.
 
-        After a broken connection the watch tries to come back for the duration `reconnect` (None: without a limit).
+        Returns an iterator over changes that is also a context manager. After a broken connection the watch tries to
+        come back for the duration `reconnect` (None: without a limit).
         """
         return Watch(self._session, name_glob, reconnect)
 
     def watch_peers(self, name_glob: str = "*", *, reconnect: DurationLike | None = None) -> PeerWatch:
-        """Watch changes of peers whose names match, from now on. For the rest it is as `watch`."""
+        """Watch the peers whose names match, from now on. Everything else is as in `watch`."""
         return PeerWatch(self._session, name_glob, reconnect)

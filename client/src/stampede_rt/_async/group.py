@@ -57,8 +57,8 @@ from stampede_rt.wire.groups import member_status
 
 Result = TypeVar("Result")
 
-HOST_TIMEOUT_S = 2.0  # for one host, while others may answer instead
-CUT_WAIT_NANOS = 1_000_000_000  # the longest wait of a host for the cut that this process has already seen
+HOST_TIMEOUT_S = 2.0  # for one host; then another host may answer instead
+CUT_WAIT_NANOS = 1_000_000_000  # how long a host may wait until it has the cut that this process has already seen
 
 
 class Group(Reference):
@@ -107,9 +107,9 @@ class Group(Reference):
         return self._session.reopened("group", self._members)
 
     def __getitem__(self, channel: NamedChannel | str) -> GroupChannel:
-        """Return the descriptor of a member. A handle gives the descriptor its codec; a name does for any member.
+        """Return the descriptor of a member, named by a handle or by its name.
 
-        Raises InvalidArgument for a channel that is no member.
+        A handle gives its codec to the descriptor. Raises InvalidArgument for a channel that is no member.
         """
         member = self._members.member(channel)
         return GroupChannel(self._members, channel._state if isinstance(channel, Reader) else member._state)
@@ -131,10 +131,11 @@ class Group(Reference):
         newest_first: bool = False,
         payloads: bool = True,
     ) -> ByChannel[Channel, Items]:
-        """Return for each member the items in an interval, all at one cut, whichever hosts hold them.
+        """Return for each member the items in an interval.
 
-        The arguments are those of `Channel.get`. Each channel resolves a meta-time for itself. The answer maps each
-        member to its Items. Blocks for at most 10 s. Raises GroupNotFound, InvalidInterval, Unavailable.
+        All members are read at one cut, also if several hosts hold them. The arguments are those of `Channel.get`. Each
+        channel resolves a meta-time for itself. The answer maps each member to its Items. Blocks for at most 10 s.
+        Raises GroupNotFound, InvalidInterval, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
         return await self._read(
@@ -151,8 +152,8 @@ class Group(Reference):
         """Return the newest visible item of each member, or None for a member without one, all at one cut.
 
         `.reasons[channel]` of the answer says why a member has none. By default the cut is the time of the newest item
-        of the member that is furthest behind, and the group shows only items before it. A group whose members have one
-        item each therefore shows nothing yet. Blocks for at most 10 s. Raises GroupNotFound, Unavailable.
+        of the member that is furthest behind, and the group shows only items before the cut. If each member has only
+        one item, the group therefore shows nothing yet. Blocks for at most 10 s. Raises GroupNotFound, Unavailable.
         """
         interval = parse_interval(MIN_INSTANT, MAX_INSTANT)
         answers = await self._read(
@@ -166,7 +167,7 @@ class Group(Reference):
     async def _with_members_of_now(self, operation: Callable[[], Awaitable[Result]]) -> Result:
         """Return the result of `operation`.
 
-        If it fails because the members have changed, learn them and try once more.
+        If it fails because the members have changed, ask for the present members and try once more.
         """
         known = self.info.group_id, self.info.spec_version
         try:
@@ -214,9 +215,9 @@ class Group(Reference):
     ) -> CutSubscription:
         """Subscribe to cut events. Returns an iterator over `Cut` that is also a context manager.
 
-        A host sends an event when the cut has advanced and every member has caught up with it, at the latest `max_wait`
-        after the advance. A slow reader gets several events as one. The hosts hold each event back for `lateness`, so
-        that items that come out of order by at most that much are part of the event, and not late. After a broken
+        A host sends an event when the cut has advanced and every member has reached the cut, at the latest `max_wait`
+        after the advance. A slow reader gets several events as one. The hosts hold each event back for `lateness`.
+        Items that come out of order by at most `lateness` are therefore part of the event, and not late. After a broken
         connection the subscription tries to come back for the duration `reconnect` (None: without a limit). Raises
         InvalidArgument; the iterator raises GroupNotFound, IncarnationLost, Unavailable.
         """
@@ -237,13 +238,15 @@ class Group(Reference):
     ) -> MatchSubscription:
         """Match each new item of `per` with the nearest item of every other member. Returns an iterator over `Matched`.
 
-        The nearest item lies at most `tolerance` before or after. The host sends a match as soon as every other member
-        has passed its time + tolerance. It counts items for which a member has none (`unmatched`). With `partial` it
-        sends them, too, and `missing` names those members.
+        The nearest item lies at most `tolerance` before or after the item of `per`. The host sends a match as soon as
+        every other member has passed the time of that item + tolerance. If a member has no near item, the host only
+        counts the item of `per` (`unmatched`). With `partial` the host sends such an item, too, and `missing` names the
+        members without a near item.
 
-        With `unique` an item of another member is part of at most one match; the nearest pair gets it. The host waits
-        for items that come out of order by at most `lateness`, which delays every match by as much. `reconnect` is as
-        in `subscribe`. Raises InvalidArgument; the iterator raises GroupNotFound, IncarnationLost, Unavailable.
+        With `unique` an item of another member is part of at most one match: that of the nearest item of `per`. The
+        host waits for items that come out of order by at most `lateness`. This delays every match by `lateness`.
+        `reconnect` is as in `subscribe`. Raises InvalidArgument; the iterator raises GroupNotFound, IncarnationLost,
+        Unavailable.
         """
         return MatchSubscription(
             self._members,
@@ -257,7 +260,7 @@ class Group(Reference):
         )
 
     async def status(self) -> GroupStatus[Channel]:
-        """Return the cut, the members that hold it back, and how far each member is, as one host sees it.
+        """Return the cut, the members that hold it back, and each member's own cut, as one host sees them.
 
         Asks the members' hosts one after the other, each for at most 2 s, until one answers. Raises GroupNotFound,
         Unavailable.

@@ -27,7 +27,7 @@ class GroupChannel(Reader):
         try:
             items = await super()._read(query)
         except GroupNotFound:
-            await self._group.refresh()  # looks the group up by its name; raises if there is none
+            await self._group.refresh()  # looks the group up by its name, and raises GroupNotFound if it is gone
             return await super()._read(query)
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items

@@ -18,7 +18,7 @@ PEERS_MAX = 256
 
 
 class MailboxSender:
-    """Keeps the put streams to the 256 mailboxes used last."""
+    """Sends messages to mailboxes, and keeps the put streams to the 256 most recently used ones open."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -47,7 +47,7 @@ class MailboxSender:
             way = self._ways.pop(peer, None)
             if way is None:
                 way = Puts(self._session, PeerLocator(self._session, peer), ServerEndpoint.enqueues)
-            self._ways[peer] = way  # the mailbox used last is the last to go
+            self._ways[peer] = way  # the most recently used mailbox is the last in the order
             if len(self._ways) > PEERS_MAX:
-                self._ways.pop(next(iter(self._ways)))  # the last put under way closes its stream
+                self._ways.pop(next(iter(self._ways)))  # its stream closes after the last put under way
         return way

@@ -1,4 +1,4 @@
-"""A message in the hands of its taker, who settles it (paper, section 3.5)."""
+"""A message that is leased to its taker, and the ways to settle it (paper, section 3.5)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Settler:
                 error = from_error_message(result.error)
                 once = settlement.WhichOneof("verdict") in _DONE_ONCE
                 if not (tries > 1 and once and isinstance(error, LeaseExpired)):
-                    raise error  # otherwise an earlier try has settled it
+                    raise error  # otherwise an earlier try has settled the message
             return result
 
         return await attempt(self._locator, settle_at, CALL_TIMEOUT_S)
@@ -61,7 +61,7 @@ class Settler:
     async def give_back(self, messages: Sequence[Message], timeout_s: float) -> None:
         """Give back messages that no caller received. `max_deliveries` does not count these deliveries.
 
-        If the call fails, the messages come again when their leases end.
+        If the call fails, the host delivers the messages again when their leases end.
         """
         for at in range(0, len(messages), SETTLEMENTS_MAX):
 
@@ -104,10 +104,11 @@ class Settler:
 
 
 class Message(BoundToProcess):
-    """A message that a queue or mailbox has leased to this taker. It comes again unless the taker settles it in time.
+    """A message that a queue or mailbox has leased to this taker.
 
-    As a context manager it acknowledges the message when the block ends well, and gives it back if the block raises. It
-    does neither if the block has settled the message.
+    Unless the taker settles it in time, it is delivered again. It is a context manager: it acknowledges the message
+    when the block ends without an error, and gives it back if the block raises. If the block has already settled the
+    message, it does nothing.
 
     - `payload` is bytes, `value` the decoded payload, `attributes` a mapping of text to text, `content_type` a MIME
       type.
@@ -145,7 +146,7 @@ class Message(BoundToProcess):
         return self._coding.decode(self.payload, self.content_type, f"item #{self.seq}")
 
     def decode(self, codec: CodecLike) -> Any:
-        """Decode the payload with `codec`. For mailboxes, whose senders may use different codecs.
+        """Return the payload, decoded with `codec`. Useful for mailboxes, because senders may use different codecs.
 
         Raises CodecError, also if the message's content type is not the codec's.
         """
@@ -158,7 +159,7 @@ class Message(BoundToProcess):
         return max(0.0, self._lease_ends_s - monotonic_s())
 
     async def ack(self) -> None:
-        """Acknowledge the message: the queue forgets it. With `copies` the queue forgets this taker's copy.
+        """Acknowledge the message: it leaves the queue. With `copies` this taker's copy leaves the queue.
 
         You may repeat the call. Blocks for at most 10 s. Raises LeaseExpired if the lease has ended: another taker may
         have the message. Raises Unavailable if the host cannot be reached.
@@ -184,7 +185,7 @@ class Message(BoundToProcess):
         await self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     async def extend(self, lease: DurationLike = "30s") -> None:
-        """Let the lease end `lease` from now, at most one hour. Blocks for at most 10 s.
+        """Move the end of the lease to `lease` from now, at most one hour. Blocks for at most 10 s.
 
         Raises LeaseExpired, Unavailable.
         """
@@ -212,7 +213,10 @@ class Message(BoundToProcess):
         return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, extend_lease=extension)
 
     def has_extended(self, result: queue_pb2.SettlementResult, began_s: float) -> bool:
-        """Take in the host's answer to a request sent at `began_s`. Returns whether the lease lasts longer."""
+        """Note the host's answer to a request that was sent at `began_s` (monotonic).
+
+        Returns whether the lease was extended.
+        """
         if result.HasField("error"):
             return False
         self._lease_ends_s = began_s + (result.lease_nanos or self._delivery.lease_nanos) / 1e9
@@ -231,5 +235,5 @@ class Message(BoundToProcess):
             return
         try:
             await self.nack()
-        except StampedeError as failure:  # the block's own error matters more
+        except StampedeError as failure:  # the caller needs the error of the block more than this one
             error.add_note(f"the message could not be given back; it comes again when its lease ends: {failure}")

@@ -16,7 +16,7 @@ UNKNOWN = QueueInfo(
 
 
 class PeerLocator(QueueLocator):
-    """Finds a mailbox by the peer's name. A peer that comes back may have another mailbox."""
+    """Finds a mailbox by the peer's name. A peer that registers again may have another mailbox."""
 
     def __init__(self, session: Session, name: str) -> None:
         state = QueueState("peer", name, UNKNOWN, QueuePolicy(), create=False)
@@ -42,12 +42,15 @@ class PeerLocator(QueueLocator):
         self._state.info = learn_queue(self._session, response.queue, response.host)
 
     def explain(self, error: StampedeError) -> None:
-        """Name the peer in the error. A missing mailbox is retryable: the peer may have a new one."""
+        """Add the name of the peer to the error.
+
+        If the mailbox is missing, mark the error as retryable: the peer may have a new one.
+        """
         super().explain(error)
         if isinstance(error, QueueNotFound):
             error.retryable = True
 
 
 def peer_not_found(name: str) -> PeerNotFound:
-    """The error that no live peer has the name."""
+    """Return the error for a name that no live peer has."""
     return PeerNotFound(f"no live peer is named {name!r}; peers() lists the live ones", metadata={"peer": name})

@@ -17,7 +17,7 @@ _handle_ids = itertools.count(1)
 
 
 class PutStream:
-    """One open stream to a host: the number of puts under way on it, and the latest end of their waits."""
+    """One open stream to a host, with the number of puts under way on it, and the time when the last one gives up."""
 
     __slots__ = ("binding", "ends_s", "exchange", "puts")
 
@@ -33,7 +33,7 @@ class PutStream:
 
 
 class PutStreams:
-    """One stream for each handle and thread. Beyond 512 it closes the stream that was unused longest.
+    """Keeps one stream for each handle and thread. Beyond 512 it closes the stream that was unused longest.
 
     A put that waits for room blocks later puts on its stream. A put with an earlier deadline therefore uses another
     stream. Puts of one handle that wait equally long stay in order, and no put waits longer than its deadline.
@@ -44,7 +44,7 @@ class PutStreams:
         self._mutex = Mutex()
 
     def handle(self, owner: object) -> int:
-        """Return the key of a new handle. Its streams close once nobody holds `owner`."""
+        """Return the key of a new handle. Its streams close once the program no longer references `owner`."""
         handle_id = next(_handle_ids)
         when_dropped(owner, partial(self._let_go, handle_id))
         return handle_id
@@ -53,7 +53,10 @@ class PutStreams:
     def use(
         self, handle_id: int, ends_s: float, binding: Binding, open_stream: Callable[[], PutExchange]
     ) -> Iterator[PutExchange]:
-        """The handle's stream to `binding` for one put, which waits for room until `ends_s` on the monotonic clock."""
+        """Yield the handle's stream to `binding` for one put.
+
+        The put may wait for room until `ends_s` (monotonic clock).
+        """
         key = self._line(handle_id, ends_s)
         stream = self._streams.get(key)
         if stream is None or not stream.leads_to(binding):
@@ -62,18 +65,18 @@ class PutStreams:
             stream.ends_s = max(stream.ends_s, ends_s) if stream.puts else ends_s
             stream.puts += 1
             if self._streams.pop(key, None) is stream:
-                self._streams[key] = stream  # the stream used last is the last to close
+                self._streams[key] = stream  # the most recently used stream is the last in the order
         try:
             yield stream.exchange
         finally:
             with self._mutex:
                 stream.puts -= 1
                 over = not stream.puts and self._streams.get(key) is not stream
-            if over:  # it was closed during the put
+            if over:  # the stream was closed during the put
                 stream.exchange.cancel()
 
     def _line(self, handle_id: int, ends_s: float) -> tuple[int, int, int]:
-        """Return the key of a stream on which no put waits longer; with very many streams, the key of the last one."""
+        """Return the key of a stream on which no put waits beyond `ends_s`; with very many streams, the last key."""
         caller = thread_id()
         for line in range(LINES_MAX - 1):
             stream = self._streams.get((handle_id, caller, line))
@@ -93,7 +96,7 @@ class PutStreams:
         return stream
 
     def close(self, handle_id: int) -> None:
-        """Close the handle's streams, busy ones after their puts. A later put opens a new one."""
+        """Close the handle's streams. A busy stream closes after its puts. A later put opens a new stream."""
         with self._mutex:
             gone = [self._streams.pop(one, None) for one in tuple(self._streams) if one[0] == handle_id]
         _close(gone)

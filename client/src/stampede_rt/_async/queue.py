@@ -86,7 +86,7 @@ class MessageTaking:
         return hash(self._state.info.queue_id)
 
     async def get(self, timeout: float | None = None) -> Message | None:
-        """Return the next message, or None after `timeout`. It is leased until it is settled or its lease ends.
+        """Return the next message, or None after `timeout`. The message is leased to this handle.
 
         `timeout` in seconds: 0 takes only a message that is there, None waits without a limit. The host serves the
         taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached for 10 s;
@@ -127,9 +127,11 @@ class MessageTaking:
         return await stats_at(self._session, self._locator)
 
     async def pending(self, limit: int = 1000) -> list[PendingMessage]:
-        """List the `limit` oldest deliveries, in their order: the message, its taker, and the times of the lease.
+        """List the `limit` oldest leased messages, in the order of delivery.
 
-        The call changes nothing. It fetches long lists page by page, so a message that was settled meanwhile may be
+        Each has its taker and the times of its lease.
+
+        The call changes nothing. It fetches a long list page by page. A message that its taker settles meanwhile may be
         missing. Raises QueueNotFound, Unavailable, InvalidArgument.
         """
         return await pending_at(self._session, self._locator, limit)
@@ -147,8 +149,9 @@ class MessageTaking:
 class Queue(MessageTaking, Reference):
     """A named queue. Handles of one queue are equal. Any number of handles may put and take, in any process.
 
-    A context manager, which closes the handle. Messages come in the order of their acceptance, each to one taker at a
-    time, at least once. If its taker does not acknowledge a message before the lease ends, the message comes again.
+    A handle is also a context manager, which closes it at the end of the block. The host delivers messages in the order
+    of their acceptance, each to one taker at a time, at least once. If the taker does not acknowledge a message before
+    the lease ends, the host delivers the message again.
     """
 
     def __init__(
@@ -186,13 +189,13 @@ class Queue(MessageTaking, Reference):
         """Put one message, wait until the host has accepted it, and return its seq and incarnation.
 
         `payload` is bytes, or a value if the handle has a codec. `timeout` in seconds is the longest wait for room in a
-        full queue with on_full="block" (the default); None waits without a limit. The client tries again after a
-        broken connection, and the host never stores a message twice. With a `message_id` (1 to 128 bytes) the host
-        also recognises a second put of the same id by any program. The second put returns the seq of the first one,
-        and its `duplicate` is True. The host knows an id for 10 minutes, while it lives, and until later ids take
-        16 MiB. Puts that are under way at the same time may arrive in any order. If their order matters, let one end
-        before the next. Raises QueueFull, ItemTooLarge, CodecError, QueueNotFound; Unavailable if the host cannot be
-        reached.
+        full queue with on_full="block" (the default); None waits without a limit. The client tries again after a broken
+        connection, and the host never stores a message twice. With a `message_id` (1 to 128 bytes) the host also
+        recognises a second put of the same id by any program. The second put returns the seq of the first one, and its
+        `duplicate` is True. The host remembers an id for 10 minutes, but it forgets the id earlier if later ids need
+        its place in 16 MiB, or if the host ends. Puts that are under way at the same time may arrive in any order. If
+        their order matters, let one end before the next. Raises QueueFull, ItemTooLarge, CodecError, QueueNotFound;
+        Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
         return enqueued(await self._puts.put(self._numbers, item, Wait.parse(timeout)))
@@ -208,9 +211,10 @@ class Queue(MessageTaking, Reference):
         max_deliveries: int | None = None,
         dead_letter: Queue | str | None = None,
     ) -> QueuePolicy:
-        """Change the queue's policy while it runs, and return the new one. An argument that you leave out stays.
+        """Change the queue's policy while it runs, and return the new policy.
 
-        Blocks for at most 10 s. Raises InvalidArgument, QueueNotFound, Unavailable.
+        A setting that you leave out stays as it is. Blocks for at most 10 s. Raises InvalidArgument, QueueNotFound,
+        Unavailable.
         """
         policy = parse_queue_policy(
             max_items=max_items,
@@ -241,7 +245,7 @@ class Queue(MessageTaking, Reference):
     async def delete(self) -> None:
         """Delete the queue with all its messages, for everyone. Blocks for at most 10 s.
 
-        Raises InvalidArgument for the dead-letter queue of another queue; QueueNotFound, Unavailable.
+        Raises InvalidArgument if the queue is the dead-letter queue of another queue; QueueNotFound, Unavailable.
         """
         request = queue_directory_pb.DeleteQueueRequest(request_id=request_id(), queue_id=self.info.queue_id)
         await self._session.supernodes.call("DeleteQueue", request, CALL_TIMEOUT_S)
@@ -263,9 +267,9 @@ async def stats_at(session: Session, locator: Locator) -> QueueStats:
 
 
 async def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMessage]:
-    """Return the oldest leased deliveries of the queue that `locator` finds.
+    """Return the oldest leased messages of the queue that `locator` finds.
 
-    Starts again if the queue moves meanwhile.
+    Starts again if the queue moves to another host.
     """
     most = count_of("limit", limit) or 1
 

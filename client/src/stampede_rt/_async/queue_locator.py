@@ -1,4 +1,7 @@
-"""Finds the host of a queue: the directory names the owner, and its gatekeeper's address serves the queue."""
+"""Finds the host of a queue.
+
+The directory names the owner; the address of the owner's gatekeeper also serves the queue.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
 
 @dataclass(slots=True)
 class QueueState:
-    """What a handle knows of its queue. `info` follows the directory; `name` is the queue's name for people.
+    """What a handle knows of its queue. `info` follows the directory; `name` is the queue's name in texts for people.
 
     `cluster_id`: the cluster that `info` comes from.
     """
@@ -33,7 +36,7 @@ class QueueState:
 def queue_state(
     session: Session, name: str, info: QueueInfo, stated: QueuePolicy, create: bool, coding: Coding | None
 ) -> QueueState:
-    """The state of a new handle."""
+    """Return the state of a new handle."""
     return QueueState("queue", name, info, stated, create, coding, session.supernodes.cluster_id)
 
 
@@ -72,7 +75,7 @@ class QueueLocator:
     def __init__(self, session: Session, state: QueueState) -> None:
         self._session = session
         self._state = state
-        self._turn = 0  # after a failure the next endpoint of the host has its turn
+        self._turn = 0  # counts failures; after each, the client uses the next endpoint of the host
 
     async def find(self, deadline_s: float) -> Binding:
         """Return the cached binding, or look for it."""
@@ -92,7 +95,7 @@ class QueueLocator:
         )
 
     async def _resolve(self, deadline_s: float) -> None:
-        """Ask a supernode for the owner. If the owner is lost, open the queue again as its handle did."""
+        """Ask a supernode for the owner. If the owner is lost, open the queue again with the handle's arguments."""
         state = self._state
         request = queue_directory_service_pb2.ResolveQueueRequest(queue_id=state.info.queue_id)
         try:
@@ -118,7 +121,8 @@ class QueueLocator:
     async def _resolve_name(self, error: QueueNotFound, deadline_s: float) -> None:
         """Open the queue by its name, because the directory does not know its id any more.
 
-        Creates it only if the directory itself began anew, as a directory in memory does. Raises QueueNotFound.
+        Creates the queue only if the directory itself began anew, for example a directory that is in memory alone.
+        Raises QueueNotFound.
         """
         state, supernodes = self._state, self._session.supernodes
         create = state.create and await supernodes.present_cluster(deadline_s) != state.cluster_id

@@ -1,4 +1,4 @@
-"""Reads: one request on the open stream to the channel's host, and its answer as Items."""
+"""Reads: the client sends a request on the open stream to the channel's host, and makes Items of the answer."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)  # LOST: the producer m
 
 
 async def read(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None = None) -> Items:
-    """Perform `query`, also after the channel has moved. Blocks as long as the query may wait.
+    """Perform `query`, also if the channel has moved to another host. Blocks as long as the query may wait.
 
-    `view`: the group through which to read. The client sends the highest cut that it has seen, and keeps the answer's.
-    The client splits a wait without limit, so that it notices a host that hangs. The interval stays as the host first
-    resolved it.
+    `view`: the group through which to read. The client sends the highest cut that it has seen, and keeps the cut of the
+    answer. The client splits a wait without limit into several requests, so that it notices a host that hangs. All of
+    them use the interval as the host first resolved it.
     """
     if query.wait.seconds is not None:
         return await _read_once(session, state, query, view)

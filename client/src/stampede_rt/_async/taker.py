@@ -25,29 +25,30 @@ from stampede_rt.values.queueing import PREFETCH_MAX
 from stampede_rt.values.reading import Wait
 from stampede_rt.wire.queues import deliveries_of
 
-DRAIN_TIMEOUT_S = CALL_TIMEOUT_S + 2.0  # the worker tells waiting callers first why it cannot open a stream
+# This is longer than a call, so that the worker can first tell the callers why it cannot open a stream.
+DRAIN_TIMEOUT_S = CALL_TIMEOUT_S + 2.0
 END_TIMEOUT_S = 1.0
 _log = logging.getLogger("stampede_rt")
 
 
 class WaitingTake:
-    """One `get` that waits for a message. It ends with a message, with an error, or with neither after its timeout."""
+    """One `get` that waits for a message. It ends with a message, with an error, or after its timeout with neither."""
 
     def __init__(self) -> None:
         self.come = Signal()
         self.asked = Signal()  # the host may send a message for this caller
-        self.leaving = False  # its time is over: it takes only a message on its way
+        self.leaving = False  # its time is over; it only takes a message that is already on the way
         self.message: Message | None = None
         self.error: StampedeError | None = None
 
 
 class Taker:
-    """The open Take stream of a handle, and the callers that wait at it, served in their order.
+    """The open Take stream of a handle, and the waiting callers. The taker serves them in the order of their calls.
 
     The host may send one message for each waiting caller, or `prefetch` messages if that is more. When a caller leaves
-    and the host may now send too many, the taker drains the stream, so that no message is leased without a caller. The
-    first `get` opens the stream, and the taker opens it again after a break. If this process dies, the host leases its
-    messages to others when their leases end.
+    and the host may now send too many, the taker drains the stream. So no message is leased without a caller. The first
+    `get` opens the stream, and the taker opens it again after a break. If this process dies, the host delivers its
+    messages to other takers when the leases end.
     """
 
     def __init__(self, session: Session, locator: Locator, state: QueueState, prefetch: int, name: str = "") -> None:
@@ -73,7 +74,7 @@ class Taker:
         self.closed = False
 
     async def get(self, wait: Wait) -> Message | None:
-        """Return the next message, or None after the wait or once the handle is closed.
+        """Return the next message. Returns None after the wait, or once the handle is closed.
 
         Raises the error of the stream.
         """
@@ -98,7 +99,8 @@ class Taker:
         try:
             await self._ask()
             if waiter.message is None and not await waiter.come.wait(wait.seconds):
-                await waiter.asked.wait(DRAIN_TIMEOUT_S)  # a caller with timeout 0 gets a message that is there
+                # A caller with timeout 0 still gets a message that the host has.
+                await waiter.asked.wait(DRAIN_TIMEOUT_S)
                 waiter.leaving = True
                 await self._drain(DRAIN_TIMEOUT_S)
             over = True
@@ -113,7 +115,7 @@ class Taker:
                 self._waiting.remove(waiter)
 
     async def _after_interruption(self, waiter: WaitingTake) -> None:
-        """Hand the interrupted caller's message to the next one or give it back, and drain the stream."""
+        """Hand the interrupted caller's message to the next caller or give it back, and drain the stream."""
         message = waiter.message
         if message is not None and message.lease_left and not self._pass_on(message, first=True):
             await self._give_back([message])
@@ -125,7 +127,7 @@ class Taker:
         return min(max(waiting, ahead - len(self._ready)), PREFETCH_MAX)
 
     async def _ask(self) -> None:
-        """Let the host send the messages that are wanted and that it may not send yet."""
+        """Give the host credit for the wanted messages that it has no credit for yet."""
         with self._mutex:
             if self._worker is None and self._wanted():
                 self._session.attach(self)
@@ -133,7 +135,7 @@ class Taker:
                 self._worker = BackgroundTask(self._work, f"taking from {self._state.name}")
             more = self._wanted() - self._credit
             stream, asking = self._stream, tuple(self._waiting)
-            if stream is None or self._draining:  # the next stream asks for the messages wanted then
+            if stream is None or self._draining:  # the next stream asks for the messages that are wanted then
                 return
             if not asking and more * 2 < self.prefetch:  # ask for prefetched messages in batches
                 return
@@ -145,7 +147,7 @@ class Taker:
             waiter.asked.set()
 
     async def _drain(self, timeout_s: float) -> None:
-        """Take back the host's right to send unwanted messages.
+        """Take back the host's credit for unwanted messages.
 
         Leaving callers get the messages that come meanwhile.
         """
@@ -198,7 +200,7 @@ class Taker:
             waiter.come.set()
 
     def interrupt(self, error: StampedeError) -> None:
-        """End taking for good: waiting callers raise `error`, and later ones the error of the locator."""
+        """End taking for good. Waiting callers raise `error`; later callers raise the error of the locator."""
         with self._mutex:
             stream, self._stream = self._stream, None
         self._fail(error)
@@ -206,13 +208,13 @@ class Taker:
             stream.cancel()
 
     async def _take_at(self, binding: Binding) -> None:
-        """Take over one stream, if messages are still wanted, until it ends.
+        """Take messages over one stream until it ends, if messages are still wanted.
 
         Raises an error that comes before the first answer.
         """
         with self._mutex:
             self._credit = self._wanted()
-            if not self._credit:  # all callers left before the stream could open
+            if not self._credit:  # all callers left before the stream was open
                 return
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[queue_pb.TakeResponse] = endpoint.open_bidi(endpoint.queues.Take)
@@ -272,11 +274,11 @@ class Taker:
             with suppress(Unavailable):
                 await stream.send(queue_pb.TakeRequest())
         if response.drained:
-            stream.cancel()  # its credit is void; the next stream serves the waiting callers
+            stream.cancel()  # the credit of this stream is void; the next stream serves the waiting callers
         if unwanted:
             await self._give_back(unwanted)
         if not response.drained and len(self._waiting) > self._credit:
-            await self._ask()  # more callers wait than one request may ask for
+            await self._ask()  # one request cannot ask for as many messages as callers wait for
 
     def _hand_over(self, message: Message) -> bool:
         with self._mutex:
@@ -284,9 +286,9 @@ class Taker:
         return self._pass_on(message)
 
     def _pass_on(self, message: Message, *, first: bool = False) -> bool:
-        """Give the message to the caller that waits longest, or keep it for the next one.
+        """Give the message to the caller that has waited longest, or keep it for the next caller.
 
-        False: the handle wants no message.
+        Returns False if the handle wants no message.
         """
         with self._mutex:
             waiter = self._waiting.popleft() if self._waiting else None
@@ -310,7 +312,7 @@ class Taker:
             )  # fmt: skip
 
     async def let_go(self) -> None:
-        """End without blocking. The runtime calls this once the program has dropped the handle."""
+        """End without blocking. Python calls this once the program no longer references the handle."""
         self.closed = True
         if self._session.inherited:
             return
@@ -342,5 +344,5 @@ class Taker:
 
 
 def _this_process() -> str:
-    """Name a taker without a peer name for people: by its machine and process."""
+    """Return the name, for people, of a taker whose connection has no name: its machine and process."""
     return f"{socket.gethostname()[:100]}:{os.getpid()}"

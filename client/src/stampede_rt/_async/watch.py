@@ -26,7 +26,7 @@ Told = TypeVar("Told")
 
 
 class DirectoryWatch(BoundToProcess, Generic[Told]):
-    """A stream of changes from a supernode. After a break another supernode continues it at the same place."""
+    """A stream of changes from a supernode. After a break another supernode continues behind the last change."""
 
     def __init__(self, session: Session, request: Any, reconnect: DurationLike | None) -> None:
         self._session = session
@@ -114,7 +114,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
         stream = await self._begin()
         responses = stream.__aiter__()
         try:
-            self._take(await responses.__anext__())  # the supernode's word that the watch is open
+            self._take(await responses.__anext__())  # the first response says that the watch is open
         except StampedeError as error:
             self._session.supernodes.demote(stream.target, error)
             raise
@@ -148,8 +148,8 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
 class Watch(DirectoryWatch[Change]):
     """An iterator over `Change` (see `Connection.watch`), and a context manager. Any thread may call `close`.
 
-    Each step blocks until the next change. After a break the watch continues at another supernode where it was. A step
-    raises Unavailable if the client could not come back for the duration `reconnect`, and WatchRestart if the
+    Each step blocks until the next change. After a break another supernode continues the watch behind the last change.
+    A step raises Unavailable if the client could not come back for the duration `reconnect`, and WatchRestart if the
     supernodes no longer keep the changes since the break. After WatchRestart list again, and begin a new watch.
     """
 
@@ -175,7 +175,7 @@ class Watch(DirectoryWatch[Change]):
 class PeerWatch(DirectoryWatch[PeerChange]):
     """An iterator over `PeerChange` (see `Connection.watch_peers`), and a context manager.
 
-    For the rest it is as `Watch`.
+    Everything else is as in `Watch`.
     """
 
     def __init__(self, session: Session, name_glob: str, reconnect: DurationLike | None) -> None:

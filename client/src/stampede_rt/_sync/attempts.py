@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Tries an operation at the host of a channel or queue, and again at its new host if the binding is stale."""
+"""Runs an operation at the host of a channel or queue. If the binding is stale, runs it again at the new host."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ class Locator(Protocol):
     """Finds the binding of a channel or queue."""
 
     def find(self, deadline_s: float) -> Binding:
-        """Return the binding, from a cache or from the cluster, until `deadline_s` on the monotonic clock."""
+        """Return the binding, from a cache or from the cluster.
+
+        Blocks until `deadline_s` on the monotonic clock at most.
+        """
         ...
 
     def forget(self) -> None:
@@ -37,15 +40,15 @@ class Locator(Protocol):
 
     @property
     def closed(self) -> bool:
-        """Whether the connection is closed: no operation is tried again then."""
+        """Whether the connection is closed. `attempt` does not try an operation again then."""
         ...
 
 
 def attempt(locator: Locator, operation: Callable[[Binding], Result], timeout_s: float | None) -> Result:
-    """Run `operation` at the present host, again and again while its error is retryable.
+    """Run `operation` at the present host, and again as long as it raises a retryable error.
 
     `timeout_s` bounds the tries, not a wait inside `operation`; None: no limit. Raises the last error. If the last try
-    only ran out of time, raises the error of the try before, which says more.
+    only ran out of time, raises the error of the try before it, because that error says more.
     """
     locator.check()
     backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
@@ -57,7 +60,7 @@ def attempt(locator: Locator, operation: Callable[[Binding], Result], timeout_s:
             if locator.closed:
                 locator.check()  # raises "closed" instead of the broken call's error
             locator.explain(error)
-            slow = isinstance(error, DeadlineExceeded)  # the host hangs; the channel may get another one
+            slow = isinstance(error, DeadlineExceeded)  # the host hangs; the channel may get another host
             if not (error.retryable or slow):
                 raise
             locator.forget()

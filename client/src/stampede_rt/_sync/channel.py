@@ -34,7 +34,8 @@ from stampede_rt.values.timeline import DurationLike, InstantLike, parse_duratio
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
 
 PERIOD_NANOS_MIN = 1_000_000
-FIRST_WAIT_S = 1.0  # of a put where none had to wait when the handle was opened: it may have been configured since
+# If no put could wait when the handle was opened, the first try of a put lasts this long: the policy may have changed.
+FIRST_WAIT_S = 1.0
 
 
 class Channel(Reader):
@@ -73,15 +74,16 @@ class Channel(Reader):
         return item.accepted_as(self._state, ack)
 
     def producer(self) -> Producer:
-        """A context manager for many puts. A put of it does not wait for its acknowledgement."""
+        """Return a context manager for many puts. Its puts do not wait for their acknowledgements."""
         return Producer(self._session, self._state)
 
     def sample(self, fn: Callable[[], Any], every: DurationLike = "33ms") -> Sampler:
         """Call `fn` once in each period and put its result, until `cancel` of the returned handle.
 
         Periods count from now, so delays do not add up. The handle skips and counts a period that passes while `fn` or
-        a put takes too long. It does not put None. It logs and counts an exception of `fn` or of the put, and goes on
-        with the next period. On a full channel with on_full="block" a put waits for at most one period.
+        a put takes too long. If `fn` returns None, the handle puts nothing. It logs and counts an exception of `fn` or
+        of the put, and goes on with the next period. On a full channel with on_full="block" a put waits for at most one
+        period.
         """
         every_nanos = parse_duration(every, "every")
         if every_nanos < PERIOD_NANOS_MIN:
@@ -95,14 +97,14 @@ class Channel(Reader):
     def consume(self, items: Item | Iterable[Item]) -> int:
         """Consume items of a channel with `consumers` or `max_age_unconsumed`. Returns how many are new.
 
-        An item leaves the channel once all consumers have consumed it, the oldest first. Until then every reader sees
-        it. The consumer is this connection, with all of its handles. The first call takes one of the channel's
-        consumer places; `consume([])` does only that. The library keeps the place until the connection is closed. A
-        process that dies loses its place within 10 s. The channel keeps all items for a place that no consumer has
-        taken yet. A consumer that takes the place of a lost one starts at the newest item. You may repeat the call;
-        the client also tries again by itself.
-        Raises ChannelFull if all places are taken, InvalidArgument if the channel counts no consumption,
-        IncarnationLost if the channel's host was lost after the items were read.
+        An item leaves the channel once all consumers have consumed it, the oldest item first. Until then every reader
+        sees it. The consumer is this connection: all its handles of the channel count as one consumer. The first call
+        takes one of the channel's consumer places; `consume([])` does only that. The library keeps the place until the
+        connection is closed. A process that dies loses its place within 10 s. The channel keeps all items for a place
+        that no consumer has taken yet. A consumer that takes the place of a lost consumer starts at the newest item.
+        You may repeat the call; the client also tries again by itself. Raises ChannelFull if all places are taken,
+        InvalidArgument if the channel has no consumer places, IncarnationLost if the channel's host was lost after the
+        items were read.
         """
         return consume(self._session, self._state, items)
 
@@ -121,7 +123,11 @@ class Channel(Reader):
         return self._session.perform(self._state, advance_at)
 
     def stats(self) -> ChannelStats:
-        """Return counters and bounds of one moment, and how far the host's clock is ahead of this machine's."""
+        """Return the channel's counters and bounds at one moment, and the offset of the host's clock.
+
+        The offset says how far the host's clock is ahead of this machine's clock. Blocks for at most 10 s. Raises
+        ChannelNotFound, Unavailable.
+        """
 
         def status_at(binding: Binding) -> ChannelStats:
             endpoint = self._session.endpoints.to(binding.target)
@@ -146,8 +152,8 @@ class Channel(Reader):
     ) -> Policy:
         """Change the channel's policy while it runs, and return the policy after the change.
 
-        An argument that you leave out stays as it is. With more `consumers` the channel gets new consumer places,
-        which keep all held items. With fewer, the places go whose leases end first.
+        A setting that you leave out stays as it is. With more `consumers` the channel gets new consumer places, which
+        keep all held items. With fewer, the channel removes the places whose leases end first.
         """
         policy = parse_policy(
             max_age=max_age,
@@ -176,7 +182,7 @@ class Channel(Reader):
         return self._session.perform(self._state, configure_at)
 
     def delete(self) -> None:
-        """Delete the channel and all its items, for everyone. This works also if its host is lost."""
+        """Delete the channel and all its items, for everyone. This also works if its host is lost."""
         identity, since_s = request_id(), age_clock_s()
 
         def drop_at(binding: Binding) -> None:
@@ -188,7 +194,8 @@ class Channel(Reader):
 
         try:
             self._session.perform(self._state, drop_at, timeout_s=1.0)
-        except (Unavailable, DeadlineExceeded):  # no host to tell: the directory alone forgets it
+        except (Unavailable, DeadlineExceeded):
+            # The host cannot be told. The directory deletes the channel all the same.
             request = directory_service_pb2.DeleteChannelRequest(
                 request_id=identity, channel_id=self._state.info.channel_id
             )

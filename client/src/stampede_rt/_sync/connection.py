@@ -98,7 +98,7 @@ class Connection(Discovery, Reference):
 
     @property
     def clock(self) -> ClockOffset | None:
-        """How far this machine's clock is ahead of the nearest supernode's, or of the leader's for a named connection.
+        """How far this machine's clock is ahead of a supernode's clock: the nearest, or with a name the leader.
 
         The client measures it when it connects, with each renewal of its lease, and with some other calls.
         """
@@ -125,10 +125,10 @@ class Connection(Discovery, Reference):
 
         The call compares only the arguments that you state with an existing channel. A contradiction raises
         ChannelExists. Defaults: max_age "10s" if you state no limit at all, max_bytes 256 MiB, on_full "drop_oldest",
-        max_future "1s". `consumers`: an item may leave once so many consumers have consumed it. `max_age_unconsumed`:
-        the age, instead of max_age, at which an item leaves that a live consumer has still to consume (see
-        `Channel.consume`). `host` names the host of a new channel. If the channel exists at another live host, the
-        call raises ChannelExists. With `create=False` an absent channel raises ChannelNotFound.
+        max_future "1s". `consumers`: an item may leave once this number of consumers has consumed it.
+        `max_age_unconsumed` replaces max_age for items that a live consumer has still to consume (see
+        `Channel.consume`): they leave at this age. `host` names the host of a new channel. If the channel exists at
+        another live host, the call raises ChannelExists. With `create=False` an absent channel raises ChannelNotFound.
 
         `codec` belongs to the handle, not to the channel. It turns the values of `put` into payloads, and payloads into
         `item.value`: "bytes" (default), "json", "numpy" (keeps shape and dtype), or an object with `content_type`,
@@ -161,13 +161,13 @@ class Connection(Discovery, Reference):
     ) -> Group:
         """Get or create a group: channels that readers see up to one common cut (paper, section 3.3).
 
-        With the name alone: get it.
+        With the name alone, the call only gets the group.
 
         `reference` "oldest": the group's cut is the smallest cut of all members. A channel as `reference`: the group
         has the cut of that channel. `bound` "start": a channel's cut is the time of its newest item. "end": it is the
-        end of that item's duration, at most `max_lead` later. `idle_after`: "oldest" leaves out a member that has been
-        silent for so long; None: never. Blocks for at most 10 s. Raises GroupExists if the group exists with other
-        members or settings, GroupNotFound, InvalidArgument, Unavailable.
+        end of that item's duration, at most `max_lead` later. `idle_after`: with "oldest", the group leaves out a
+        member that has been silent for this duration; None: never. Blocks for at most 10 s. Raises GroupExists if the
+        group exists with other members or settings, GroupNotFound, InvalidArgument, Unavailable.
         """
         if channels is None:
             request = group_directory_pb.OpenGroupRequest(request_id=request_id(), name=parse_name(name, "group"))
@@ -198,12 +198,12 @@ class Connection(Discovery, Reference):
         payloads: bool = True,
         timeout: float | None = 0,
     ) -> CrossSection[Channel | GroupChannel]:
-        """Return the items of every channel at one item of `reference`: its last item whose span holds `at`.
+        """Return one item of `reference`, and the items of every other channel at that item.
 
-        `over` "start": the items of `others` whose span holds the time of that item. "span": all items that share an
-        instant with its span. With `complete` the call waits until each channel has passed that time, at most `timeout`
-        seconds in all (None: without a limit). If `reference` has no such item, `section.time` is None, and the answer
-        has only the reference.
+        The item of `reference` is its last one whose span holds `at`. `over` "start": the items of `others` whose span
+        holds the time of that item. "span": all items that share an instant with its span. With `complete` the call
+        waits until each channel has passed that time, at most `timeout` seconds in all (None: without a limit). If
+        `reference` has no such item, `section.time` is None, and the answer has only the reference.
         """
         return cross_section(reference, others, at, over=over, complete=complete, payloads=payloads, timeout=timeout)
 
@@ -228,16 +228,16 @@ class Connection(Discovery, Reference):
         """Get or create a queue (paper, section 3.5).
 
         The call compares only the arguments that you state with an existing queue. A contradiction raises QueueExists.
-        Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1. `copies`: so
-        many distinct takers get each message. `max_deliveries`: a message leaves the queue after so many deliveries
-        without an acknowledgement; it goes to the queue `dead_letter`, a handle or name, if you state one. `host` names
-        the host of a new queue. With `create=False` an absent queue raises QueueNotFound.
+        Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1. `copies`: this
+        number of distinct takers get each message. `max_deliveries`: a message leaves the queue after this number of
+        deliveries without an acknowledgement. If you state `dead_letter`, a handle or name, the message goes to that
+        queue. `host` names the host of a new queue. With `create=False` an absent queue raises QueueNotFound.
 
         `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With more
-        it takes so many ahead, and extends their leases while callers take messages. If no caller takes any for most of
-        a lease, the messages go back to the queue. `reconnect` belongs to the handle, too: after a break a loop over
-        the handle tries to continue for so long (None: without a limit). `codec` is as in `channel`. Blocks for at most
-        10 s.
+        it takes up to this number ahead, and extends their leases while callers take messages. If no caller takes any
+        for most of a lease, the messages go back to the queue. `reconnect` belongs to the handle, too: after a break a
+        loop over the handle tries to continue for this duration (None: without a limit). `codec` is as in `channel`.
+        Blocks for at most 10 s.
         """
         stated = parse_queue_policy(
             max_items=max_items,

@@ -1,9 +1,9 @@
 # Generated from ../_async by tools/generate.py; do not edit.
 """Consumption: a channel can keep its items until all consumers have consumed them (paper, section 3.4).
 
-The consumer is the connection. All its handles of a channel share one consumer place. Each `consume` renews the place's
-lease. In between the library renews it in the background, until the connection is closed. The places of a process that
-dies end with their leases.
+The consumer is the connection. All its handles of a channel share one consumer place. Each `consume` renews the lease
+of the place. Between calls the library renews it in the background, until the connection is closed. If a process dies,
+its places end with their leases.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ def consume(session: Session, state: ChannelState, items: Item | Iterable[Item])
 
 
 def _seqs_by_incarnation(items: Iterable[Item]) -> list[tuple[int, Sequence[int]]]:
-    """Split the items into requests of a size that hosts take.
+    """Split the items into requests that are small enough for a host.
 
-    Without items there is one request: it takes or keeps the place.
+    Without items, return one request, which only takes or keeps the place.
     """
     if not isinstance(items, Iterable):
         raise InvalidArgument(f"{items!r} cannot be consumed; give items from a read or subscription")
@@ -66,7 +66,7 @@ def _consume(
     lease_nanos: int | None = None,
     timeout_s: float = CALL_TIMEOUT_S,
 ) -> channel_pb.ConsumeResponse:
-    """Send one request, and try again after a break: consuming twice changes nothing."""
+    """Send one request, and send it again after a break. Consuming an item twice changes nothing."""
 
     def consume_at(binding: Binding) -> channel_pb.ConsumeResponse:
         endpoint = session.endpoints.to(binding.target)
@@ -96,7 +96,7 @@ class _HeldConsumerPlace:
         self._background: BackgroundTask | None = None
 
     def keep(self, lease_s: float) -> None:
-        """Note that the place was taken or renewed for so long, and begin to renew it in the background."""
+        """Note that the place was taken or renewed for `lease_s` seconds, and begin to renew it in the background."""
         with self._mutex:
             self._lease_s = lease_s
             if self._background is None:
@@ -104,7 +104,7 @@ class _HeldConsumerPlace:
                 self._background = BackgroundTask(self._run, f"consumer of {self._state.info.name}")
 
     def end(self) -> None:
-        """Give the place up now, so that no one has to wait for the end of its lease.
+        """Give the place up now, so that no other consumer has to wait for the end of its lease.
 
         The connection calls this when it closes.
         """
@@ -133,7 +133,7 @@ class _HeldConsumerPlace:
     def _renew(self) -> None:
         """Renew the lease.
 
-        Raises an error that makes further tries useless: the channel is deleted, or others have all places.
+        Raises an error if further tries are useless: the channel is deleted, or other consumers have all places.
         """
         try:
             response = _consume(self._session, self._state, timeout_s=self._lease_s / RENEWALS_PER_LEASE)

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Cross-sections: the items of several channels at one item of a reference, without a group (paper, section 3.3)."""
+"""Cross-sections: an item of a reference channel with items of other channels, without a group (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -54,7 +54,10 @@ def cross_section(
 
 
 def _beside(other: Reader, item: Item, over: Over, *, complete: bool, payloads: bool, timeout: float | None) -> Items:
-    """Return the items of `other` at the item's time or over its span. An open span ends now."""
+    """Return the items of `other` at the time of `item` (over "start") or during its span (over "span").
+
+    If the span has no end yet, it counts as ending now.
+    """
     end: BoundLike = item.time
     bounds: Bounds = "[]"
     if over == "span" and item.end != item.time:

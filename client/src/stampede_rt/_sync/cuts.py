@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Cut events: the items that a group makes visible together, over all hosts of its members (paper, section 3.3)."""
+"""Cut events: the items that a group makes visible together, from all hosts of its members (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class CutSubscription(BoundToProcess):
         self._max_wait_nanos = max_wait_nanos
         self._lateness_nanos = lateness_nanos
         self._payloads = payloads
-        self._streams: list[_HostStream] = []  # the first is the deciding host
+        self._streams: list[_HostStream] = []  # the first one is that of the deciding host
         self._opening_streams: list[_HostStream] = []  # streams that the client is opening
         self._cursor: group_pb.CutCursor | None = None
         self._closed = False
@@ -128,7 +128,7 @@ class CutSubscription(BoundToProcess):
                     raise self._group.explained(error) from None
                 self._reconnecting.broke()
                 self._group.forget_bindings()
-            except BaseException:  # an interrupt: the next step gets the interrupted event from its beginning
+            except BaseException:  # an interrupt; the next step reads the interrupted event from its beginning
                 self._hang_up()
                 raise
         raise StopIteration
@@ -145,7 +145,7 @@ class CutSubscription(BoundToProcess):
             stream.conversation.cancel()
 
     def _open(self) -> None:
-        """Open one stream to each host that owns members: at first, and again behind the last event after a break."""
+        """Open one stream to each host that owns members. After a break the streams begin behind the last event."""
         if self._streams or self._closed:
             return
         try:

@@ -16,7 +16,7 @@ ENDPOINTS_MAX = 1024
 class EndpointPool:
     """Opens an endpoint at its first use and keeps it. Beyond a bound it closes the endpoint that was unused longest.
 
-    New certificates count for new endpoints. A stream under way keeps the certificates with which it began.
+    New endpoints use new certificates. A stream under way keeps the certificates with which it began.
     """
 
     def __init__(self, credentials: Credentials) -> None:
@@ -63,9 +63,9 @@ class EndpointPool:
             self._endpoints.clear()
 
     def close(self) -> None:
-        """End all calls and streams.
+        """End all calls and streams, and wait for their end.
 
-        If the call is interrupted, everything has ended, but the caller did not wait for it.
+        An interrupted `close` ends them all the same, but does not wait.
         """
         with self._mutex:
             self.closed = True
@@ -80,5 +80,5 @@ class EndpointPool:
 
 
 def connection_closed() -> Unavailable:
-    """The error of every call on a closed connection, also of calls that wait when it closes."""
+    """Return the error of every call on a closed connection, and of calls that wait while the connection closes."""
     return Unavailable("this connection is closed; call connect() again")

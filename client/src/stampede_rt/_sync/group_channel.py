@@ -28,7 +28,7 @@ class GroupChannel(Reader):
         try:
             items = super()._read(query)
         except GroupNotFound:
-            self._group.refresh()  # looks the group up by its name; raises if there is none
+            self._group.refresh()  # looks the group up by its name, and raises GroupNotFound if it is gone
             return super()._read(query)
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items

@@ -129,7 +129,7 @@ def member_handles(
     response: group_directory_pb.OpenGroupResponse | group_directory_pb.ResolveGroupResponse,
     known: Sequence[Reader],
 ) -> tuple[Channel, ...]:
-    """Return handles of a group's members. Handles in `known` keep their codecs; they may be descriptors."""
+    """Return handles of a group's members. A member that is in `known`, as a handle or descriptor, keeps its codec."""
     hosts = {host.host_id: host for host in response.hosts}
     kept = (one if isinstance(one, Channel) else Channel(session, one._state) for one in known)
     handles = {channel.info.channel_id: channel for channel in kept}

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Consumer push: the client calls a function for each item (paper, section 4.1)."""
+"""Consumer push: the library calls a function of the program for each item (paper, section 4.1)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Listener(BackgroundStart, BoundToProcess):
         check_callback(function)
         self._session = session
         self._name = name
-        self._subscribe = subscribe  # called with True for a new incarnation: from its oldest item on
+        self._subscribe = subscribe  # True: subscribe to the new incarnation, from its oldest item on
         self._function = function
         self._subscription = subscribe(False)
         self._dropped_before = self._skipped_before = self._reconnects_before = 0  # sums of earlier subscriptions
@@ -100,7 +100,7 @@ class Listener(BackgroundStart, BoundToProcess):
                 self._listen()
         except StampedeError as error:
             self._fail(error)
-        except Exception as defect:  # noqa: BLE001  # nobody else would learn of it
+        except Exception as defect:  # noqa: BLE001  # otherwise nobody would learn of the defect
             failure = StampedeError(f"on_item of {self._name} failed with a defect: {type(defect).__name__}: {defect}")
             failure.__cause__ = defect
             self._fail(failure)

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Matches: for each item of one channel, the nearest of every other member of a group (paper, section 5: stereo)."""
+"""Matches: an item of one channel with the nearest item of every other member of a group (paper, section 5: stereo)."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from stampede_rt.values.timeline import DurationLike, Match, parse_interval
 class MatchSubscription(BoundToProcess):
     """An iterator over `Matched` items (see `Group.match`), and a context manager. Any thread may call `close`.
 
-    The host sends at most as far ahead as the reader takes in a tenth of a second, and at most 1 MiB. After the loss of
-    a host the subscription continues by itself. Each step blocks until the next match. It raises GroupNotFound once the
-    group is deleted, IncarnationLost if all its hosts were lost, and Unavailable if the client could not reach the host
-    for the duration `reconnect`.
+    The host sends ahead as much as the reader takes in a tenth of a second, and at most 1 MiB. After the loss of a host
+    the subscription continues by itself. Each step blocks until the next match. It raises GroupNotFound once the group
+    is deleted, IncarnationLost if all its hosts were lost, and Unavailable if the client could not reach the host for
+    the duration `reconnect`.
 
     - `unmatched` counts items of `per` for which a member had no item within the tolerance.
     - `dropped` counts items that retention collected before the host could match them or before a slow reader took
@@ -62,10 +62,11 @@ class MatchSubscription(BoundToProcess):
         self._payloads = payloads
         self._stream: BidiStream[group_pb.SubscribeMatchesResponse] | None = None
         self._responses: Any = None
-        self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each with its bytes of the window
+        self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each with the bytes of credit that it cost
         self._window = CreditWindow()
         self._after: group_pb.MatchCursor | None = None
-        self._unmatched_before = self._dropped_before = 0  # sums of earlier streams: the host counts from 0 on each
+        # Sums of earlier streams. On each stream the host counts from 0.
+        self._unmatched_before = self._dropped_before = 0
         self._closed = False
         self.unmatched = 0
         self.dropped = 0
@@ -121,7 +122,7 @@ class MatchSubscription(BoundToProcess):
             stream.cancel()
 
     def _open(self) -> None:
-        """Open the stream to the host of `per`: at first, and again behind the last match after a break."""
+        """Open the stream to the host of `per`. After a break the stream begins behind the last match."""
         if self._stream is not None or self._closed:
             return
         try:
@@ -140,7 +141,8 @@ class MatchSubscription(BoundToProcess):
                     raise StopIteration
                 stream.send(group_pb.SubscribeMatchesRequest(open=self._opening(binding.epoch)))
                 self._responses = stream.__iter__()
-                self._take(self._responses.__next__())  # the host's word that the subscription is open
+                # The first response says that the subscription is open.
+                self._take(self._responses.__next__())
             except StopIteration:  # `close` came meanwhile
                 self._resume()
             except BaseException:
@@ -150,7 +152,7 @@ class MatchSubscription(BoundToProcess):
         try:
             self._group.session.perform(self._per._state, open_at, timeout_s)
         except GroupNotFound:
-            self._group.refresh()  # looks the group up by its name; raises if there is none
+            self._group.refresh()  # looks the group up by its name, and raises GroupNotFound if it is gone
             self._group.session.perform(self._per._state, open_at, timeout_s)
 
     def _opening(self, epoch: int) -> group_pb.SubscribeMatchesOpen:
@@ -201,7 +203,7 @@ class MatchSubscription(BoundToProcess):
         self._unmatched_before, self._dropped_before = self.unmatched, self.dropped
 
     def _take(self, response: group_pb.SubscribeMatchesResponse) -> None:
-        """Take in a whole response, or nothing of it if a fetch fails."""
+        """Add the matches of a response to those that are ready. If a fetch fails, add none of them."""
         self._know_members(response)
         found = run_all([functools.partial(self._matched, message) for message in response.matches])
         for message, (matched, gone) in zip(response.matches, found, strict=True):
@@ -218,7 +220,7 @@ class MatchSubscription(BoundToProcess):
         self.dropped = self._dropped_before + response.dropped
 
     def _know_members(self, response: group_pb.SubscribeMatchesResponse) -> None:
-        """Learn the members again if a match names others: other processes may have changed them."""
+        """Ask for the members again if a match names unknown ones. Other processes may have changed the members."""
         known = {channel.info.channel_id for channel in self._group.channels}
         for message in response.matches[-1:]:
             partners = {one.channel_id for one in message.matched} | {*message.unmatched_channel_ids}
@@ -226,7 +228,10 @@ class MatchSubscription(BoundToProcess):
                 self._group.refresh()
 
     def _matched(self, message: group_pb.ItemMatch) -> tuple[Matched[Channel], int]:
-        """Return a match, and the number of its items that are gone. Fetches items of other hosts in parallel."""
+        """Return a match, and the number of its items that retention has collected.
+
+        Fetches items of other hosts in parallel.
+        """
         by_id = {channel.info.channel_id: channel for channel in self._group.channels}
         mine = self._per._state.decoder(self._per.incarnation, payloads=self._payloads).decode([message.item])[0]
         others = [one for one in message.matched if one.channel_id in by_id]
@@ -250,6 +255,6 @@ class MatchSubscription(BoundToProcess):
 
 
 def _charge(message: group_pb.ItemMatch) -> int:
-    """Return the bytes of credit that a match costs: those of each item that came with it."""
+    """Return the bytes of credit that a match costs: the sum over all items that came with it."""
     runs = [message.item.run, *(one.item.run for one in message.matched if one.HasField("item"))]
     return sum(sum(run.payload_length_bytes) + ITEM_OVERHEAD_BYTES * len(run.payload_length_bytes) for run in runs)

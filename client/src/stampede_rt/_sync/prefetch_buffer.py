@@ -11,15 +11,15 @@ from stampede_rt._sync.message import Message, Settler
 from stampede_rt.errors import StampedeError
 from stampede_rt.transports.concurrency_sync import BackgroundTask, Mutex, Signal
 
-LEASE_PARTS = 3  # a lease is due when this part of it is left: 1/3
+LEASE_PARTS = 3  # a lease is due when one third of it is left
 _log = logging.getLogger("stampede_rt")
 
 
 class PrefetchBuffer:
-    """Prefetched messages of one taker, in their order. The buffer extends their leases.
+    """Prefetched messages of one taker, in their order, with their leases.
 
-    It extends them as long as callers take messages. A message that waits while no caller takes any goes back to the
-    queue after two thirds of its lease, and other takers get it.
+    The buffer extends the leases as long as callers take messages. If no caller takes any for two thirds of a lease,
+    the message goes back to the queue, and other takers get it.
     """
 
     def __init__(self, settler: Settler, give_back: Callable[[list[Message]], None], name: str) -> None:
@@ -28,7 +28,7 @@ class PrefetchBuffer:
         self._name = name
         self._mutex = Mutex()  # guards the messages
         self._waiting: deque[Message] = deque()
-        self._untouched: set[Message] = set()  # no caller took any message since their leases began
+        self._untouched: set[Message] = set()  # messages in whose leases no caller has taken any message yet
         self._changed = Signal()
         self._keeper: BackgroundTask | None = None
 
@@ -77,7 +77,7 @@ class PrefetchBuffer:
                 self._extend(kept)
 
     def _wait_s(self) -> float | None:
-        """Return the seconds until the next lease is due; None once the buffer is empty, which ends the keeper."""
+        """Return the seconds until the next lease is due. None once the buffer is empty: `_keep` ends then."""
         with self._mutex:
             self._changed.clear()
             if not self._waiting:
@@ -96,7 +96,7 @@ class PrefetchBuffer:
         return idle, kept
 
     def _extend(self, messages: list[Message]) -> None:
-        """Extend leases by their first length. Other takers soon get the messages with which that fails."""
+        """Extend leases by their first length. If that fails for a message, another taker soon gets it."""
         extended: list[Message] = []
         try:
             extended = self._settler.extend(messages, min(message.lease_left for message in messages))

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""A peer's registration: its lease, renewed in the background, and its mailbox (paper, section 4.2)."""
+"""A peer's registration: its lease, which the client renews in the background, and its mailbox (paper, section 4.2)."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Presence:
     def _register(self, timeout_s: float) -> QueueState:
         """Register with a number above those of all other processes of this peer. Raises PeerExists, Unavailable."""
         deadline_s = time.monotonic() + timeout_s
-        while True:  # once more for each process that registers meanwhile; ends with the deadline
+        while True:  # repeats if another process has registered meanwhile; ends at the deadline
             try:
                 return self._register_once(deadline_s - time.monotonic())
             except StaleRegistration as error:
@@ -183,9 +183,9 @@ class Presence:
             _log.warning("the lease of peer %r %s; the client tries again: %s", self._name, how, error)
 
     def _renew(self, timeout_s: float) -> None:
-        """Renew the lease at the leader: it alone renews leases.
+        """Renew the lease at the leader, because only the leader renews leases.
 
-        The call also measures this machine's clock against the leader's.
+        The call also measures this machine's clock against the leader's clock.
         """
         supernodes = self._session.supernodes
         request = peer_pb.RenewPeerLeaseRequest(
@@ -193,10 +193,10 @@ class Presence:
             boot_incarnation=self._boot_incarnation,
             clock=clock_message(supernodes.clock),
         )
-        began, sent = time.monotonic_ns(), time.time_ns()  # in this order, see DirectoryClient._ping
+        began, sent = time.monotonic_ns(), time.time_ns()  # the monotonic clock first, see DirectoryClient._ping
         response = supernodes.call_leader("RenewPeerLease", request, timeout_s)
         took = time.monotonic_ns() - began
-        if response.supernode_id:  # an older supernode tells no time
+        if response.supernode_id:  # a supernode of an older release does not tell its time
             supernodes.clock = ClockOffset.measured(
                 sent_unix_nano=sent,
                 took_nanos=took,
@@ -206,7 +206,10 @@ class Presence:
             )
 
     def end(self) -> None:
-        """Leave: the directory frees the name and deletes the mailbox, at the latest when the lease ends."""
+        """Deregister the peer.
+
+        The directory frees the name and deletes the mailbox, at the latest when the lease ends.
+        """
         self._left = True
         self._wake.set()
         if self._background is not None:
@@ -245,7 +248,7 @@ class MailboxLocator(QueueLocator):
         self._presence.check()
 
     def explain(self, error: StampedeError) -> None:
-        """Name the mailbox in the error. A mailbox that is gone makes the peer register again."""
+        """Add the name of the mailbox to the error. If the mailbox is gone, make the peer register again."""
         super().explain(error)
         if isinstance(error, QueueNotFound):
             self._presence.register_again()

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Many puts in flight: items fill a run while the client writes the one before, and acks arrive later."""
+"""Many puts without waiting. The client fills one run with items while it sends the run before. Acks arrive later."""
 
 from __future__ import annotations
 
@@ -31,15 +31,16 @@ from stampede_rt.wire.put_frames import put_head, put_request
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024
 IN_FLIGHT_RUNS_MAX = 64
 REJECTIONS_KEPT_MAX = 1024
-_in_flight: set[Producer] = set()  # keeps producers alive until their items are acked
+_in_flight: set[Producer] = set()  # keeps producers alive until the host has acknowledged their items
 
 
 class Producer(BoundToProcess):
-    """Puts that do not wait for their acks, with a bound on the unacknowledged bytes (see `Channel.producer`).
+    """Puts items without waiting for their acks. The unacknowledged bytes have a bound (see `Channel.producer`).
 
-    Use it as a context manager, from one thread or task. Leaving the context flushes. `accepted` counts the items that
-    the host has accepted. `rejections` counts the items that it has refused; `rejected` lists their errors since the
-    last flush, at most 1024. A program may drop a producer without closing it: its stream then ends after the last ack.
+    Use it as a context manager, from one thread or task. At the end of the context it flushes. `accepted` counts the
+    items that the host has accepted. `rejections` counts the items that it has refused; `rejected` lists their errors
+    since the last flush, at most 1024. A program may drop a producer without closing it: its stream then ends after the
+    last ack.
     """
 
     def __init__(self, session: Session, state: ChannelState) -> None:
@@ -53,8 +54,8 @@ class Producer(BoundToProcess):
         self._mutex = Mutex()  # guards the builder and the order of writes
         self._moved = Signal()
         self._stream: PutDuplex | None = None
-        self._opened: list[PutDuplex] = []  # the stream opened last; `_give_up` closes it
-        self._generation = 0  # of the stream; acks of an older one do not count
+        self._opened: list[PutDuplex] = []  # the latest stream; `_give_up` closes it
+        self._generation = 0  # the number of the stream; acks of an older stream do not count
         self._failure: StampedeError | None = None
         self._backoff: Backoff | None = None  # set from a failure until the next ack
         self._finished = False
@@ -91,11 +92,11 @@ class Producer(BoundToProcess):
         content_type: str | None = None,
         timeout: float | None = CALL_TIMEOUT_S,
     ) -> None:
-        """Hand over one item. Blocks while 8 MiB or 64 runs are unacknowledged, and while a lost stream is replaced.
+        """Accept one item for sending. Blocks while 8 MiB or 64 runs are unacknowledged, and while a stream reopens.
 
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
-        on_full="block" may need. The other arguments are those of `Channel.put`. A put that raises, or that is
-        cancelled, has handed over nothing. Raises DeadlineExceeded after the timeout, InvalidArgument, ItemTooLarge,
+        on_full="block" may need. The other arguments are those of `Channel.put`. If a put raises or is cancelled, the
+        producer does not send its item. Raises DeadlineExceeded after the timeout, InvalidArgument, ItemTooLarge,
         CodecError; Unavailable if the host cannot be reached for 10 s.
         """
         self._session.check_process()
@@ -117,7 +118,7 @@ class Producer(BoundToProcess):
                 self._send_filled()
 
     def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
-        """Block until the host has answered for every item put. Then raise the first refusal, if there is one.
+        """Block until the host has accepted or refused every item. Then raise the first refusal, if there is one.
 
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit. Raises DeadlineExceeded
         after the timeout, and Unavailable if the host cannot be reached for 10 s.
@@ -186,9 +187,9 @@ class Producer(BoundToProcess):
                 self._moved.wait(None if left_s == float("inf") else left_s)
 
     def _recover(self, failure: StampedeError, left_s: float) -> None:
-        """Replace a failed stream. Raise its failure if that is final, or if no ack came for 10 s.
+        """Replace a failed stream. Raise its error if the error is final, or if no ack came for 10 s.
 
-        Unacknowledged items stay: the next put or flush tries again with them.
+        The producer keeps unacknowledged items. The next put or flush tries again to send them.
         """
         self._backoff = self._backoff or Backoff(clock.monotonic() + CALL_TIMEOUT_S)
         delay_s = self._backoff.next_delay_s(clock.monotonic(), random.random())
@@ -201,10 +202,10 @@ class Producer(BoundToProcess):
         self._open(min(left_s, CALL_TIMEOUT_S))
 
     def _open(self, timeout_s: float = CALL_TIMEOUT_S) -> None:
-        """Open a stream to the channel's present host, and send all unacknowledged runs under their old numbers."""
+        """Open a stream to the channel's present host, and send unacknowledged runs again with their old numbers."""
         self.close()
 
-        def open_at(binding: Binding) -> None:  # nothing in it waits, so no one can interrupt it
+        def open_at(binding: Binding) -> None:  # it does not wait, so it cannot be interrupted
             endpoint = self._session.endpoints.to(binding.target)
             on_acks = partial(_weakly(self._acked), self._generation)
             on_end = partial(_weakly(self._ended), self._generation)
@@ -219,7 +220,7 @@ class Producer(BoundToProcess):
                 if self._unacked:
                     _in_flight.add(self)
                 else:
-                    self._backoff = None  # no ack will come to end the backoff
+                    self._backoff = None  # no run is unacknowledged, so no ack will end the backoff
 
         self._session.perform(self._state, open_at, timeout_s)
 
@@ -238,7 +239,7 @@ class Producer(BoundToProcess):
 
     def _count(self, ack: channel_pb.PutAck) -> None:
         refusal = from_error_message(ack.error) if ack.HasField("error") else None
-        if refusal is not None and refusal.retryable:  # the channel has moved: send the run again
+        if refusal is not None and refusal.retryable:  # the channel has another host now: send the run again
             self._failure = refusal
             return
         run = self._unacked.popleft()

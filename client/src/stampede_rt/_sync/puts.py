@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Single puts: each waits for its ack, on an open stream to the channel's host."""
+"""Single puts. Each put goes over an open stream to the channel's host, and waits for its ack."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from stampede_rt.wire.runs import run_parts
 
 
 class ProducerNumbers:
-    """The id of a producer and the numbers of its puts. By them the host recognises a repeated put."""
+    """The id of a producer and the numbers of its puts. The host uses them to recognise a repeated put."""
 
     def __init__(self) -> None:
         self.producer_id = int.from_bytes(os.urandom(8), "little") | 1
@@ -56,11 +56,11 @@ class Puts:
     ) -> channel_pb.PutAck:
         """Put one item under the producer's next number, so that it is safe to repeat. Returns the ack.
 
-        `wait` bounds the wait for room. The client splits a long wait, the first time after `renew_s`, so that it
-        notices a host that hangs.
+        `wait` bounds the wait for room. The client splits a long wait into several requests, so that it notices a host
+        that hangs. The first request waits for `renew_s`.
         """
         began_s = monotonic_s()
-        while True:  # ends with the wait
+        while True:  # ends when the time of `wait` is over
             asked_s = monotonic_s()
             left = wait.after(asked_s - began_s)
             part = left if left.seconds is not None and left.seconds <= renew_s else Wait(renew_s)
@@ -69,7 +69,7 @@ class Puts:
             except Full:
                 if (
                     part is left or monotonic_s() - asked_s < renew_s / 2
-                ):  # refused at once: this channel lets no put wait
+                ):  # the host refused the put at once: on this channel no put waits
                     raise
             renew_s = RENEW_S
 
@@ -89,12 +89,12 @@ class Puts:
         return attempt(self._locator, put_at, seconds + CALL_TIMEOUT_S)
 
     def close(self) -> None:
-        """Close the streams. A later put opens a new one."""
+        """Close the streams. A later put opens a new stream."""
         self._session.put_streams.close(self._handle_id)
 
 
 def enqueued(ack: channel_pb.PutAck) -> Enqueued:
-    """The ack of a queue, as its callers see it."""
+    """Return the ack of a queue in the form that callers see."""
     return Enqueued(ack.first_seq, ack.duplicate, ack.incarnation)
 
 
@@ -108,7 +108,7 @@ def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
 
 @dataclass(frozen=True, slots=True)
 class SingleItem:
-    """One checked item, as its caller stated it."""
+    """One item with the caller's arguments, checked."""
 
     payload: bytes
     time: int | None
@@ -140,7 +140,7 @@ class SingleItem:
         )
 
     def accepted_as(self, state: ChannelState, ack: channel_pb.PutAck) -> Item:
-        """The item as the channel's host accepted it."""
+        """Return the item as the channel's host accepted it: with the time and seq of `ack`."""
         time = ack.stamped_unix_nano if self.time is None else self.time
         fields = (
             time,
@@ -156,7 +156,7 @@ class SingleItem:
         return state.coding.item(fields) if state.coding else Item._make(fields)
 
     def run_parts(self) -> list[bytes]:
-        """The item as an encoded run of one item."""
+        """Return the encoded run that contains only this item."""
         return run_parts(
             (self.payload,),
             times=None if self.time is None else (self.time,),

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Reads by time and subscriptions: of a channel, or of a channel as a group shows it (paper, sections 3.2 and 3.3)."""
+"""Reads by time, and subscriptions: to a channel, or to a channel as a group shows it (paper, sections 3.2 and 3.3)."""
 
 from __future__ import annotations
 
@@ -87,11 +87,11 @@ class Reader(Reference):
     ) -> Items:
         """Return the items in an interval, by default those whose span shares an instant with it.
 
-        `bounds`: "[]", "[)", "(]" or "()". `match`: "span", "whole" (the span lies inside) or "start" (the time does).
-        `limit` keeps the earliest items, or with `newest_first` the latest. `after` continues behind an item.
-        `timeout` in seconds: 0 answers at once, None waits without a limit. The call waits for the first match, or
-        with `complete` until no more items can come. After the timeout it returns the items that are there.
-        Raises InvalidInterval, IncarnationLost, Unavailable.
+        `bounds`: "[]", "[)", "(]" or "()". `match`: "span", "whole" (the whole span lies in the interval) or "start"
+        (the item's time lies in it). `limit` keeps the earliest items, or with `newest_first` the latest. `after`
+        continues behind an item. `timeout` in seconds: 0 answers at once, None waits without a limit. The call waits
+        for the first match, or with `complete` until no more items can come. After the timeout it returns the items
+        that are there. Raises InvalidInterval, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
         position = None if after is None else after_position(after)
@@ -114,17 +114,17 @@ class Reader(Reference):
         return self._read(ReadQuery(parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout)))
 
     def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """Return the newest item older than `time`, or None. Of several with its time, the last accepted."""
+        """Return the newest item older than `time`, or None. Of several items with one time, the last accepted."""
         return self._read_one(MIN_INSTANT, parse_bound(time, "time"), "[)", True, None, payloads, timeout)
 
     def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """Return the oldest held item, or None. Of several with its time, the first accepted."""
+        """Return the oldest held item, or None. Of several items with one time, the first accepted."""
         return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
 
     def newest(
         self, after: Item | InstantLike | None = None, *, payloads: bool = True, timeout: float | None = 0
     ) -> Item | None:
-        """Return the newest item, or None. With `after`, only if it is later than that instant or item.
+        """Return the newest item, or None. With `after`, return it only if it is later than that instant or item.
 
         `timeout` in seconds: 0 answers at once, None waits without a limit.
         """
@@ -167,11 +167,11 @@ class Reader(Reference):
     ) -> Subscription:
         """Subscribe to items as the host accepts them. Returns an iterator that is also a context manager.
 
-        `mode` "all": the held items from `start` on (None: only new ones), then every later one, each once. "newest":
-        always the latest item, never an earlier one again. `after` resumes behind an item, also in another process. The
-        subscription begins when the program enters the context, or with the first step. After a broken connection it
-        tries to come back for the duration `reconnect` (None: without a limit), and continues where it was. If it
-        cannot, it raises Unavailable. Raises InvalidArgument.
+        `mode` "all": first the held items from `start` on (None: none of them), then every later item, each once.
+        "newest": always the latest item; an earlier item never follows a later one. `after` resumes behind an item,
+        also in another process. The subscription begins when the program enters the context, or with the first step.
+        After a broken connection it tries to come back for the duration `reconnect` (None: without a limit), and
+        continues behind the last item. If it cannot, it raises Unavailable. The call itself raises InvalidArgument.
         """
         reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
         return self._subscribe(start, mode, after, payloads, reconnecting)
@@ -210,10 +210,10 @@ class Reader(Reference):
         """Call `fn` for each item, one call after the other, until `cancel` of the returned handle.
 
         The other arguments are those of `subscribe`. `fn` runs in a thread or task of the library. The handle logs and
-        counts an exception of `fn`, and gives it the next item. Items wait at the host while `fn` runs; `dropped`
-        counts those that retention collects meanwhile. If the host is lost with its items, the handle logs and counts
-        that, and continues with the channel's new incarnation. After an outage it continues where it was; `reconnect`
-        bounds the outage (None: without a limit). Raises InvalidArgument.
+        counts an exception of `fn`, and calls `fn` with the next item. Items wait at the host while `fn` runs;
+        `dropped` counts those that retention collects meanwhile. If the host is lost with its items, the handle logs
+        and counts that, and continues with the channel's new incarnation. After an outage it continues where it was;
+        `reconnect` bounds the outage (None: without a limit). Raises InvalidArgument.
         """
 
         name = f"channel {self.name!r}"

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Opens streams again after a break, at growing intervals, for as long as their user allows."""
+"""Opens streams again after a break. It tries at growing intervals, for as long as the program allows."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Reconnecting:
         self._what = what
         self._bound_s = parse_reconnect(reconnect)
         self._held = held
-        self._since_s: float | None = None  # when the break was noticed
+        self._since_s: float | None = None  # when the client noticed the break
         self._told = False
         self.ended = False  # by `stop`
         self.reconnects = 0
@@ -41,7 +41,7 @@ class Reconnecting:
         return self._held and self._since_s is None and not self.ended and not self._session.closed
 
     def stop(self) -> None:
-        """Try no more. Any thread may call it."""
+        """End all tries. Any thread may call it."""
         self.ended = True
 
     def broke(self) -> None:
@@ -52,7 +52,7 @@ class Reconnecting:
     def open(self, open_once: Callable[[float], None]) -> None:
         """Call `open_once` with the seconds that it may take, until it succeeds or someone calls `stop`.
 
-        Raises an error that makes further tries useless, or the last error after `reconnect`.
+        Raises an error at once if further tries are useless. Otherwise raises the last error after `reconnect`.
         """
         if not self._held:
             open_once(CALL_TIMEOUT_S)
@@ -63,7 +63,10 @@ class Reconnecting:
             pass
 
     def _try(self, open_once: Callable[[float], None], backoff: Backoff) -> bool:
-        """Return whether the stream is open or no longer wanted. Otherwise some time has passed."""
+        """Try once.
+
+        Returns True if the stream is open or no longer wanted; otherwise waits for the backoff, and returns False.
+        """
         try:
             open_once(min(self._left_s(), TRY_TIMEOUT_S))
         except StampedeError as error:
@@ -72,7 +75,7 @@ class Reconnecting:
                 return True
             over = self._left_s() <= 0
             if over:
-                self._since_s = None  # a user who continues has the whole time again
+                self._since_s = None  # if the program continues, it has the whole time again
             if over or not may_heal(error) or self._session.closed:
                 raise
             self._tell(error)

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Producer pull: the client asks a function for an item in each period (paper, section 4.1)."""
+"""Producer pull: in each period the library calls a function of the program for an item (paper, section 4.1)."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Sampler(BackgroundStart, BoundToProcess):
         check_callback(function)
         self._session = session
         self._name = name
-        self._put = put  # takes the value, and the seconds that it may wait for room
+        self._put = put  # takes the value, and the number of seconds for which the put may wait for room
         self._function = function
         self._clock = clock
         self._periods = Periods(clock.nanos(), every_nanos)

@@ -1,8 +1,9 @@
 # Generated from ../_async by tools/generate.py; do not edit.
 """The connection behind all handles: it finds the hosts of channels, and tries again when a binding is stale.
 
-A request uses the cached binding. Without one the client asks the host's gatekeeper, then a supernode for the host,
-then a front-end for other supernodes. The client forgets what turns out to be stale (paper, section 4.2).
+A request uses the cached binding. Without a binding the client asks the gatekeeper of the known host. If that fails, it
+asks a supernode for the host, and if that fails, a front-end for other supernodes. The client forgets each part that
+turns out to be stale (paper, section 4.2).
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class SessionTask(Protocol):
 
 
 def request_id() -> bytes:
-    """A random id that makes an update safe to repeat."""
+    """Return a random id that makes an update safe to repeat."""
     return os.urandom(16)
 
 
@@ -51,7 +52,7 @@ def request_id() -> bytes:
 class ChannelState:
     """What a handle knows of its channel.
 
-    `info` follows the directory; `cluster_id` is the cluster that it comes from.
+    `info` follows the directory; `cluster_id` is the cluster of that directory.
     """
 
     info: ChannelInfo
@@ -61,7 +62,7 @@ class ChannelState:
     cluster_id: str = ""
 
     def decoder(self, incarnation: int, *, payloads: bool) -> ItemDecoder:
-        """A decoder that turns the host's runs into Items."""
+        """Return a decoder that turns the host's runs into Items."""
         policy = self.info.policy
         return ItemDecoder(
             incarnation=incarnation,
@@ -73,7 +74,7 @@ class ChannelState:
 
 
 class Session:
-    """The caches and the retries behind all handles of one connection."""
+    """The caches of one connection and its retries. All handles of the connection use them."""
 
     def __init__(
         self,
@@ -103,7 +104,10 @@ class Session:
         self.supernodes.bind(CONNECT_TIMEOUT_S)
 
     def close(self) -> None:
-        """End everything under way, the latest first. A forked child leaves the parent's connection alone."""
+        """End all tasks, the latest first, and all calls.
+
+        In a forked child it does nothing: the connection is the parent's.
+        """
         if self.inherited:
             self.closed = True
         if self.closing or self.inherited:  # the first caller ends everything
@@ -124,11 +128,14 @@ class Session:
 
     @property
     def state(self) -> str:
-        """Why the connection cannot be used, for people; "" if it can."""
+        """The reason why the connection cannot be used, as a text for people; "" if it can be used."""
         return "of the parent process" if self.inherited else "connection closed" if self.closed else ""
 
     def reopened(self, kind: str, *arguments: object) -> tuple[Callable[..., object], tuple[object, ...]]:
-        """What pickle writes for a handle: how another process opens it. Raises TypeError for asyncio handles."""
+        """Return what pickle writes for a handle: the call that opens it elsewhere.
+
+        Raises TypeError for asyncio handles.
+        """
         if self._reopening is None:
             raise TypeError(
                 f"a {kind} of stampede_rt.aio belongs to its event loop and cannot be pickled: pass its name, and open "
@@ -147,7 +154,7 @@ class Session:
             raise connection_closed()
 
     def attach(self, one: SessionTask) -> None:
-        """End `one` before the connection closes."""
+        """Keep `one`, and end it before the connection closes."""
         self.check()
         self._attached[one] = None
 
@@ -175,12 +182,12 @@ class Session:
         return channel_info(record, host)
 
     def found(self, record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelState:
-        """The state of a handle for a channel from a listing. The handle may not create the channel again."""
+        """Return the state of a handle for a channel of a list. The handle may not create the channel again."""
         info = self._learn(record, host) if host is not None else channel_info(record, None)
         return self.state_of(info, Policy(), False)
 
     def state_of(self, info: ChannelInfo, stated: Policy, create: bool, coding: Coding | None = None) -> ChannelState:
-        """The state of a new handle."""
+        """Return the state of a new handle."""
         return ChannelState(info, stated, create, coding, self.supernodes.cluster_id)
 
     def place(self, state: ChannelState) -> Binding:
@@ -224,7 +231,7 @@ class Session:
         return self._bind_at(state, owner, deadline_s)
 
     def _resolve(self, state: ChannelState, deadline_s: float) -> None:
-        """Ask a supernode for the owner. If the owner is lost, open the channel again as its handle did."""
+        """Ask a supernode for the owner. If the owner is lost, open the channel again with the handle's arguments."""
         timeout_s = left_s(deadline_s)
         request = directory_service_pb2.ResolveChannelRequest(channel_id=state.info.channel_id)
         try:
@@ -246,7 +253,8 @@ class Session:
     def _resolve_name(self, state: ChannelState, deadline_s: float) -> None:
         """Open the channel by its name, because the directory does not know its id any more.
 
-        Creates it only if the directory itself began anew, as a directory in memory does. Raises ChannelNotFound.
+        Creates the channel only if the directory itself began anew, for example a directory that is in memory alone.
+        Raises ChannelNotFound.
         """
         begun_anew = self.supernodes.present_cluster(deadline_s) != state.cluster_id
         create = state.create and begun_anew
@@ -321,5 +329,5 @@ class ChannelLocator:
 
 
 def left_s(deadline_s: float) -> float:
-    """The seconds for one call that should end by `deadline_s`."""
+    """Return the timeout in seconds of one call that should end by `deadline_s`."""
     return max(0.1, min(deadline_s - time.monotonic(), CALL_TIMEOUT_S))

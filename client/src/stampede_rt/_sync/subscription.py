@@ -31,7 +31,7 @@ class Subscription(BoundToProcess):
     """An iterator over items (see `Channel.subscribe`), and a context manager.
 
     Each step blocks until the next item. In mode "newest" the host sends one item for each step, the newest at that
-    moment. In mode "all" it sends at most as far ahead as the reader takes in a tenth of a second, and at most 1 MiB.
+    moment. In mode "all" it sends ahead as much as the reader takes in a tenth of a second, and at most 1 MiB.
 
     `skipped` counts items that mode "newest" passed over. `dropped` counts items that retention collected before a slow
     reader took them. Any thread may call `close`, which ends the iteration. A step raises ChannelNotFound once the
@@ -54,7 +54,7 @@ class Subscription(BoundToProcess):
         self._window = CreditWindow(ONE_ITEM) if newest_only else CreditWindow()
         self._cursor: channel_pb.SubscriptionCursor | None = None  # where the next stream begins after a break
         self._since_cursor: set[int] = set()  # seqs after the cursor, which the next stream repeats
-        self._skipped_before = 0  # sum of earlier streams: the host counts from 0 on each
+        self._skipped_before = 0  # sum of earlier streams; on each stream the host counts from 0
         self._closed = False
         self.skipped = 0
         self.dropped = 0
@@ -186,7 +186,7 @@ class Subscription(BoundToProcess):
     def _receive(self) -> None:
         try:
             self._take(self._responses.__next__())
-        except StopIteration:  # `close` came, or someone cancelled an earlier step
+        except StopIteration:  # somebody called `close`, or cancelled an earlier step
             self._resume()
         except StampedeError as error:
             self._resume()
@@ -197,14 +197,14 @@ class Subscription(BoundToProcess):
             self._session.cache.forget(self._state.info.channel_id)
 
     def _resume(self) -> None:
-        """Prepare the next stream, which continues behind the last item: without a gap and without a repetition."""
+        """Prepare the next stream. It continues behind the last item, without a gap and without a repetition."""
         self._stream = None
         self._skipped_before = self.skipped
         if self._cursor is not None:
             self._begun.cursor.CopyFrom(self._cursor)
 
     def _lost(self, error: IncarnationLost) -> IncarnationLost:
-        """Say that the channel has another incarnation than this subscription."""
+        """Return the error that says that the channel's incarnation is no longer that of this subscription."""
         if self._cursor is None:  # the caller's start or item is of another incarnation
             return error
         lost = IncarnationLost(
@@ -221,7 +221,7 @@ class Subscription(BoundToProcess):
             self._ready.extend(self._unseen(self._decoder.decode_each(response.runs)))
         if response.HasField("cursor"):
             self._cursor = response.cursor
-            if not response.HasField("opened"):  # "opened" only repeats the cursor of the request
+            if not response.HasField("opened"):  # the cursor of an "opened" response only repeats that of the request
                 self._since_cursor.clear()
         if response.HasField("progress"):
             self.skipped = self._skipped_before + response.progress.skipped

@@ -1,1 +1,1 @@
-"""What the command line and a supernode that joins both do with a running cluster: find it, list it, change it."""
+"""Finds, lists and changes a running cluster. The command line and a joining supernode use this package."""

@@ -1,11 +1,11 @@
-"""The words of `stampede supernode` that the client shares with a joining supernode."""
+"""Verbs and options of `stampede supernode` that the client and a joining supernode share."""
 
 from __future__ import annotations
 
 import argparse
 
 ADMINISTRATIVE_VERBS = ("status", "add", "remove", "snapshot")
-"""The client runs these. All other words are the supernode's own."""
+"""The client runs these verbs. The supernode runs all other verbs."""
 
 
 def add_cluster_options(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""The supernodes of a running cluster: how an operator and a joining supernode reach, list and change them."""
+"""Reaches, lists and changes the supernodes of a running cluster, for an operator and for a joining supernode."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ HOST_PAGES_MAX = 1000
 
 
 class Cluster:
-    """The supernodes of a running cluster, reached at any of the given addresses.
+    """The supernodes of a running cluster. Each call goes to one of the given addresses.
 
     `frontends`: those that named the addresses.
     """
@@ -47,7 +47,7 @@ class Cluster:
 
     @property
     def cluster_id(self) -> str:
-        """Which cluster it is; empty: nobody has said so. Every call names it."""
+        """The id of the cluster. Every call names it. Empty as long as no supernode has told it."""
         return self._endpoints.metadata.cluster_id
 
     @property
@@ -56,14 +56,14 @@ class Cluster:
         return self._endpoints.credentials.tls is not None
 
     def members(self) -> directory_pb.ListSupernodesResponse:
-        """The members, as the first supernode that answers knows them. Raises Unavailable."""
+        """Return the members, as the first supernode that answers knows them. Raises Unavailable."""
         listed: directory_pb.ListSupernodesResponse = self._first(
             lambda endpoint: endpoint.call(endpoint.directory.ListSupernodes, _LIST, CALL_SECONDS)
         )
         return listed
 
     def ping(self, address: str) -> Any:
-        """A supernode's own state; None if it does not answer."""
+        """Return a supernode's own state; None if it does not answer."""
         return _ping(self._endpoints, address)
 
     def make_token(self, supernode_id: str, address: str, *, valid_nanos: int) -> pb.CreateJoinTokenResponse:
@@ -79,7 +79,7 @@ class Cluster:
     def issue_client_token(
         self, name: str, roles: Sequence[str], *, valid_nanos: int
     ) -> access_pb.CreateClientTokenResponse:
-        """Make a token for a client of that name. Raises the supernodes' refusal."""
+        """Make a token for a client of that name. Raises the error with which the supernodes refuse."""
         request = access_pb.CreateClientTokenRequest(
             request_id=secrets.token_bytes(16), name=name, roles=roles, valid_nanos=valid_nanos
         )
@@ -87,9 +87,9 @@ class Cluster:
         return made
 
     def revoke(self, serial: str) -> int:
-        """Have all services take that certificate or token no more. Raises what the supernodes refuse it with.
+        """Revoke a certificate or token: all services refuse it from then on.
 
-        Gives the version of access from which on it is so.
+        Returns the version of access that contains the revocation. Raises the error with which the supernodes refuse.
         """
         request = access_pb.RevokeCredentialRequest(request_id=secrets.token_bytes(16), serial=serial)
         return int(self.ask_access("RevokeCredential", request).version)
@@ -97,7 +97,8 @@ class Cluster:
     def parts_behind(self, version: int, *, of_rules: bool = False) -> dict[str, str]:
         """Wait until all parts judge callers by that version of access; see `in_force`.
 
-        `of_rules`: leave front-ends out, which judge by no rules.
+        Returns the parts that do not, each with the reason. `of_rules`: leave front-ends out, because no rule concerns
+        them.
         """
         try:
             members = [one for one in self.members().supernodes if one.endpoint.target]
@@ -121,16 +122,16 @@ class Cluster:
             request.page_token = page.next_page_token
 
     def revoked_serials(self) -> Sequence[str]:
-        """All that were revoked."""
+        """The serial numbers of all revoked certificates and tokens."""
         listed = self.ask_access("ListRevokedCredentials", access_pb.ListRevokedCredentialsRequest())
         return tuple(listed.serials)
 
     def ask_access(self, rpc: str, request: Any) -> Any:
-        """Make a call of AccessService at the first supernode that answers. Raises its refusal."""
+        """Make a call of AccessService at the first supernode that answers. Raises the error with which it refuses."""
         return self._first(lambda endpoint: endpoint.call(getattr(_access(endpoint), rpc), request, CALL_SECONDS))
 
     def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
-        """Remove a member; the leader does it. Raises the leader's refusal, or Unavailable without a leader."""
+        """Ask the leader to remove a member. Raises the leader's error, or Unavailable if there is no leader."""
         request, began = pb.RemoveSupernodeRequest(supernode_id=supernode_id), time.monotonic()
         known, patience = self.members().supernodes, LEADERLESS_SECONDS
         if supernode_id not in {one.supernode_id for one in known}:
@@ -156,12 +157,12 @@ class Cluster:
         raise _leaderless(known)
 
     def _leader_first(self, known: Sequence[SupernodeRecord]) -> list[str]:
-        """Where the members are that answer there."""
+        """Return the addresses of the members that answer, the leader's address first."""
         there = [one for one in known if is_there(one, self.ping(one.endpoint.target))]
         return [one.endpoint.target for one in sorted(there, key=lambda one: not one.is_leader)]
 
     def snapshot(self, address: str, *, include_data: bool, stale_ok: bool) -> Iterator[pb.TakeSnapshotResponse]:
-        """Yield the answer of the supernode at `address`, part by part. Raises StampedeError."""
+        """Yield the snapshot of the supernode at `address`, part by part. Raises StampedeError."""
         endpoint = self._endpoints.to(address)
         request = pb.TakeSnapshotRequest(include_data=include_data, stale_ok=stale_ok)
         responses = endpoint.call(_membership(endpoint).TakeSnapshot, request, SNAPSHOT_SECONDS)
@@ -178,7 +179,10 @@ _LIST = directory_pb.ListSupernodesRequest()
 
 
 def _first(endpoints: EndpointPool, addresses: Sequence[str], ask: Callable[[ServerEndpoint], Any]) -> Any:
-    """What the first of them that answers says. Raises why the last one does not, certificates among the reasons."""
+    """Return the first answer of the supernodes at `addresses`.
+
+    If none answers, raises the error of the last one, with the reason, also if certificates are the reason.
+    """
     failure: StampedeError = Unavailable("no supernode is known; name one with --member, or a front-end with --url")
     for address in addresses:
         try:
@@ -199,12 +203,12 @@ def _ping(endpoints: EndpointPool, address: str) -> Any:
 
 
 def is_there(record: SupernodeRecord, pong: Any) -> bool:
-    """Whether that member answered, and not another one at its address."""
+    """Whether `pong` comes from the member of `record`, and not from another supernode at its address."""
     return pong is not None and pong.supernode_id == record.supernode_id
 
 
 def no_member(supernode_id: str, known: Sequence[SupernodeRecord]) -> StampedeError:
-    """The error for an id that no member has."""
+    """Return the error for an id that no member has."""
     names = ", ".join(one.supernode_id for one in known)
     return StampedeError(f"no supernode has the id {supernode_id}; the members are {names}")
 
@@ -239,7 +243,7 @@ def _bound(endpoints: EndpointPool, frontends: Sequence[str]) -> list[str]:
 
 
 def _same_cluster(endpoints: EndpointPool, members: Sequence[str]) -> list[str]:
-    """The addresses of `members`. Raises WrongCluster if two of them say that they are of different clusters."""
+    """Return the addresses of `members`. Raises WrongCluster if two of them are of different clusters."""
     told = ""
     for address in members:
         pong = _ping(endpoints, address)

@@ -1,4 +1,4 @@
-"""The names of `stampede_rt` for asyncio: every blocking method is awaited here."""
+"""The names of `stampede_rt` for asyncio. The program awaits each method that blocks in `stampede_rt`."""
 
 from __future__ import annotations
 

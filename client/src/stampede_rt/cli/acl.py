@@ -1,4 +1,4 @@
-"""`stampede acl add|rm|ls|check`: who may do what."""
+"""`stampede acl add|rm|ls|check`: rules that say what a client may do."""
 
 from __future__ import annotations
 

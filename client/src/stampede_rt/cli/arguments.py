@@ -23,15 +23,16 @@ _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
 
 
 class VerbParser(TerminalParser):
-    """The parser of one verb. It allows options between the words, and refuses words that it does not know."""
+    """The parser of one verb. It allows options between the arguments, and refuses unknown arguments."""
 
     _intermixed = False
 
     def parse_known_args(  # type: ignore[override]  # typeshed has an overload for each kind of namespace
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> Any:
-        """Parse the verb's arguments. argparse calls this, also for the second pass of an intermixed parse."""
-        if self._intermixed or self._subparsers is not None:  # a noun such as "queue": its verbs parse the rest
+        """Parse the verb's arguments. `argparse` calls this method, twice for arguments and options in mixed order."""
+        if self._intermixed or self._subparsers is not None:
+            # For a noun such as "queue", the parsers of its verbs parse the rest.
             return super().parse_known_args(args, namespace)
         self._intermixed = True
         try:
@@ -86,7 +87,10 @@ def parse_count(text: str) -> int:
 
 
 def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
-    """Wrap `parse` for argparse: its InvalidArgument becomes a usage error with the reason."""
+    """Wrap `parse` for `argparse`.
+
+    If `parse` raises InvalidArgument, the wrapper raises a usage error with the reason.
+    """
 
     def parse_or_explain(text: str) -> Any:
         try:
@@ -98,7 +102,10 @@ def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
 
 
 def parse_time(text: str) -> int:
-    """Return an instant: nanoseconds since the epoch, or ISO 8601, without a timezone in this machine's local time."""
+    """Return an instant, in nanoseconds.
+
+    `text` is nanoseconds since the epoch, or ISO 8601 (local without a time zone).
+    """
     if re.fullmatch(r"[+-]?\d{1,20}", text):
         return parse_instant(int(text))
     try:
@@ -152,7 +159,7 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
 
 
 def policy_of(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The policy as keyword arguments of `Connection.channel`."""
+    """Return the policy as keyword arguments of `Connection.channel`."""
     names = (
         "max_age",
         "max_items",

@@ -1,4 +1,4 @@
-"""Writes a backup to a file: a complete and checked file, or none."""
+"""Writes a backup to a file. If the backup is incomplete or damaged, writes no file."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ SHA256_BYTES = 32
 
 
 def write_backup(responses: Iterator[pb.TakeSnapshotResponse], out: Path) -> pb.TakeSnapshotResponse:
-    """Write the backup in `responses` to `out`, readable by its user only.
+    """Write the backup in `responses` to `out`. Only its user can read the file.
 
-    Returns the first response, which has the facts.
+    Returns the first response, which describes the backup.
 
-    It replaces an existing file once the new one is complete and on the disk. Raises OSError, StampedeError for a
-    damaged backup, and the errors of `responses`.
+    The function replaces an existing file once the new one is complete and on the disk. Raises OSError, StampedeError
+    for a damaged backup, and the errors of `responses`.
     """
     draft = out.parent / f".{out.name}.{secrets.token_hex(4)}"
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -38,7 +38,7 @@ def write_backup(responses: Iterator[pb.TakeSnapshotResponse], out: Path) -> pb.
 
 
 def _copy(responses: Iterator[pb.TakeSnapshotResponse], facts: pb.TakeSnapshotResponse, file: BinaryIO) -> None:
-    # The SHA-256 is the file's own end; what it is of comes before.
+    # The file ends with the SHA-256 of the bytes before it.
     digest, tail, size_bytes = hashlib.sha256(), b"", 0
     for response in responses:
         file.write(response.data)

@@ -1,4 +1,4 @@
-"""The findings about the clocks of a cluster's parts. Pure."""
+"""Findings about the clocks of a cluster's parts. The module is pure."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from stampede_rt.cli.output import roughly
 from stampede_rt.values.timeline import format_duration
 
 CLOCK_OFFSET_NANOS_MAX = 50_000_000
-UNKNOWN = "unknown"  # the clock of a peer that has not told its offset
+UNKNOWN = "unknown"  # stands for the clock of a peer that has not told its offset
 
 
 def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
-    """Find wrong clocks, against those of most services and the caller's.
+    """Find wrong clocks: those that differ from the clocks of most services and the caller.
 
-    A slow answer tells little of a clock: an offset within half of its round trip counts as none.
+    A slow answer tells little about a clock. If the offset is at most half of the round trip, it counts as zero.
     """
     offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
     told = {one: offset for one, offset in offsets.items() if one.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX}
@@ -46,7 +46,7 @@ def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
 
 
 def _apart(offsets: Mapping[Observation, int]) -> str:
-    """How far the clocks are apart, the caller's included, and how well that is known."""
+    """Say how far the clocks are apart, with the caller's clock, and how exactly that is known."""
     known = [(offset, one.clock_doubt_nanos) for one, offset in offsets.items()] + [(0, 0)]
     (high, high_doubt), (low, low_doubt) = max(known), min(known, key=lambda one: (one[0], -one[1]))
     return (
@@ -56,10 +56,10 @@ def _apart(offsets: Mapping[Observation, int]) -> str:
 
 
 def is_off(offset_nanos: int, uncertainty_nanos: int) -> bool:
-    """Whether a clock is certainly further off than is allowed."""
+    """Whether a clock is certainly wrong by more than the allowed offset."""
     return abs(offset_nanos) > CLOCK_OFFSET_NANOS_MAX + uncertainty_nanos
 
 
 def ahead(offset_nanos: int) -> str:
-    """An offset in words. The other clock follows them."""
+    """Return an offset in words. In the sentence the name of the other clock follows."""
     return f"{format_duration(abs(offset_nanos))} {'ahead of' if offset_nanos > 0 else 'behind'}"

@@ -1,4 +1,4 @@
-"""Finds the verb of a command line, runs it, and turns every error into a sentence and an exit status."""
+"""Finds the verb of a command line and runs it. Prints each error as a sentence, and returns an exit status."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def run(arguments: Sequence[str]) -> int:
             return _run_service(arguments[0], arguments[1:])
         parsed = _parser().parse_args(arguments)
         status = int(parsed.run(parsed))
-        sys.stdout.flush()  # report a full disk here, not at the interpreter's end
+        sys.stdout.flush()  # if the disk is full, the error comes here, and not when the interpreter ends
         return status
     except StampedeError as error:
-        if interruption.asked:  # Ctrl-C has closed its connection
+        if interruption.asked:  # Ctrl-C has closed the connection of the command
             return INTERRUPTED
         print(f"stampede: {escaped(error.message)}", file=sys.stderr)
         return MISUSED if isinstance(error, InvalidArgument) else FAILED
@@ -71,7 +71,7 @@ def _drop_output() -> None:
 
 
 def _run_service(verb: str, arguments: Sequence[str]) -> int:
-    # Imports here and in _parser, not at the top: neither function loads the other's modules.
+    # The imports are here and in _parser, not at the top. So neither function loads the modules of the other one.
     from importlib.metadata import entry_points
 
     import stampede_rt.grpc_quiet  # noqa: F401  # before anything imports gRPC

@@ -91,7 +91,7 @@ def _add_get(subparsers: Any) -> None:
         "--bounds",
         choices=("[]", "[)", "(]", "()"),
         default="[]",
-        metavar="BOUNDS",  # argparse drops brackets from a list of choices
+        metavar="BOUNDS",  # `argparse` would drop the brackets in a list of choices
         help='the bounds that belong to the interval: "[]" (default), "[)", "(]", "()"',
     )
     get.add_argument(

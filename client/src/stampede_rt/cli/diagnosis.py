@@ -1,4 +1,4 @@
-"""The findings about a cluster, from the answers of its parts, and what to do about each. Pure."""
+"""Derives findings about a cluster, each with advice, from the answers of its parts. The module is pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NAMED_MAX = 5
 def diagnose(
     seen: Sequence[Observation], held: Sequence[Inventory] = (), *, own_version: str, certificate_s_min: float
 ) -> list[CheckResult]:
-    """Return all findings: first each part, then what concerns them together."""
+    """Return all findings: first those about each part, then those about the whole cluster."""
     parts = [_of_part(one, certificate_s_min) for one in seen]
     of_all = [
         *_frontends(seen),
@@ -68,7 +68,7 @@ def _lost(one: Observation) -> tuple[str, str]:
 
 
 def _load(one: Observation) -> tuple[str, str]:
-    """The state of a host that serves, against its memory bound and the number of its calls."""
+    """Return the state of a host that serves, and advice: whether it lately refused puts or calls as Overloaded."""
     kinds = (
         (one.refused_items, "puts", one.refused_ago_nanos),
         (one.refused_calls, "calls", one.refused_call_ago_nanos),
@@ -82,7 +82,7 @@ def _load(one: Observation) -> tuple[str, str]:
 
 
 def _refused_puts(one: Observation) -> str:
-    """Advice, if it was lately."""
+    """Return advice if the host lately refused puts; otherwise an empty text."""
     if one.refused_ago_nanos is None or one.refused_ago_nanos > REFUSED_LATELY_NANOS:
         return ""
     return (
@@ -93,7 +93,7 @@ def _refused_puts(one: Observation) -> str:
 
 
 def _refused_calls(one: Observation) -> str:
-    """Advice, if it was lately."""
+    """Return advice if the host lately refused or ended calls; otherwise an empty text."""
     if one.refused_call_ago_nanos is None or one.refused_call_ago_nanos > REFUSED_LATELY_NANOS:
         return ""
     return (
@@ -200,7 +200,7 @@ def _denials(seen: Sequence[Observation]) -> Iterator[CheckResult]:
 def _versions(seen: Sequence[Observation], own_version: str) -> Iterator[CheckResult]:
     who: dict[str, list[str]] = {own_version: [CALLER]}
     for one in seen:
-        if one.version and one.kind != PEER:  # a peer's version may be of any program
+        if one.version and one.kind != PEER:  # the version of a peer may be that of any program
             who.setdefault(one.version, []).append(one.part)
     advice = ""
     if len(who) > 1:

@@ -98,7 +98,7 @@ def _counts(counts: Any) -> str:
 
 
 def _consumers(stats: ChannelStats) -> str:
-    """The consumer places for people; the ids are for programs."""
+    """Return the consumer places as a text for people, without the ids, which are for programs."""
     if not stats.consumers and stats.policy.consumers is None:
         return "none"
     held = [f"{one.waiting} waiting" if one.lease_nanos else "lease ended" for one in stats.consumers]

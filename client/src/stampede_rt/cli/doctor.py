@@ -1,4 +1,4 @@
-"""`stampede doctor`: does the cluster work, and what should be fixed."""
+"""`stampede doctor`: tells whether the cluster works, and what an operator should fix."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def add_verbs(subparsers: Any) -> None:
 
 
 def run_doctor(arguments: argparse.Namespace) -> int:
-    """Look at every part. Exit status 1: something should be fixed."""
+    """Examine every part of the cluster. Returns exit status 1 if an operator should fix something."""
     from stampede_rt._sync.endpoints import EndpointPool
     from stampede_rt.cli.examining import Examination
     from stampede_rt.cluster.connecting import parse_target
@@ -69,7 +69,7 @@ def _row(finding: CheckResult, form: str) -> dict[str, Any]:
 
 
 def _vague(seen: Observation | None) -> str | None:
-    """The clock offset of a part whose answer took too long to know it well."""
+    """Return a text for the clock offset of a part whose answer came too late for an exact offset."""
     if seen is None or seen.clock_offset_nanos is None or seen.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX:
         return None
     return f"within {format_duration(abs(seen.clock_offset_nanos) + seen.clock_doubt_nanos)}"

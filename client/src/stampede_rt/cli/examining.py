@@ -1,6 +1,6 @@
 """Asks every part of a cluster for its state: front-ends, then the supernodes that they name, then the hosts.
 
-Peers cannot be asked; the leader passes on what they told it.
+Peers cannot be asked. The leader passes on the facts that peers told it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ PAGES_MAX = 10_000
 
 
 class _Part(NamedTuple):
-    """One part to ask, and the question."""
+    """One part of the cluster, and the request that asks for its state."""
 
     kind: str
     name: str
@@ -60,7 +60,10 @@ class Examination:
         self._pool = ThreadPoolExecutor(ASKED_AT_ONCE_MAX)
 
     def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Inventory]]:
-        """Ask the front-ends, the named members, and the parts that they name. Takes at most about 8 * TIMEOUT_S."""
+        """Ask the front-ends, the named members, and the parts that these name.
+
+        Blocks for about 8 * TIMEOUT_S at most.
+        """
         with self._pool:
             bound = self._ask(map(_frontend, frontends))
             named = dict.fromkeys(members, "")
@@ -75,7 +78,7 @@ class Examination:
         return [*self._own(), *(answer.seen for answer in (*bound, *supernodes, *hosts)), *peers], held
 
     def _held(self, supernodes: Sequence[_Answer]) -> list[Inventory]:
-        """All channels and queues, as far as a supernode tells them."""
+        """Return the inventories of channels and queues. An inventory is missing if no supernode gives it."""
         channels = directory_pb.ListChannelsRequest(stale_ok=True)
         queues = queue_directory_pb.ListQueuesRequest(stale_ok=True, include_mailboxes=True)
         of_channels = self._pages(supernodes, "ListChannels", channels)
@@ -93,7 +96,7 @@ class Examination:
             request.page_token = page.next_page_token
 
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
-        """Ask the named supernodes and those that they list. Even a supernode without a majority knows the others."""
+        """Ask the named supernodes and those that they list. A supernode without a majority also knows the others."""
         first = self._ask(_supernode(name, address) for address, name in named.items())
         own_id = _cluster_of_most(first)
         ready_first = sorted((one for one in first if not _of_others(one, own_id)), key=lambda one: not one.seen.ready)
@@ -142,7 +145,7 @@ class Examination:
                 try:
                     return endpoint.call(getattr(endpoint.directory, method), request, TIMEOUT_S)
                 except StampedeError:
-                    continue  # its own finding says what is wrong with it
+                    continue  # another finding says what is wrong with this supernode
         return None
 
     def _ask(self, parts: Iterable[_Part]) -> list[_Answer]:
@@ -185,10 +188,12 @@ class Examination:
         endpoint = self._endpoints.to(part.address)
         method = getattr(getattr(endpoint, part.service), part.method)
         for is_last in (False, True):
-            started, sent = time.monotonic_ns(), time.time_ns()  # in this order a pause makes the round trip longer
+            # The monotonic clock is first: a pause between the readings then makes the round trip longer.
+            started, sent = time.monotonic_ns(), time.time_ns()
             response = endpoint.call(method, part.request, TIMEOUT_S)
             round_trip = time.monotonic_ns() - started
-            # The first call also opens the connection. A slow part would be slow again.
+            # The first call also opens the connection, so it takes longer. If it was very slow, a second call would not
+            # help.
             if is_last or round_trip > PATIENT_NANOS_MAX:
                 break
         return response, sent, round_trip
@@ -207,7 +212,7 @@ class Examination:
 
 
 def _said_by_itself(error: StampedeError) -> bool:
-    """Whether the part itself answered with that error. Otherwise the call did not reach it, or broke."""
+    """Whether the part itself answered with `error`. Otherwise the call did not reach the part, or broke."""
     cause: Any = error.__cause__
     return any(key == DETAILS_KEY for key, _ in cause.trailing_metadata() or ()) and isinstance(error, Unavailable)
 
@@ -227,7 +232,10 @@ def _host(host: Any) -> _Part:
 
 
 def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:
-    """The observation of a peer. It compared its clock with a supernode, whose own clock the caller may know."""
+    """Return the observation of a peer.
+
+    The peer compared its clock with a supernode's clock, and the caller may have done so, too.
+    """
     seen = Observation(kind=PEER, name=record.name or record.peer_id.hex(), address="-", version=record.version)
     between = supernodes.get(record.clock.supernode_id) if record.HasField("clock") else None
     if between is None or between.round_trip_nanos is None or between.clock_offset_nanos is None:
@@ -251,7 +259,7 @@ def _levels(response: Any) -> dict[str, Any]:
 
 
 def _load(response: Any) -> dict[str, Any]:
-    """The memory of a host, and what it refused."""
+    """The memory of a host, and the number of items and calls that it refused."""
     return {
         "refused_items": response.refused_items,
         "refused_ago_nanos": _optional(response, "refused_ago_nanos"),
@@ -267,7 +275,7 @@ def _optional(message: Any, field: str) -> Any:
 
 
 def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
-    """Count the channels or queues; None if no supernode gave them."""
+    """Count the channels or queues; None if no supernode gave the list."""
     count, lost = 0, []
     for page in pages:
         if page is None:
@@ -285,18 +293,18 @@ def _gatekeeper(host: Any) -> str:
 
 
 def _cluster_of_most(answers: Iterable[_Answer]) -> str:
-    """The cluster of which most of these supernodes are; empty if none says."""
+    """Return the id of the cluster to which most of these supernodes belong; empty if none tells its cluster."""
     told = Counter(one.response.cluster_id for one in answers if one.response is not None and one.response.cluster_id)
     return told.most_common(1)[0][0] if told else ""
 
 
 def _of_others(answer: _Answer, own_id: str) -> bool:
-    """Whether a supernode says that it is of another cluster than this one."""
+    """Whether a supernode says that its cluster is not `own_id`."""
     return bool(own_id) and answer.response is not None and answer.response.cluster_id not in ("", own_id)
 
 
 def _told_apart(answer: _Answer, own_id: str) -> _Answer:
-    """The answer. That of a supernode of another cluster says so."""
+    """Return the answer. If the supernode is of another cluster, add that to the observation as a failure."""
     if not _of_others(answer, own_id):
         return answer
     failure = (
@@ -307,7 +315,10 @@ def _told_apart(answer: _Answer, own_id: str) -> _Answer:
 
 
 def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]:
-    """The supernodes whose stores this one refuses, and why. Empty for a copy at another supernode's address."""
+    """Map the supernodes whose stores this one refuses to the reasons.
+
+    Empty for a copy at another supernode's address.
+    """
     if answer.response is None:
         return {}
     expected = listed.get(answer.seen.address, answer.response.supernode_id)
@@ -315,7 +326,10 @@ def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]
 
 
 def _named(answer: _Answer, listed: dict[str, str], refused: Mapping[str, str]) -> _Answer:
-    """The answer with the others' word about it: whose address that is, if it is a member, and why they refuse it."""
+    """Return the answer with the facts that other supernodes tell about this one.
+
+    They tell the id that belongs to the address, whether it is a member, and why they refuse it.
+    """
     seen = answer.seen
     expected = listed.get(seen.address, "")
     said = answer.response.supernode_id if answer.response is not None else expected

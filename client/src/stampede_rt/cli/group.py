@@ -185,7 +185,7 @@ def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> di
 
 
 def _lead(nanos: int | None) -> str | None:
-    """How far a member's newest item is ahead of the cut."""
+    """Say how far a member's newest item is ahead of the cut."""
     if nanos is None:
         return None
     return format_duration(nanos) if nanos else "at the cut"
@@ -205,7 +205,7 @@ def run_newest(arguments: argparse.Namespace) -> int:
 
 
 def run_get(arguments: argparse.Namespace) -> int:
-    """Print what each channel shows in an interval."""
+    """Print the visible items of each channel in an interval."""
     with connected(arguments) as rt:
         found = _existing(rt, arguments.group).get(arguments.start, arguments.end)
     reasons = {channel.name: items.reason for channel, items in found.items() if items.reason is not None}
@@ -213,7 +213,7 @@ def run_get(arguments: argparse.Namespace) -> int:
 
 
 def _print_items(items: dict[str, list[Item]], reasons: dict[str, Reason], form: str) -> int:
-    """Print what each channel shows, and on standard error why a channel shows nothing or not all."""
+    """Print the visible items of each channel. If items are missing, print the reason on standard error."""
     if form == "table":
         for name, held in items.items():
             print("\n".join(f"{name}  {item_line(item)}" for item in held) or f"{name}  nothing visible")

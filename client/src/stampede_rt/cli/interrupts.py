@@ -1,9 +1,9 @@
 """Ctrl-C in commands.
 
-Python's own handler raises KeyboardInterrupt wherever the main thread is. Inside gRPC or `threading` that may be just
-after the thread took a lock, before its `with` guards it. The lock is then never released, and the call that ends the
-stream waits for it for ever. In a weakref callback Python drops the exception. So a command works on another thread.
-The main thread only waits, and its handler raises nothing.
+Python's own handler raises KeyboardInterrupt at any place in the main thread. Inside gRPC or `threading` the thread may
+just have taken a lock, and not yet be inside the `with` block that releases it. Then the lock is never released, and
+the call that ends the stream waits for the lock for ever. In a weakref callback Python drops the exception. Therefore a
+command runs on another thread. The main thread only waits, and its handler raises nothing.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
 INTERRUPTED = 130
-CLOSE_S = 2.0  # the time for a command to leave the cluster after Ctrl-C
+CLOSE_S = 2.0  # how long a command may take to leave the cluster after Ctrl-C
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
-UNWIND_S = 20.0  # the time for `unwinding`, which stops processes in order
+UNWIND_S = 20.0  # how long a command in `unwinding` may take to stop its processes
 
 
 class Interruption:
-    """Whether the user pressed Ctrl-C, and what to close then."""
+    """Knows whether the user pressed Ctrl-C, and the functions to call then."""
 
     def __init__(self) -> None:
         self.asked = False
@@ -35,7 +35,7 @@ class Interruption:
         self._closes.append(close)
 
     def close(self) -> None:
-        """Close everything, the latest first."""
+        """Call all the functions, the latest first."""
         while self._closes:
             with suppress(Exception):  # the process ends in any case
                 self._closes.pop()()
@@ -52,9 +52,9 @@ interruption = Interruption()
 def run_interruptibly(work: Callable[[], int]) -> int:
     """Run `work` on a thread of its own and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
 
-    Ctrl-C closes the command's connections and waits for the work to end, CLOSE_S at the most; a second one ends the
-    process at once. On another thread than the main one, which alone hears of signals, and where Ctrl-C is ignored,
-    `work` runs here.
+    Ctrl-C closes the command's connections, and waits for the work to end, for at most CLOSE_S. A second Ctrl-C ends
+    the process at once. Only the main thread receives signals. If the caller is another thread, or if the process
+    ignores Ctrl-C, `work` runs on the caller's thread.
     """
     deaf = threading.current_thread() is not threading.main_thread()
     if deaf or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -80,19 +80,19 @@ def run_interruptibly(work: Callable[[], int]) -> int:
 
 
 def _next(events: SimpleQueue[Any]) -> Any:
-    """Return the next event. A signal may go to another thread, which does not wake this one; so it also looks."""
+    """Return the next event. A signal to another thread does not wake this one, so this thread looks every LOOK_S."""
     while True:
         with suppress(Empty):
             return events.get(timeout=LOOK_S)
 
 
 def _begin(work: Callable[[], int], events: SimpleQueue[Any]) -> None:
-    """Start `work`. `events` gets a function that returns its status or raises its error."""
+    """Start `work` on a thread. At its end `events` gets a function that returns its status or raises its error."""
 
     def run() -> None:
         try:
             status = work()
-        except BaseException as error:  # noqa: BLE001  # SystemExit is the command's, too
+        except BaseException as error:  # noqa: BLE001  # SystemExit is a result of the command, too
             events.put(_raising(error))
         else:
             events.put(lambda: status)
@@ -108,16 +108,16 @@ def _raising(error: BaseException) -> Callable[[], int]:
 
 
 def _close(events: SimpleQueue[Any]) -> NoReturn:
-    """Close the connections, wait for the work and its output, all for at most CLOSE_S, and end the process.
+    """Close the connections, wait for the work and its output, and end the process. Blocks for at most CLOSE_S.
 
-    The interpreter's own end would wait for locks of gRPC's threads, which no longer run then.
+    A normal end of the interpreter would wait for locks of gRPC's threads, and these threads no longer run then.
     """
     closed: SimpleQueue[None] = SimpleQueue()
 
     def close() -> None:
         interruption.close()
         events.get()
-        with suppress(OSError):  # the reader of the output has ended
+        with suppress(OSError):  # no process reads the output any more
             sys.stdout.flush()
         closed.put(None)
 
@@ -129,7 +129,7 @@ def _close(events: SimpleQueue[Any]) -> NoReturn:
 
 @contextmanager
 def ended_at_once() -> Iterator[None]:
-    """Let Ctrl-C end the process at once, while a service loads. The service then sets up its own way to stop."""
+    """Let Ctrl-C end the process at once while a service loads. The service then installs its own signal handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -145,9 +145,9 @@ def ended_at_once() -> Iterator[None]:
 
 @contextmanager
 def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[None]:
-    """The first of these signals raises KeyboardInterrupt, for a command that has processes to stop in order.
+    """Raise KeyboardInterrupt at the first of these signals, for a command that must stop processes.
 
-    The process then has `limit_s` to end, even if the exception is lost. A second signal ends it at once.
+    The process ends after `limit_s` at the latest, even if the exception is lost. A second signal ends it at once.
     """
     asked: list[int] = []
 
@@ -156,7 +156,7 @@ def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[N
             os._exit(INTERRUPTED)
         asked.append(number)
         signal.signal(signal.SIGALRM, _exit)
-        signal.setitimer(signal.ITIMER_REAL, limit_s)  # a thread would need locks, which this handler must not take
+        signal.setitimer(signal.ITIMER_REAL, limit_s)  # a thread would need locks, and this handler must not take locks
         raise KeyboardInterrupt
 
     before = {number: signal.getsignal(number) for number in numbers}

@@ -71,7 +71,7 @@ def run_peers(arguments: argparse.Namespace) -> int:
 
 
 def _advice(peers: list[PeerInfo]) -> list[str]:
-    """What to do about wrong clocks. `stampede doctor` has the same rule, and also knows which clock is wrong."""
+    """Return advice about wrong clocks. `stampede doctor` has the same rule, and also tells which clock is wrong."""
     return [
         f"{peer.name or peer.peer_id.hex()}: its clock is {ahead(peer.clock.offset_nanos)} that of supernode "
         f"{peer.clock.supernode}; synchronise it (chrony, ntpd), or ask `stampede doctor` which of the two is wrong"
@@ -94,7 +94,7 @@ def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
 
 
 def _clock(peer: PeerInfo, people: bool) -> dict[str, Any]:
-    """The offset from the clock of a supernode, nearly always the leader."""
+    """Return the offset from the clock of a supernode. It is nearly always the leader."""
     if not people:
         return {"clock": None if peer.clock is None else asdict(peer.clock)}
     if peer.clock is None:
@@ -104,7 +104,7 @@ def _clock(peer: PeerInfo, people: bool) -> dict[str, Any]:
 
 
 def run_send(arguments: argparse.Namespace) -> int:
-    """Send one message and print its place."""
+    """Send one message, and print its mailbox and seq."""
     payload = payload_of(arguments)
     with connected(arguments) as rt:
         try:
@@ -122,7 +122,7 @@ def run_send(arguments: argparse.Namespace) -> int:
 
 
 def run_get(arguments: argparse.Namespace) -> int:
-    """Take messages under a name and print them."""
+    """Register under a name, take messages, and print them."""
     with connected(arguments, arguments.name) as rt:
         return take(rt.mailbox, arguments)
 

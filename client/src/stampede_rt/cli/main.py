@@ -1,6 +1,6 @@
-"""The entry of the command line. It is small, so that it can handle Ctrl-C while the rest still loads.
+"""The entry of the command line. It is small, so that it can handle Ctrl-C while the other modules load.
 
-Exit status: 0 done, 1 failed, 2 used wrongly, 3 nothing there to return, 130 interrupted.
+Exit status: 0 done, 1 failed, 2 wrong usage, 3 nothing to return, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import sys
 
 from stampede_rt.cli.interrupts import INTERRUPTED, ended_at_once, run_interruptibly
 
-# These stop in their own ways, and need the main thread for that.
+# These verbs have their own signal handlers. Handlers work only on the main thread.
 ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "certs", "demo", "bench")
 
 

@@ -1,4 +1,4 @@
-"""How the verbs of queues and mailboxes print messages and counters."""
+"""Prints messages and counters, for the verbs of queues and mailboxes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def add_pending(parser: argparse.ArgumentParser) -> None:
 
 
 def payload_of(arguments: argparse.Namespace) -> bytes:
-    """The payload to send. Raises InvalidArgument if standard input holds more than one item can."""
+    """Return the payload to send. Raises InvalidArgument if standard input has more bytes than one message can have."""
     if arguments.payload is not None:
         return str(arguments.payload).encode()
     payload = sys.stdin.buffer.read(STDIN_BYTES_MAX + 1)
@@ -57,7 +57,7 @@ def payload_of(arguments: argparse.Namespace) -> bytes:
 
 
 def print_sent(thing: dict[str, Any], enqueued: Enqueued, form: str) -> None:
-    """Print the place of an accepted message; `thing` is the kind and name of its queue or mailbox."""
+    """Print the seq of an accepted message; `thing` is the kind and name of its queue or mailbox."""
     (name,) = thing.values()
     known = " (the queue has this message id already)" if enqueued.duplicate else ""
     told = thing | {"seq": enqueued.seq, "duplicate": enqueued.duplicate}
@@ -113,7 +113,7 @@ def _row(message: Message) -> dict[str, Any]:
 
 
 def _origin_text(origin: DeadLetterOrigin) -> str:
-    """The origin of a dead letter, in one line."""
+    """Return the origin of a dead letter, in one line."""
     ended = origin.ended.replace("_", " ") or "for an unknown reason"
     by = f" by {escaped(origin.taker)}" if origin.taker else ""
     why = f": {escaped(origin.reason)}" if origin.reason else ""
@@ -146,7 +146,7 @@ def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> No
 
 
 def counted(stats: QueueStats, form: str) -> dict[str, Any]:
-    """A queue's counters as facts."""
+    """Return a queue's counters by their names."""
     people = form == "table"
     age = None if stats.oldest is None else stats.host_time - stats.oldest
     return {

@@ -1,4 +1,4 @@
-"""What the parts of a cluster answered, and the form of a finding."""
+"""The answers of a cluster's parts, and the form of a finding."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ FRONTEND, SUPERNODE, HOST, PEER, CALLER = "front-end", "supernode", "host", "pee
 class Observation:
     """One part's answer, or the reason why it gave none (`failure`).
 
-    - `clock_offset_nanos`: its clock against the caller's, give or take half of the round trip.
-    - `alive`: the directory's word about a host. `lease_held`: the host's own word.
-    - `knows_supernodes`: of a front-end.
+    - `clock_offset_nanos`: how far its clock is ahead of the caller's. The error is at most half of the round trip.
+    - `alive`: whether the directory says that a host lives. `lease_held`: whether the host says that it has its lease.
+    - `knows_supernodes`: whether a front-end knows supernodes.
     - `lost_for_nanos`: the time since the directory ended the lease of a host that did not deregister.
-    - `refused_items`: what a host refused as Overloaded since its start, the last one `refused_ago_nanos` ago;
-      `refused_calls`: calls that it refused or ended so, the last one `refused_call_ago_nanos` ago.
-    - `denials`: calls that it denied since its start, for the caller's proof, role or the rules of access, the last one
-      `denied_ago_nanos` ago.
+    - `refused_items`: the number of items that a host refused as Overloaded since its start, the last one
+      `refused_ago_nanos` ago.
+    - `refused_calls`: the number of calls that it refused or ended as Overloaded, the last one
+      `refused_call_ago_nanos` ago.
+    - `denials`: the number of calls that it denied since its start, for the caller's proof or role or by the rules of
+      access, the last one `denied_ago_nanos` ago.
     - `is_member`: whether the other supernodes list this one.
-    - `refuses_caller`: it runs, but a secret or certificate, this caller's or its own, does not fit.
+    - `refuses_caller`: the part runs, but the caller's secret or certificate, or the part's own one, does not fit.
     - `refused_because`: why other supernodes refuse its store.
 
-    A peer cannot be asked: it told the leader. Its round trip is the sum of the caller's and its own to the supernode
-    between them.
+    A peer cannot be asked; the leader passes on the peer's facts. The round trip of a peer is the sum of two: from the
+    caller to a supernode, and from the peer to that supernode.
     """
 
     kind: str
@@ -51,25 +53,25 @@ class Observation:
     round_trip_nanos: int | None = None
     clock_offset_nanos: int | None = None
     version: str = ""
-    # Of a supernode: the cluster's feature level as it knows it, and the highest of its release; 0: not told.
+    # Of a supernode: the cluster's feature level as it knows it, and the highest level of its release. 0: not told.
     feature_level: int = 0
     highest_feature_level: int = 0
     certificate_left_s: float | None = None
 
     @property
     def clock_doubt_nanos(self) -> int:
-        """The greatest error of the clock offset: the way there may have taken all of the round trip, or none."""
+        """The greatest error of the clock offset. The request may have taken all of the round trip, or none of it."""
         return (self.round_trip_nanos or 0) // 2
 
     @property
     def part(self) -> str:
-        """Its name for people."""
+        """The kind and name of the part, for people."""
         return f"{self.kind} {self.name}".strip()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Inventory:
-    """The channels, or the queues, of the whole directory: their number, and the names and hosts of the lost ones."""
+    """All channels, or all queues, of the directory: their number, and the names and hosts of the lost ones."""
 
     kind: str
     count: int

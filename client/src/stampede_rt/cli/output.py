@@ -35,7 +35,7 @@ def _cell(value: Any) -> str:
 
 
 def print_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print columns as wide as their widest cell, within the terminal; numbers stand on the right."""
+    """Print aligned columns, within the width of the terminal. Numbers are aligned to the right."""
     cells = [[head.replace("_", " ").upper() for head in heads], *rows]
     right = [all(_is_number(row[i]) for row in cells[1:]) for i in range(len(heads))]
     for line in table_lines(cells, right, columns_max()):
@@ -63,7 +63,7 @@ def print_behind(behind: Mapping[str, str]) -> None:
 
 
 def item_row(item: Item) -> dict[str, Any]:
-    """An item for JSON: text payloads as text, others in base64."""
+    """Return an item for JSON: a text payload as text, another payload in base64."""
     row: dict[str, Any] = {
         "time": item.time,
         "end": item.end,
@@ -77,25 +77,25 @@ def item_row(item: Item) -> dict[str, Any]:
 
 
 def payload_fields(payload: bytes) -> dict[str, str]:
-    """A payload for JSON: text as text, others in base64."""
+    """Return a payload for JSON: text as text, other bytes in base64."""
     text = _text(payload)
     return {"payload_base64": base64.b64encode(payload).decode()} if text is None else {"payload": text}
 
 
 def item_line(item: Item) -> str:
-    """An item for people, on one line."""
+    """Return an item as one line for people."""
     duration = f" for {format_duration(item.duration)}" if item.duration is not None else ""
     shown = preview(item.payload, item.payload_length_bytes, item.content_type)
     return f"{format_instant(item.time)}{duration}  #{item.seq}{attributes_text(item.attributes)}  {shown}"
 
 
 def attributes_text(attributes: Mapping[str, str]) -> str:
-    """Attributes for people, each behind a space."""
+    """Return attributes as a text for people, with a space before each."""
     return "".join(f" {escaped(key)}={escaped(value)}" for key, value in attributes.items())
 
 
 def preview(payload: bytes | None, length_bytes: int, content_type: str) -> str:
-    """A payload for people: the beginning of a text, escaped; for other payloads the length and content type."""
+    """Return a payload for people: the escaped beginning of a text, or the length and content type of other bytes."""
     kind = f" {escaped(content_type)}" if content_type else ""
     text = None if payload is None else _text(payload)
     if text is None or "\0" in text:
@@ -112,7 +112,7 @@ def _text(payload: bytes) -> str | None:
 
 
 def policy_text(policy: Policy) -> str:
-    """A policy in a few words."""
+    """Return a policy in a few words."""
     parts = []
     if policy.max_age_nanos is not None:
         longest = policy.max_age_unconsumed_nanos
@@ -130,7 +130,7 @@ def policy_text(policy: Policy) -> str:
 
 
 def bytes_text(count: float) -> str:
-    """A number of bytes for people."""
+    """Return a number of bytes as a text for people."""
     for unit in ("B", "KiB", "MiB"):
         if count < 1024:
             return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
@@ -139,10 +139,10 @@ def bytes_text(count: float) -> str:
 
 
 def roughly(nanos: int) -> str:
-    """A duration with two digits."""
+    """Return a duration as a text with two digits."""
     return format_duration(int(float(f"{nanos:.2g}")))
 
 
 def joined(names: Sequence[str]) -> str:
-    """Names in a sentence: commas, and `and` before the last one."""
+    """Join names for a sentence: with commas, and `and` before the last one."""
     return ", ".join(names[:-1]) + " and " + names[-1] if len(names) > 1 else "".join(names)

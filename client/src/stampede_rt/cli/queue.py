@@ -111,7 +111,7 @@ def _row(rt: Connection, info: QueueInfo, names: Mapping[bytes, str], arguments:
 
 
 def policy_text(policy: QueuePolicy, names: Mapping[bytes, str]) -> str:
-    """A policy in a few words; `names` are the names of queues by their ids."""
+    """Return a policy in a few words; `names` are the names of queues by their ids."""
     dead = policy.dead_letter_queue_id
     lease_nanos = LEASE_NANOS_DEFAULT if policy.lease_nanos is None else policy.lease_nanos
     parts = [
@@ -144,7 +144,7 @@ def run_info(arguments: argparse.Namespace) -> int:
 
 
 def run_put(arguments: argparse.Namespace) -> int:
-    """Put one message and print its place."""
+    """Put one message, and print its queue and seq."""
     payload = payload_of(arguments)
     with connected(arguments) as rt:
         queue = rt.queue(arguments.queue, **{name: getattr(arguments, name) for name in STATED})

@@ -1,4 +1,4 @@
-"""`stampede hz` and `stampede bw`: rates from the host's counters. No payload travels for them."""
+"""`stampede hz` and `stampede bw`: rates from the host's counters. The host sends no payloads for them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _seconds(text: str) -> float:
 
 
 def _samples(channel: Channel, every_s: float, count: int | None) -> Iterator[tuple[ChannelStats, ChannelStats]]:
-    """Yield the counters with those before them, `every_s` apart by the host's clock."""
+    """Yield pairs of counters: the earlier ones, and those `every_s` later by the host's clock."""
     before = channel.stats()
     made = 0
     while count is None or made < count:

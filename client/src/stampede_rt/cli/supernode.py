@@ -1,4 +1,4 @@
-"""`stampede supernode status|add|remove|snapshot`: see and change the supernodes of a running cluster."""
+"""`stampede supernode status|add|remove|snapshot`: shows and changes the supernodes of a running cluster."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def administer(argv: Sequence[str]) -> int:
         print(f"stampede supernode: {error.message}", file=sys.stderr)
         return FAILED
     except OSError as error:
-        file = error.filename or parsed.out  # the error of an open file has no name
+        file = error.filename or parsed.out  # an error of an open file has no file name
         print(f"stampede supernode: {file} cannot be written: {error.strerror}", file=sys.stderr)
         return FAILED
 
@@ -92,7 +92,7 @@ def _run_status(arguments: argparse.Namespace) -> int:
         listed = cluster.members()
         own_id = cluster.cluster_id
         pongs = {record.supernode_id: _ping(cluster, record) for record in listed.supernodes}
-    # Without the answer of a copy of a member at another one's address.
+    # This leaves out the answer of a copy of a member's folder that runs at another member's address.
     heard = (pong for name, (pong, _) in pongs.items() if pong and pong.supernode_id == name)
     heard = (pong for pong in heard if pong.cluster_id in ("", own_id))
     refused = gathered(pong.refused_supernodes for pong in heard)
@@ -120,9 +120,9 @@ def _run_status(arguments: argparse.Namespace) -> int:
 
 
 def _cluster_levels(pongs: Mapping[str, tuple[Any, int | None]]) -> list[int]:
-    """The cluster's feature level, as each supernode that answers knows it.
+    """Return the cluster's feature level as each supernode that answers knows it.
 
-    It never falls, so the highest one holds.
+    The highest one is the present level.
     """
     return [pong.feature_level for pong, _ in pongs.values() if pong is not None]
 
@@ -133,7 +133,7 @@ def _level_line(level: int, highest: Mapping[str, int | None]) -> str:
 
 
 def _ping(cluster: Cluster, record: SupernodeRecord) -> tuple[Any, int | None]:
-    """The supernode's own state and the time of the answer; None if it does not answer."""
+    """Return the supernode's own state and the time of the answer; None if it does not answer."""
     began = time.monotonic_ns()
     pong = cluster.ping(record.endpoint.target)
     return pong, time.monotonic_ns() - began if pong is not None else None
@@ -154,7 +154,7 @@ def _row(
 
 
 def _highest_level(record: SupernodeRecord, pong: Any) -> int | None:
-    """The supernode's own word, or what it told the one that lists it; None: it has not told."""
+    """Return the highest level of the supernode's release: from its own answer, or from the list. None: not told."""
     said = pong.highest_feature_level if pong is not None and is_there(record, pong) else 0
     return said or record.highest_feature_level or None
 
@@ -229,7 +229,7 @@ def run_snapshot(arguments: argparse.Namespace) -> int:
 
 
 def _address_of(members: Sequence[SupernodeRecord], supernode_id: str | None) -> str:
-    """The address of the member with that id, or of the leader. Raises StampedeError."""
+    """Return the address of the member with that id, or of the leader. Raises StampedeError."""
     for member in members:
         if member.supernode_id == supernode_id or (supernode_id is None and member.is_leader):
             return member.endpoint.target

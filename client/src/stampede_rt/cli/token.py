@@ -1,4 +1,4 @@
-"""`stampede token issue|revoke`: tokens for clients that cannot hold certificates, or share a secret."""
+"""`stampede token issue|revoke`: tokens for clients without certificates and without a shared secret."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run_issue(arguments: argparse.Namespace) -> int:
     facts = {"name": arguments.name, "serial": made.serial, "valid_until": until}
     if arguments.out is None:
         if arguments.output == "table":
-            print(made.token)  # alone, for a file or a variable
+            print(made.token)  # without other text, so that a script can take it
         else:
             print_facts({**facts, "token": made.token}, arguments.output)
         return 0
@@ -64,7 +64,7 @@ def run_revoke(arguments: argparse.Namespace) -> int:
 
 
 def _write(path: Path, token: str) -> None:
-    """Into a new file: what is there may be another secret."""
+    """Write the token to a new file. The function never overwrites a file, which may hold another secret."""
     try:
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
             file.write(token + "\n")

@@ -1,1 +1,1 @@
-"""The addresses of a cluster, and what a client remembers of it."""
+"""The addresses of a cluster, and the facts that a client keeps about it."""

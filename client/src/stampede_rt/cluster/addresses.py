@@ -56,7 +56,7 @@ def _parse_one(address: str) -> str:
 
 
 def _is_host(host: str) -> bool:
-    """Whether services take it, too: a name, an IPv4 address, or an IPv6 address in brackets."""
+    """Whether it is a name, an IPv4 address, or an IPv6 address in brackets. Services take the same forms."""
     bracketed = host.startswith("[") and host.endswith("]")
     bare = host[1:-1] if bracketed else host
     return bool(bare) and (bracketed or ":" not in bare) and bare.isprintable() and not re.search(r"[\s/\[\]]", bare)

@@ -7,19 +7,19 @@ from stampede_rt.security.credentials import call_metadata
 
 
 class CallMetadata:
-    """The secret, and the id of the caller's cluster once it is known. All endpoints of a connection share it."""
+    """The secret of a connection, and the id of its cluster once it is known. All its endpoints share them."""
 
     def __init__(self, secret: str | None) -> None:
         self._of_secret = call_metadata(secret)
         self._told, self._cluster_id = self._of_secret, ""
 
     def __call__(self) -> tuple[tuple[str, str], ...]:
-        """The metadata of a call that begins now."""
+        """Return the metadata of a call that begins now."""
         return self._told
 
     @property
     def cluster_id(self) -> str:
-        """The cluster that calls name; empty: none yet."""
+        """The id of the cluster that calls name; empty as long as it is unknown."""
         return self._cluster_id
 
     @cluster_id.setter

@@ -1,9 +1,10 @@
-"""The ids of clusters: which one a call names, and when a part may change to another one. Pure.
+"""Rules about cluster ids: which id a call names, and when a part may change to another cluster. Pure.
 
 Somebody may restore a backup at one of a cluster's addresses. A caller that followed any directory would then leave its
 cluster for the backup. So clients, hosts and front-ends stay with the first cluster that they met, and each of their
-calls names it. They change in two cases. The other cluster says that it replaces theirs (`supernode init --restore
---take-over`). Or theirs was kept in memory alone, and so is the other one: theirs cannot come back.
+calls names it. They change to another cluster in two cases. In the first case that cluster says that it replaces theirs
+(`supernode init --restore --take-over`). In the second case both clusters are in memory alone, because then the first
+one cannot come back.
 """
 
 from __future__ import annotations
@@ -19,31 +20,34 @@ _SHOWN_MAX = 64
 
 
 class ClusterSeen(NamedTuple):
-    """A server's word about its cluster: its id, and the ids of the clusters that it replaces."""
+    """A cluster as one of its servers describes it: its id, and the ids of the clusters that it replaces."""
 
     cluster_id: str
     former: tuple[str, ...] = ()
 
 
 def cluster_metadata(cluster_id: str) -> tuple[tuple[str, str], ...]:
-    """The metadata of a call that names the cluster; none while the caller knows no cluster."""
+    """Return the metadata of a call that names the cluster; none while the caller knows no cluster."""
     return ((METADATA_KEY, cluster_id),) if cluster_id else ()
 
 
 def told_cluster(metadata: Iterable[Any] | None) -> str:
-    """The cluster that a call names; empty if it names none."""
+    """Return the id of the cluster that a call names; empty if it names none."""
     return next((str(value) for key, value in metadata or () if key == METADATA_KEY), "")
 
 
 def may_go_over(own: str, to: str, to_former: Iterable[str]) -> bool:
-    """Whether a part of cluster `own` (empty: of none yet) may change to `to`, which replaces `to_former`."""
+    """Whether a part of cluster `own` (empty: of none yet) may change to `to`.
+
+    `to_former`: the clusters that `to` replaces.
+    """
     return (
         not own or not to or own == to or own in to_former or (own.startswith(IN_MEMORY) and to.startswith(IN_MEMORY))
     )
 
 
 def cluster_among(own: str, seen: Iterable[ClusterSeen]) -> str:
-    """The id of the caller's cluster, once several have answered: its own if that one answers, else its successor's."""
+    """Choose the id of the caller's cluster from all answers: `own` if that cluster answers, else its successor."""
     known = [one for one in seen if one.cluster_id]
     if own and any(one.cluster_id == own for one in known):
         return own
@@ -51,7 +55,10 @@ def cluster_among(own: str, seen: Iterable[ClusterSeen]) -> str:
 
 
 def wrong_cluster(who: str, own: str, callers: str) -> WrongCluster:
-    """The error of `who`, such as "this supernode", of cluster `own`, for a caller of another cluster."""
+    """Return the error for a caller of another cluster.
+
+    `who`, such as "this supernode", of cluster `own` refuses it.
+    """
     return WrongCluster(
         f"{who} is of cluster {own}, and the caller of cluster {callers[:_SHOWN_MAX]}, which may still serve; if that "
         "one is gone for good, start a client or front-end again; stop a host, remove the file cluster-id from its "

@@ -14,7 +14,7 @@ from stampede_rt.values.policy import parse_name
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """Where to connect, and under which name."""
+    """The addresses to connect to, and the name, zone and credentials of the connection."""
 
     frontends: tuple[str, ...]
     secret: str | None = field(repr=False)
@@ -31,12 +31,13 @@ class Target:
 def parse_target(
     url: str | None, *, name: str | None, secret: str | None, zone: str | None, tls: TlsFiles | None = None
 ) -> Target:
-    """`url`: front-ends, "host:port,host:port"; default `$STAMPEDE_URL`, then localhost:7580.
+    """Check the arguments of `connect`.
 
-    Without `secret` the client takes the secret in `$STAMPEDE_SECRET_FILE`. It uses the user's own secret file (see
-    `credentials`) only for this machine, so that no other machine gets the secret. Without `tls` it takes the
-    certificates in `$STAMPEDE_TLS_CA`, `$STAMPEDE_TLS_CERTIFICATE` and `$STAMPEDE_TLS_KEY`, if they are set. Raises
-    InvalidArgument, PermissionDenied.
+    `url`: front-ends, "host:port,..."; default `$STAMPEDE_URL`, then localhost:7580. Without `secret` the client takes
+    the secret in `$STAMPEDE_SECRET_FILE`. It uses the user's own secret file (see `credentials`) only if all addresses
+    are on this machine, so that no other machine gets the secret. Without `tls` it takes the certificates in
+    `$STAMPEDE_TLS_CA`, `$STAMPEDE_TLS_CERTIFICATE` and `$STAMPEDE_TLS_KEY`, if they are set. Raises InvalidArgument,
+    PermissionDenied.
     """
     frontends = parse_addresses(url or os.environ.get("STAMPEDE_URL") or DEFAULT_URL)
     here = all(map(is_loopback, frontends))

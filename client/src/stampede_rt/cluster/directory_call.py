@@ -1,8 +1,7 @@
-"""One call of the directory over several supernodes: which one to ask next, how long to wait, and what failures mean.
+"""One call of the directory: decides which supernode to ask next, how long to wait, and what failures mean. Pure.
 
-Pure.
-
-The client and the channel host share it. Their shells make the calls, wait between two rounds, and ask the front-ends.
+The client and the channel host share this module. Their shells make the calls, wait between two rounds, and ask the
+front-ends.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class DirectoryCall:
 
     def __init__(self, deadline_s: float) -> None:
         self._deadline_s = deadline_s
-        self._failures: dict[str, StampedeError] = {}  # by target, the latest last
+        self._failures: dict[str, StampedeError] = {}  # by target; the latest failure is the last
         self._waiting: deque[str] = deque()
         self._tried: set[str] = set()
         self._attempt_s_max = 0.0
@@ -54,9 +53,9 @@ class DirectoryCall:
         return None
 
     def failed(self, target: str, error: StampedeError) -> None:
-        """Note that the supernode at `target` has not served the call. Ask the leader next that it names.
+        """Note that the supernode at `target` has not served the call. If it named a leader, ask that leader next.
 
-        Raises `error` if another attempt could not end otherwise.
+        Raises `error` if another attempt would end with the same error.
         """
         if not may_pass(error):
             raise error
@@ -67,7 +66,7 @@ class DirectoryCall:
             self._waiting.appendleft(hint)
 
     def failure(self, targets: Sequence[str]) -> StampedeError:
-        """Return the one error that sums up the failures of the supernodes at `targets`, once a round is over."""
+        """Return one error that sums up the failures of the supernodes at `targets`. Call it after a round."""
         known = {target: error for target, error in self._failures.items() if target in targets}
         if known:
             return why_unserved(known, len(targets))
@@ -83,12 +82,12 @@ def may_pass(error: StampedeError) -> bool:
 
 
 def leader_hint(error: StampedeError) -> str:
-    """The address of the leader that a supernode named in its refusal; empty if it named none."""
+    """Return the address of the leader that a supernode named in its refusal; empty if it named none."""
     return error.metadata.get("leader_endpoint", "") if isinstance(error, NotLeader) else ""
 
 
 def frontend_timeout_s(left_s: float, frontends: int) -> float:
-    """The seconds to wait for one front-end, if `frontends` of them are left to ask within `left_s`."""
+    """Return the seconds to wait for one front-end, if `frontends` of them are left to ask within `left_s`."""
     return max(left_s / frontends, FRONTEND_TIMEOUT_S_MIN)
 
 

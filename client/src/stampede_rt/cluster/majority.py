@@ -1,6 +1,6 @@
-"""The one error of a call that no supernode served. Pure.
+"""Sums up why no supernode served a call, in one error. Pure.
 
-It is the error of a supernode that answered, or says that too few of them answer.
+The error is that of a supernode that answered, or it says that too few supernodes answer.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable, WrongCluster
 
 UNREACHED = "unreached"
-"""A key of an error's metadata: the server could not be reached. The value says why."""
+"""A key of an error's metadata. If it is there, the server could not be reached; the value says why."""
 
 
 def why_unserved(failures: Mapping[str, StampedeError], supernodes: int) -> StampedeError:
-    """Return the one error for a call that failed at each supernode in `failures` (by address, the latest last).
+    """Return one error for a call that failed at each supernode in `failures` (by address, the latest last).
 
-    `supernodes` is their number; `failures` has at least one.
+    `supernodes` is the number of all supernodes; `failures` has at least one entry.
     """
     last = list(failures.values())[-1]
     ambiguous = [error for error in failures.values() if error.reason == "AMBIGUOUS"]

@@ -1,4 +1,4 @@
-"""The number with which a process registers, so that the directory knows it from older processes of its peer or host.
+"""The number with which a process registers. By it the directory recognises older processes of the peer or host.
 
 Pure. See ERROR_REASON_STALE_REGISTRATION in proto/stampede_rt/v1/error.proto.
 """
@@ -11,20 +11,20 @@ _TOLD = "registration_epoch"
 
 
 class RegistrationEpoch:
-    """`value` goes into every registration of this process. It starts at 0, which a first process needs."""
+    """Counts the registration epoch. `value` goes into every registration of this process. It starts at 0."""
 
     def __init__(self) -> None:
         self.value = 0
         self._was_registered = False
 
     def note_registered(self) -> None:
-        """The directory has let this process in."""
+        """Note that the directory has registered this process."""
         self._was_registered = True
 
     def may_overtake(self, refusal: StaleRegistration) -> bool:
-        """Whether to register again at once, with the `value` that is then above the one reached.
+        """Whether to register again at once. If so, raises `value` above the number that the directory has.
 
-        False: the other process came after this one was registered, and lives. It has taken this one's place.
+        False: another process has registered after this one, lives, and has replaced it.
         """
         if self._was_registered and refusal.metadata.get("alive") != "false":
             return False
@@ -32,6 +32,8 @@ class RegistrationEpoch:
         return True
 
     def is_overtaken(self, refusal: LeaseExpired) -> bool:
-        """Whether a renewal was refused because a newer process lives. An older one, of a restored backup, does not
-        count."""
+        """Whether the directory refused a renewal because a newer process lives.
+
+        An older process, which a restored backup may name, does not count.
+        """
         return int(refusal.metadata.get(_TOLD, -1)) >= self.value

@@ -1,7 +1,7 @@
-"""The age of an update: the seconds since the client first sent it, by its own clock. Each repetition tells its age.
+"""The age of an update: the seconds since the client first sent it. Each repeated request states its age.
 
-The directory remembers its answers for a while, by request id, and refuses older updates (directory_service.proto). No
-two clocks need to agree for that.
+The directory remembers its answers for a while, by request id, and refuses older updates (directory_service.proto). The
+client measures the age by its own clock, so no two clocks need to agree.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", None)
 
 
 def age_clock_s() -> float:
-    """The clock that measures ages.
+    """Return the time of the clock that measures ages, in seconds.
 
-    It counts the time that the machine slept, because the directory forgets meanwhile.
+    It also counts the time for which the machine slept, because the directory forgets answers during that time, too.
     """
     return time.monotonic() if _BOOTTIME is None else time.clock_gettime(_BOOTTIME)
 
 
 def age_metadata(age_s: float) -> tuple[tuple[str, str], ...]:
-    """The metadata of a repetition; none the first time."""
+    """Return the metadata of a repeated request; empty for the first one."""
     age_ms = int(age_s * 1000)
     return ((METADATA_KEY, str(age_ms)),) if age_ms > 0 else ()
 
 
 def request_age_nanos(metadata: Iterable[Any] | None) -> int:
-    """The age that a call told, 0 if it told none. Raises InvalidArgument."""
+    """Return the age that a call states; 0 if it states none. Raises InvalidArgument."""
     told = next((value for key, value in metadata or () if key == METADATA_KEY), "0")
     if not (isinstance(told, str) and told.isascii() and told.isdigit() and len(told) <= _DIGITS_MAX):
         raise InvalidArgument(f"the metadata {METADATA_KEY} is {told!r}; it must be whole milliseconds")

@@ -1,1 +1,1 @@
-"""When to try again, when periodic work is due, and how far a host may send ahead. Pure."""
+"""Decides when to try again, when periodic work is due, and how many bytes a host may send ahead. Pure."""

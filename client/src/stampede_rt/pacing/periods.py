@@ -1,4 +1,4 @@
-"""When periodic work is due. Pure: the caller reads the clock."""
+"""Computes when periodic work is due. Pure: the caller reads the clock."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from dataclasses import dataclass
 class Periods:
     """Due times `start + k * every`, counted from the start, so that delays do not add up.
 
-    Work that is late by less than a period is still done. Periods that have passed completely are skipped and counted.
+    If the work is late by less than a period, the caller still does it. `missed` counts the periods that passed
+    completely; the caller skips them.
     """
 
     start_nanos: int
@@ -18,11 +19,11 @@ class Periods:
     _next: int = 0
 
     def wait_nanos(self, now_nanos: int) -> int:
-        """The nanoseconds until the next due time; 0 if it has come."""
+        """Return the nanoseconds until the next due time; 0 if the time has come."""
         return max(0, self.start_nanos + self._next * self.every_nanos - now_nanos)
 
     def begin(self, now_nanos: int) -> None:
-        """Note that the due work begins at `now_nanos`. Earlier due times without work are missed."""
+        """Note that the due work begins at `now_nanos`. Earlier due times without work count as missed."""
         current = max(self._next, (now_nanos - self.start_nanos) // self.every_nanos)
         self.missed += current - self._next
         self._next = current + 1

@@ -24,7 +24,7 @@ SECRETS_MAX = 2
 
 
 def read_secret(path: Path | None = None) -> str | None:
-    """Return the secret in `path` (default: `secret_file()`) that a caller sends: the first line.
+    """Return the secret that a caller sends: the first line of the file `path` (default: `secret_file()`).
 
     None if there is no such file; "" if the file is empty. Raises PermissionDenied if the file cannot be used, or if
     other users may read it.
@@ -34,10 +34,10 @@ def read_secret(path: Path | None = None) -> str | None:
 
 
 def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
-    """Return all secrets in `path`, one a line, of which services accept each; None if there is no such file.
+    """Return all secrets in `path`, one a line; None if there is no such file. Services accept each of them.
 
-    A file has at most two, so that one can take the place of the other. Raises PermissionDenied if the file cannot be
-    used, or if other users may read it.
+    A file has at most two secrets, so that an operator can replace the secret of a running cluster. Raises
+    PermissionDenied if the file cannot be used, or if other users may read it.
     """
     path = path or secret_file()
     try:
@@ -65,20 +65,20 @@ def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
 
 
 def _no_secret(path: Path) -> PermissionDenied:
-    """A secret travels in a header, which has printable ASCII characters alone."""
+    """Return the error for a secret with other characters: it is sent in a header, which takes only printable ASCII."""
     return PermissionDenied(
         f"the secret file {path} holds other characters than printable ASCII; copy the file of the cluster again"
     )
 
 
 def call_metadata(secret: str | None) -> tuple[tuple[str, str], ...]:
-    """The metadata of a call; none without a secret."""
+    """Return the metadata of a call; empty without a secret."""
     return (("authorization", f"Bearer {secret}"),) if secret else ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Credentials:
-    """The secret of a caller, its certificates, both, or none."""
+    """The secret of a caller and its certificates. Each may be missing."""
 
     secret: str | None = field(default=None, repr=False)
     tls: TlsReader | None = None

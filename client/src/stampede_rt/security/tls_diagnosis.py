@@ -1,7 +1,8 @@
 """Says in one sentence why a connection with certificates failed.
 
 gRPC mostly says "Socket closed", because its server ends a handshake without a reason. So this module repeats the
-handshake with the standard library, which tells what the other side is, and checks our own files for the fault.
+handshake with the standard library, which shows whether the other side speaks TLS, and its certificate. The module also
+checks the caller's own files.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ _NOT_TLS = frozenset({"WRONG_VERSION_NUMBER", "HTTP_REQUEST", "RECORD_LAYER_FAIL
 def explain_refusal(
     target: str, tls: TlsReader | None, *, seconds: float = HANDSHAKE_SECONDS
 ) -> PermissionDenied | None:
-    """Return why a caller with `tls` (None: in plain text) cannot talk to `target`; None if there is another reason.
+    """Return why a caller with `tls` (None: plain text) cannot talk to `target`; None if TLS is not the reason.
 
     Blocks for at most about 2 * (CONNECT_SECONDS + `seconds`), after the name is resolved.
     """
-    # Try twice: a server that is just stopping hangs up, too, but is gone the second time.
+    # Try twice. A server that is just stopping also closes the connection, but the second try does not reach it.
     if not _look(target, tls, seconds) or not (reason := _look(target, tls, seconds)):
         return None
     return PermissionDenied(reason, reason="UNAUTHENTICATED", metadata={"target": target})
@@ -40,7 +41,7 @@ def _look(target: str, tls: TlsReader | None, seconds: float) -> str:
         with socket.create_connection(place, CONNECT_SECONDS) as connection:
             connection.settimeout(seconds)
             return _try_plain(connection, target) if tls is None else _try_tls(connection, place[0], target, tls)
-    except (OSError, UnicodeError):  # no server, or no answer: another trouble
+    except (OSError, UnicodeError):  # no server, or no answer: TLS is not the reason
         return ""
 
 
@@ -87,7 +88,7 @@ def _try_tls(connection: socket.socket, host: str, target: str, tls: TlsReader) 
 
 
 def _context(tls: TlsReader) -> ssl.SSLContext:
-    """A TLS context like that of a gRPC client."""
+    """Return a TLS context like that of a gRPC client."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     ca, certificate, key = tls.files.paths()
     context.load_verify_locations(cafile=ca)
@@ -97,7 +98,10 @@ def _context(tls: TlsReader) -> ssl.SSLContext:
 
 
 def certificate_end_unix_s(target: str, tls: TlsReader) -> float | None:
-    """Return when the certificate of `target` ends; None if it shows no good one. Blocks like `explain_refusal`."""
+    """Return when the certificate of `target` ends (Unix seconds); None if it has no valid one.
+
+    Blocks as long as `explain_refusal`.
+    """
     place = _place(target)
     if place is None:
         return None
@@ -134,7 +138,7 @@ def _about_theirs(error: ssl.SSLCertVerificationError, target: str, tls: TlsRead
 
 
 def _about_ours(target: str, tls: TlsReader) -> str:
-    """The server hung up after it had seen our certificate."""
+    """Explain why a server closed the connection after it had seen this caller's certificate."""
     own = tls.files.certificate
     try:
         check_own_certificate(tls)
@@ -144,10 +148,10 @@ def _about_ours(target: str, tls: TlsReader) -> str:
 
 
 def check_own_certificate(tls: TlsReader) -> dict[str, object]:
-    """Check our certificate as a server would, and return it as the standard library shows it.
+    """Check this caller's certificate as a server would. Returns it in the form of the standard library.
 
-    The check is a handshake in memory with ourselves. Raises PermissionDenied with the fault, InvalidArgument if the
-    handshake does not end.
+    The check is a handshake in memory, in which this process is both client and server. Raises PermissionDenied with
+    the fault, InvalidArgument if the handshake does not end.
     """
     ca, certificate, key = tls.files.paths()
     server_side = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)

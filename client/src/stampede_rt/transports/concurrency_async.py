@@ -37,13 +37,13 @@ class Mutex:
 
 
 class Signal:
-    """A flag that callers can wait for. A woken caller looks again at the state that it waits for."""
+    """A flag that callers can wait for. After it wakes, a caller checks again whether its condition holds."""
 
     def __init__(self) -> None:
         self._event = asyncio.Event()
 
     def set(self) -> None:
-        """Wake all that wait."""
+        """Wake all waiting callers."""
         self._event.set()
 
     def clear(self) -> None:
@@ -73,7 +73,8 @@ async def in_thread(operation: Callable[[], Result]) -> Result:
 async def run_all(operations: Sequence[Callable[[], Awaitable[Result]]]) -> list[Result]:
     """Run all operations at the same time and return their results. Raises the first failure.
 
-    The blocking counterpart runs them one after the other; `run_concurrently` is concurrent in both clients.
+    The blocking counterpart runs them one after the other. `run_concurrently` runs them at the same time in both
+    clients.
     """
     tasks = [asyncio.ensure_future(operation()) for operation in operations]
     try:
@@ -87,7 +88,7 @@ run_concurrently = run_all
 
 
 class KeyedLock:
-    """One lock for each key. Callers with the same question take turns, and the first answer serves all."""
+    """One lock for each key. Callers that look for the same thing take turns; the first one finds it for all."""
 
     def __init__(self) -> None:
         self._locks: WeakValueDictionary[Hashable, asyncio.Lock] = WeakValueDictionary()
@@ -109,17 +110,17 @@ class KeyedLock:
 
 
 def live_thread_ids() -> frozenset[int]:
-    """The values of `thread_id` whose callers are alive."""
+    """Return the values of `thread_id` whose callers are alive."""
     return _CALLERS
 
 
 def thread_id() -> int:
-    """The key of the caller's own connections: always 0, because all tasks share those of the loop."""
+    """Return the key of the caller's connections. It is always 0, because all tasks of a loop share its connections."""
     return 0
 
 
 def begin_if_blocking(operation: Callable[[], Awaitable[None]]) -> None:
-    """Run `operation` now in the blocking client. Here the first await of the handle runs it."""
+    """Do nothing. The first await of the handle runs `operation`. The blocking client runs it now."""
 
 
 class BackgroundTask:
@@ -133,7 +134,10 @@ class BackgroundTask:
             self._task.set_name(f"stampede {name}")
 
     async def join(self, timeout_s: float) -> bool:
-        """Wait until it has ended, for at most `timeout_s`. Returns whether it has; False if it waits for itself."""
+        """Wait until the task has ended, for at most `timeout_s`.
+
+        Returns whether it has; False if the task calls this itself.
+        """
         if self._task is asyncio.current_task():
             return False
         ended, _ = await asyncio.wait((self._task,), timeout=timeout_s)
@@ -141,16 +145,16 @@ class BackgroundTask:
 
 
 def when_dropped(owner: object, operation: Callable[[], Awaitable[None]]) -> None:
-    """Run `operation` on this loop once nobody holds `owner`. `operation` must not hold it.
+    """Run `operation` on this loop once no code references `owner`. `operation` must not reference it.
 
-    Python drops objects on any thread, under any lock, and after the loop's end.
+    Python deletes objects on any thread, while any lock may be held, and after the end of the loop.
     """
     finalizer = weakref.finalize(owner, _run_soon, asyncio.get_running_loop(), os.getpid(), operation)
     finalizer.atexit = False
 
 
 def _run_soon(loop: asyncio.AbstractEventLoop, pid: int, operation: Callable[[], Awaitable[None]]) -> None:
-    if pid != os.getpid():  # in a forked child the loop is the parent's, and closing its streams may hang
+    if pid != os.getpid():  # a forked child: the loop is the parent's, and closing its streams may hang
         _inherited.append(operation)
         return
     with suppress(RuntimeError):  # the loop has ended with all its streams
@@ -190,4 +194,4 @@ async def call_back(function: Callable[..., Any], *arguments: Any) -> Any:
             raise
         raise RuntimeError(
             "the function awaited something that was cancelled"
-        ) from error  # the function's failure, not this task's end
+        ) from error  # the function failed; nobody cancelled this task

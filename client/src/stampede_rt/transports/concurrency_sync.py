@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from stampede_rt.errors import InvalidArgument
 
-END_LIMIT_S = 2.0  # for ending calls and connections
+END_LIMIT_S = 2.0  # how long the end of a call or connection may take
 
 Result = TypeVar("Result")
 _log = logging.getLogger("stampede_rt")
@@ -29,7 +29,7 @@ thread_id = threading.get_ident
 
 
 class KeyedLock:
-    """Locks nothing: each thread has connections of its own and looks for its channels itself."""
+    """Locks nothing, because each thread has its own connections and looks for its channels itself."""
 
     @contextmanager
     def hold(self, key: Hashable, timeout_s: float) -> Iterator[None]:
@@ -38,18 +38,18 @@ class KeyedLock:
 
 
 def live_thread_ids() -> set[int | None]:
-    """The ids of the threads that are alive."""
+    """Return the ids of the threads that are alive."""
     return {thread.ident for thread in threading.enumerate()}
 
 
 class Signal:
-    """A flag that callers can wait for. A woken caller looks again at the state that it waits for."""
+    """A flag that callers can wait for. After it wakes, a caller checks again whether its condition holds."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
 
     def set(self) -> None:
-        """Wake all that wait."""
+        """Wake all waiting callers."""
         self._event.set()
 
     def clear(self) -> None:
@@ -64,7 +64,8 @@ class Signal:
 def run_all(operations: Sequence[Callable[[], Result]]) -> list[Result]:
     """Run all operations, one after the other, and return their results. Raises the first failure.
 
-    The asynchronous counterpart runs them at the same time; `run_concurrently` does so in both clients.
+    The asynchronous counterpart runs them at the same time. `run_concurrently` runs them at the same time in both
+    clients.
     """
     return [operation() for operation in operations]
 
@@ -95,7 +96,10 @@ class BackgroundTask:
         self._thread.start()
 
     def join(self, timeout_s: float) -> bool:
-        """Wait until it has ended, for at most `timeout_s`. Returns whether it has; False if it waits for itself."""
+        """Wait until the thread has ended, for at most `timeout_s`.
+
+        Returns whether it has; False if it calls this itself.
+        """
         if self._thread is threading.current_thread():
             return False
         self._thread.join(timeout_s)
@@ -103,23 +107,23 @@ class BackgroundTask:
 
 
 def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) -> None:
-    """Run an operation that takes gRPC's locks on a thread of its own, and wait for it at most `limit_s`.
+    """Run an operation that takes gRPC's locks on its own thread, and wait for it for at most `limit_s`.
 
-    An exception in a signal's handler may interrupt gRPC's code and leave such a lock locked for good.
+    If a signal handler raises an exception inside gRPC's code, a lock of gRPC may stay locked for ever.
     """
     thread = threading.Thread(target=operation, name="stampede ends a call", daemon=True)
     try:
         thread.start()
-    except RuntimeError:  # the interpreter ends and starts no more threads
+    except RuntimeError:  # the interpreter is ending, and starts no more threads
         return
     thread.join(limit_s)
 
 
 class _Dropped:
-    """Runs the last operations of dropped objects on a daemon thread, which starts with the first.
+    """Runs the last operations of deleted objects on a daemon thread. The first operation starts the thread.
 
-    Python drops objects on any thread and under any lock, gRPC's own included. There this class only notes the
-    operation.
+    Python deletes objects on any thread, while any lock may be held, also a lock of gRPC. At that moment this class
+    only notes the operation.
     """
 
     def __init__(self) -> None:
@@ -138,16 +142,16 @@ class _Dropped:
             operation = self.operations.get()
             try:
                 operation()
-            except Exception:  # noqa: BLE001  # a defect of one must not keep the others open
+            except Exception:  # noqa: BLE001  # a defect in one operation must not stop the others
                 _log.exception("an object that the program has dropped could not be closed")
-            del operation  # it holds the closed object
+            del operation  # the operation references the closed object
 
 
 _dropped = _Dropped()
 
 
 def _after_fork() -> None:
-    """Begin without the parent's thread. The objects that it would have closed are the parent's, too."""
+    """Begin anew in a forked child: without the parent's thread, and without the objects that it was to close."""
     global _dropped
     _dropped = _Dropped()
 
@@ -156,18 +160,18 @@ os.register_at_fork(after_in_child=_after_fork)
 
 
 def when_dropped(owner: object, operation: Callable[[], object]) -> None:
-    """Run `operation` on a thread of the library once nobody holds `owner`. `operation` must not hold it."""
+    """Run `operation` on a thread of the library once no code references `owner`. `operation` must not reference it."""
     _dropped.start()
     finalizer = weakref.finalize(owner, _dropped.operations.put, operation)
     finalizer.atexit = False
 
 
 class BackgroundStart:
-    """A handle that starts in the background. Here it has started once the method that makes it returns."""
+    """A handle that starts in the background. In the blocking client it has started when its method returns."""
 
 
 def check_callback(function: object) -> None:
-    """Raise InvalidArgument for an object that is no function, and for a coroutine function."""
+    """Raise InvalidArgument if `function` is no function, or is a coroutine function."""
     if not callable(function):
         raise InvalidArgument(f"fn is {function!r}; give a function")
     if inspect.iscoroutinefunction(function):

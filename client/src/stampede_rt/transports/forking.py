@@ -1,4 +1,4 @@
-"""Forked children: a child of a process that has used gRPC cannot use gRPC.
+"""Detects forked children. If a process has used gRPC, its forked child cannot use gRPC.
 
 gRPC's threads and sockets do not survive a fork. Calls on inherited connections hang for ever, and new connections
 sometimes hang or abort the child. This module makes both fail at once; decision 0067 has the measurements.
@@ -19,17 +19,17 @@ _WAY_OUT = (
 _forks = 0  # forks between the process that loaded this module and this one
 _open: WeakSet[object] = WeakSet()  # the owners of gRPC connections in this process
 _opened_ever = False
-_inherited: list[object] = []  # held for ever: dropping a parent's gRPC object hangs, too
+_inherited: list[object] = []  # referenced for ever, because the deletion of a parent's gRPC object hangs, too
 _refused = False
 
 
 def forks() -> int:
-    """A number that is another one in each forked child."""
+    """Return the number of forks from the process that loaded this module to this one. Each child has a higher one."""
     return _forks
 
 
 def opened(connections: object) -> None:
-    """Note that gRPC connections begin. Raises ForkedProcess in a child that cannot use gRPC."""
+    """Note that `connections` open gRPC connections. Raises ForkedProcess in a child that cannot use gRPC."""
     global _opened_ever
     if _refused:
         raise ForkedProcess(
@@ -40,12 +40,12 @@ def opened(connections: object) -> None:
 
 
 def closed(connections: object) -> None:
-    """Note that they have ended."""
+    """Note that `connections` have closed."""
     _open.discard(connections)
 
 
 def check(made_at: int) -> None:
-    """Raise ForkedProcess for a connection of another process. `made_at`: the value of `forks` at its making."""
+    """Raise ForkedProcess if another process made the connection. `made_at`: the value of `forks` when it was made."""
     if made_at != _forks:
         raise ForkedProcess(
             f"this connection was made before its process was forked, and does not work in the child: {_WAY_OUT}"

@@ -1,4 +1,4 @@
-"""gRPC on asyncio: one `ServerEndpoint` for each address, with unary calls, streams and exchanges on open streams."""
+"""gRPC on asyncio. A `ServerEndpoint` makes unary calls, streams, and exchanges on open streams at one address."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 
-CALLS_MAX = 1000  # gets on one stream; hosts take 1024, and count cancelled ones until they learn of it
+# Gets on one stream; a host takes 1024, and counts a cancelled one until it learns of the cancellation.
+CALLS_MAX = 1000
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
 
@@ -36,14 +37,14 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.aio.Channel:
 
 
 class ServerEndpoint(Stubs):
-    """A gRPC connection to one address, shared by all calls there."""
+    """A gRPC connection to one address. All calls to this address share it."""
 
     def __init__(self, target: str, metadata: CallMetadata, tls: TlsMaterial | None = None) -> None:
         self.target = target
         self._metadata = metadata
         self._channel = _open_channel(target, tls)
         super().__init__(self._channel)
-        # Requests are framed by hand (wire/put_frames.py) and sent as they are.
+        # wire/put_frames.py encodes the requests, so gRPC sends them without a serializer.
         self._put: Callable[..., Any] = self._channel.stream_stream(
             PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
         )
@@ -51,19 +52,19 @@ class ServerEndpoint(Stubs):
             ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString
         )
         self._gets: list[GetExchange] = []
-        self._tasks: set[asyncio.Task[None]] = set()  # of all streams
+        self._tasks: set[asyncio.Task[None]] = set()  # the tasks of all streams
 
     def stub(self, make: Callable[[grpc.aio.Channel], Stub]) -> Stub:
-        """The stub of a service without an attribute here, such as `MembershipServiceStub`.
+        """Return the stub of a service that has no attribute here, such as `MembershipServiceStub`.
 
-        Give its methods to `call`.
+        Pass its methods to `call`.
         """
         return make(self._channel)
 
     async def call(self, method: Callable[..., Any], request: Any, timeout_s: float, age_s: float = 0.0) -> Any:
         """Make one call, within `timeout_s`. Raises StampedeError.
 
-        `age_s`: the seconds since this update was first sent.
+        `age_s`: the seconds since the client first sent this update.
         """
         try:
             return await method(request, timeout=timeout_s, metadata=self._metadata() + age_metadata(age_s))
@@ -74,7 +75,7 @@ class ServerEndpoint(Stubs):
         except asyncio.CancelledError as error:
             if is_cancelled():
                 raise
-            raise closed(self.target) from error  # closing the connection ended the call, not this task
+            raise closed(self.target) from error  # somebody closed the connection; nobody cancelled this task
 
     def stream(self, method: Callable[..., Any], request: Any) -> ServerStream[Any]:
         """Open a stream of responses to one request."""
@@ -85,7 +86,7 @@ class ServerEndpoint(Stubs):
         return BidiStream(self._begin(method), self.target, self._tasks)
 
     def gets(self) -> GetExchange:
-        """Return an open stream for gets that has room for one more. The first one nearly always has."""
+        """Return an open stream for gets that has room for one more get. The first stream nearly always has."""
         for exchange in self._gets:
             if exchange.takes_more:
                 return exchange
@@ -95,11 +96,11 @@ class ServerEndpoint(Stubs):
         return exchange
 
     def puts(self) -> PutExchange:
-        """Open a stream for puts. Its caller closes it."""
+        """Open a stream for puts. The caller closes it."""
         return PutExchange(self._begin(self._put), self.target, self._tasks)
 
     def enqueues(self) -> PutExchange:
-        """Open a stream for puts into a queue. Its caller closes it."""
+        """Open a stream for puts into a queue. The caller closes it."""
         return PutExchange(self._begin(self._enqueue), self.target, self._tasks)
 
     def duplex(
@@ -148,7 +149,7 @@ class _Exchange:
             error = from_rpc_error(failure, self._target)
         except asyncio.CancelledError:
             error = closed(self._target)
-        except Exception as defect:  # noqa: BLE001  # whoever waits must hear of it
+        except Exception as defect:  # noqa: BLE001  # the waiting callers must get the error
             error = StampedeError(f"{self._target} sent an unexpected message: {defect!r}")
         self.cancel()
         await self._end(error)
@@ -174,7 +175,7 @@ async def _within(future: asyncio.Future[Response], timeout_s: float | None, tar
         raise DeadlineExceeded(f"{target} did not answer within {timeout_s:g} s; it may be overloaded") from None
     finally:
         if not future.cancel() and not future.cancelled():
-            future.exception()  # mark the error as seen
+            future.exception()  # mark the error as retrieved, so that asyncio does not log it
 
 
 def _fail(future: asyncio.Future[Any], error: StampedeError) -> None:
@@ -196,9 +197,9 @@ class GetExchange(_Exchange):
         return not self.broken and len(self._waiting) < CALLS_MAX
 
     async def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
-        """Return all responses to `request`, which gets a call id here.
+        """Give `request` a call id, send it, and return all responses.
 
-        Cancelling the task cancels the call at the host.
+        If the task is cancelled, cancels the call at the host.
         """
         if self.broken:
             raise closed(self._target)
@@ -218,7 +219,7 @@ class GetExchange(_Exchange):
 
     async def _receive(self, response: channel_pb.GetResponse) -> None:
         entry = self._waiting.get(response.call_id)
-        if entry is None:  # its caller gave up
+        if entry is None:  # the caller of the get gave up
             return
         future, responses = entry
         responses.append(response)
@@ -233,8 +234,8 @@ class GetExchange(_Exchange):
 class PutExchange(_Exchange):
     """Puts on one open stream. The acks come in the order of the puts.
 
-    A put whose caller gave up may still wait for room at the host. The stream then takes no new put, and ends with its
-    last waiting put.
+    If the caller of a put gave up, the put may still wait for room at the host. The stream then takes no new put, and
+    ends after its last waiting put.
     """
 
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
@@ -272,7 +273,7 @@ class PutExchange(_Exchange):
 
 
 class PutDuplex(_Exchange):
-    """Puts on one open stream. It passes each ack on as it comes."""
+    """Puts on one open stream. It passes each ack to `on_response` when the ack comes."""
 
     def __init__(
         self,

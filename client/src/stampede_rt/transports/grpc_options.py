@@ -1,11 +1,11 @@
-"""The limits of the client's gRPC channels, the same for both kinds."""
+"""The limits of the client's gRPC channels. They are the same for asyncio and threads."""
 
 from __future__ import annotations
 
 PUT_METHOD = "/stampede_rt.v1.ChannelService/Put"
 ENQUEUE_METHOD = "/stampede_rt.v1.QueueService/Enqueue"
 SILENCE_S_MAX = 15.0  # servers send a sign of life on each stream every 5 s
-SAID_MAX = 1024  # requests on one stream that the other side has not taken yet
+SAID_MAX = 1024  # requests on one stream that the server has not taken yet
 END_TIMEOUT_S = 1.0  # for streams that end with their connection
 MESSAGE_BYTES_MAX = 20 * 1024 * 1024
 
@@ -19,9 +19,9 @@ CHANNEL_OPTIONS: tuple[tuple[str, int | str], ...] = (
     ("grpc.max_send_message_length", MESSAGE_BYTES_MAX),
     ("grpc.max_receive_message_length", MESSAGE_BYTES_MAX),
     ("grpc.max_metadata_size", 16 * 1024),
-    # The client notices a stopped host by its silence: sooner than a call gives up (10 s), and not before the
-    # directory may give its channels another owner (5 s). With grpcio 1.85 only the ping's own timeout ends the
-    # connection (a minute if unset); keepalive_timeout alone does nothing.
+    # The client notices a stopped host by its silence. It does so before a call gives up (10 s), but not before the
+    # directory may give the host's channels to another owner (5 s). With grpcio 1.85 only the timeout of the ping ends
+    # the connection (a minute if unset). keepalive_timeout alone does nothing.
     ("grpc.keepalive_time_ms", 5_000),
     ("grpc.keepalive_timeout_ms", 2_500),
     ("grpc.http2.ping_timeout_ms", 2_500),

@@ -1,4 +1,4 @@
-"""gRPC on threads: the names of `grpc_async`, without its awaits. A stream belongs to the thread that opened it."""
+"""gRPC on threads, with the names of `grpc_async`. The calls block. A stream belongs to the thread that opened it."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.Channel:
 
 
 class ServerEndpoint(Stubs):
-    """A gRPC connection to one address, shared by all calls there."""
+    """A gRPC connection to one address. All calls to this address share it."""
 
     def __init__(self, target: str, metadata: CallMetadata, tls: TlsMaterial | None = None) -> None:
         self.target = target
         self._metadata = metadata
         self._channel = _open_channel(target, tls)
         super().__init__(self._channel)
-        # Requests are framed by hand (wire/put_frames.py) and sent as they are.
+        # wire/put_frames.py encodes the requests, so gRPC sends them without a serializer.
         self._put: Callable[..., Any] = self._channel.stream_stream(
             PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
         )
@@ -60,22 +60,22 @@ class ServerEndpoint(Stubs):
         self._closed = False
 
     def stub(self, make: Callable[[grpc.Channel], Stub]) -> Stub:
-        """The stub of a service without an attribute here, such as `MembershipServiceStub`.
+        """Return the stub of a service that has no attribute here, such as `MembershipServiceStub`.
 
-        Give its methods to `call`.
+        Pass its methods to `call`.
         """
         return make(self._channel)
 
     def call(self, method: Callable[..., Any], request: Any, timeout_s: float, age_s: float = 0.0) -> Any:
         """Make one call, within `timeout_s`. Raises StampedeError.
 
-        `age_s`: the seconds since this update was first sent.
+        `age_s`: the seconds since the client first sent this update.
         """
         try:
             return method(request, timeout=timeout_s, metadata=self._metadata() + age_metadata(age_s))
         except grpc.RpcError as error:
             raise from_rpc_error(error, self.target) from error
-        except ValueError as error:  # gRPC's word for a closed channel
+        except ValueError as error:  # gRPC raises this for a closed channel
             raise closed(self.target) from error
 
     def stream(self, method: Callable[..., Any], request: Any) -> ServerStream[Any]:
@@ -92,8 +92,8 @@ class ServerEndpoint(Stubs):
     def open_bidi_by(self, method: Callable[..., Any], requests: SimpleQueue[Any]) -> Any:
         """Begin the call of a stream of `requests`.
 
-        gRPC's sending thread waits for requests for ever. A None in `requests` ends it, and so does the end of the
-        call.
+        gRPC's sending thread waits for requests without a limit. It ends when it reads None from `requests`. This
+        function adds None at the end of the call.
         """
         call = self.begin(method, iter(requests.get, None))
         if not call.add_callback(partial(requests.put, None)):
@@ -113,11 +113,11 @@ class ServerEndpoint(Stubs):
         return exchange
 
     def puts(self) -> PutExchange:
-        """Open a stream for puts. Its caller closes it."""
+        """Open a stream for puts. The caller closes it."""
         return PutExchange(self, self._put, self._watchdog)
 
     def enqueues(self) -> PutExchange:
-        """Open a stream for puts into a queue. Its caller closes it."""
+        """Open a stream for puts into a queue. The caller closes it."""
         return PutExchange(self, self._enqueue, self._watchdog)
 
     def duplex(
@@ -136,23 +136,23 @@ class ServerEndpoint(Stubs):
         with self._mutex:
             self._closed = True
             exchanges = tuple(self._exchanges)
-        for exchange in exchanges:  # gRPC's sending threads wait for requests even when closed
+        for exchange in exchanges:  # gRPC's sending threads wait for requests even when the channel is closed
             exchange.end()
 
     def opened(self, exchange: _Exchange) -> None:
-        """End `exchange` with this endpoint, if it still exists then."""
+        """Keep `exchange` weakly, and end it when this endpoint closes."""
         with self._mutex:
             self._exchanges.add(exchange)
             over = self._closed
-        if over:  # the endpoint closed since the call began
+        if over:  # the endpoint was closed after the call began
             exchange.end()
 
     def ended(self) -> None:
-        """Wait for nothing: the threads of streams are daemons and end by themselves."""
+        """Return at once. The threads of streams are daemons, and end by themselves."""
 
 
 class _Exchange:
-    """An open bidirectional stream. Its requests lie in a queue only until gRPC's sending thread takes them."""
+    """An open bidirectional stream. Requests wait in a queue until gRPC's sending thread takes them."""
 
     def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any]) -> None:
         self._target = endpoint.target
@@ -161,7 +161,8 @@ class _Exchange:
         self.broken = False
         self._forks = forking.forks()
         endpoint.opened(self)
-        when_dropped(self, partial(_give_up, self._requests, self._call))  # its thread has ended
+        # Its thread has ended, so nobody uses it any more.
+        when_dropped(self, partial(_give_up, self._requests, self._call))
 
     def _error(self, error: BaseException) -> StampedeError:
         self.cancel()
@@ -175,7 +176,7 @@ class _Exchange:
         within_limit(self.end)
 
     def end(self) -> None:
-        """End the stream, on a thread that may wait for gRPC's locks."""
+        """End the stream. Call this on a thread that may wait for gRPC's locks."""
         self.broken = True
         if self._forks == forking.forks():
             _give_up(self._requests, self._call)
@@ -187,7 +188,7 @@ def _give_up(requests: SimpleQueue[Any], call: Any) -> None:
 
 
 class _Lockstep(_Exchange):
-    """One request under way at a time."""
+    """A stream with at most one request under way."""
 
     def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any], watchdog: Watchdog) -> None:
         super().__init__(endpoint, method)
@@ -204,7 +205,7 @@ class _Lockstep(_Exchange):
                     f"{self._target} did not answer in time; it may be overloaded or stopped"
                 ) from error
             raise failure from error
-        except BaseException:  # an interrupt: the next request would get this one's answer
+        except BaseException:  # an interrupt: otherwise the next request would get the answer of this one
             self.cancel()
             raise
 
@@ -213,7 +214,7 @@ class GetExchange(_Lockstep):
     """Gets on one open stream, one at a time."""
 
     def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
-        """Return all responses to `request`, which gets a call id here."""
+        """Give `request` a call id, send it, and return all responses."""
         self._next_id += 1
         request.call_id = self._next_id
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
@@ -236,7 +237,7 @@ class PutExchange(_Lockstep):
 
 
 class PutDuplex(_Exchange):
-    """Puts on one open stream. A thread passes each ack on as it comes."""
+    """Puts on one open stream. A thread passes each ack to `on_response` when the ack comes."""
 
     def __init__(
         self,
@@ -261,7 +262,7 @@ class PutDuplex(_Exchange):
                 self._on_response(response)
         except grpc.RpcError as failure:
             error = from_rpc_error(failure, self._target)
-        except Exception as defect:  # noqa: BLE001  # whoever waits must hear of it
+        except Exception as defect:  # noqa: BLE001  # the waiting callers must get the error
             error = StampedeError(f"{self._target} sent an unexpected message: {defect!r}")
         self.cancel()
         self._on_end(error or Unavailable(f"{self._target} ended the stream"))

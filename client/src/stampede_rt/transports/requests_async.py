@@ -12,11 +12,11 @@ import grpc.aio
 
 
 class Requests:
-    """Writes the requests of one call in their order, in a task of its own, until the call ends.
+    """Writes the requests of one call in their order, in its own task, until the call ends.
 
-    grpc.aio ends a call if a task is cancelled while it writes. A write waits for ever if the call ended while it
-    opened. So only this task writes. `send` adds a request here; it does not block and cannot be cancelled. The end of
-    the call shows in its responses, not here.
+    If a task is cancelled while it writes, grpc.aio ends the call. If the call ends during its opening, a write waits
+    for ever. So only one task, which nobody cancels, writes. `send` only adds a request to a list; it does not block
+    and cannot be cancelled. The reader of the responses learns of the end of the call; this class reports none.
     """
 
     def __init__(self, call: Any, tasks: set[asyncio.Task[None]]) -> None:
@@ -28,23 +28,20 @@ class Requests:
         call.add_done_callback(self._stop)
 
     def __len__(self) -> int:
-        """The number of requests that wait."""
+        """The number of requests that are not written yet."""
         return len(self._waiting)
 
     def send(self, request: Any) -> int:
-        """Add `request`, and return a number for `withdraw`.
-
-        Requests that an ended call does not take are dropped.
-        """
+        """Add `request`, and return its number for `withdraw`. If the call has ended, drops the request."""
         self._sent += 1
         self._waiting[self._sent] = request
         self._more.set()
         return self._sent
 
     def withdraw(self, number: int) -> bool:
-        """Remove a request that still waits. Returns whether it did.
+        """Remove a request that is not written yet. Returns whether it was still there.
 
-        Otherwise the requests of callers that gave up would pile up while the other side is stopped.
+        Without this, requests of callers that gave up would pile up while the server is stopped.
         """
         return self._waiting.pop(number, None) is not None
 
@@ -62,7 +59,7 @@ class Requests:
 
 
 def spawn(tasks: set[asyncio.Task[None]], work: Any) -> asyncio.Task[None]:
-    """Start a task, and hold it in `tasks` until it is done."""
+    """Start a task, and keep it in `tasks` until it is done."""
     task: asyncio.Task[None] = asyncio.create_task(work)
     tasks.add(task)
     task.add_done_callback(tasks.discard)

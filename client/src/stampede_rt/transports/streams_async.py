@@ -1,4 +1,4 @@
-"""Streams of responses on asyncio: one from a request, and one in both directions."""
+"""Streams of responses on asyncio. `ServerStream` has one request; `BidiStream` sends requests at any time."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ Response = TypeVar("Response")
 
 
 def closed(target: str) -> Unavailable:
-    """The error of a call whose connection closed meanwhile."""
+    """Return the error of a call during which its connection closed."""
     return Unavailable(f"the connection to {target} is closed")
 
 
 def silent(target: str) -> Unavailable:
-    """The error of a stream without a sign of life."""
+    """Return the error of a stream on which the server gave no sign of life."""
     return Unavailable(f"{target} gave no sign of life for {SILENCE_S_MAX:g} s; it may be stopped")
 
 
 def is_cancelled() -> bool:
-    """Whether this task is to end. Otherwise only its call was cancelled."""
+    """Whether somebody cancelled this task. If not, only its gRPC call was cancelled."""
     task = asyncio.current_task()
     return task is not None and task.cancelling() > 0
 
@@ -87,7 +87,7 @@ class ServerStream(Generic[Response]):
 
 
 class BidiStream(ServerStream[Response]):
-    """A stream in both directions: `send` sends, the iteration receives."""
+    """A stream in both directions: `send` sends requests, and the iteration receives responses."""
 
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         super().__init__(call, target)
@@ -96,7 +96,7 @@ class BidiStream(ServerStream[Response]):
     async def send(self, request: Any) -> None:
         """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
 
-        Raises Unavailable if SAID_MAX requests wait because the other side takes none.
+        Raises Unavailable if SAID_MAX requests wait because the server takes none of them.
         """
         if len(self._requests) >= SAID_MAX:
             self._call.cancel()

@@ -71,7 +71,7 @@ class ServerStream(Generic[Response]):
         self._end_call()
 
     def _end_call(self) -> None:
-        if self._forks == forking.forks():  # not in a forked child: there the call is the parent's, and may be locked
+        if self._forks == forking.forks():  # in a forked child the call is the parent's, and may be locked
             within_limit(self._call.cancel)
 
 

@@ -1,4 +1,4 @@
-"""The RPCs that callers use, by the kind of server."""
+"""The stubs of the RPCs that callers use, for each kind of server."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OF_SUPERNODES = (DirectoryServiceStub, GroupDirectoryServiceStub, QueueDirector
 
 
 class DirectoryStubs:
-    """Every RPC that supernodes serve to callers, by its name alone, over all their services."""
+    """The RPCs of all services that supernodes serve to callers. Each is an attribute with the name of the RPC."""
 
     def __init__(self, channel: Any) -> None:
         self._methods: dict[str, Any] = {}
@@ -33,7 +33,7 @@ class DirectoryStubs:
 
 
 class Stubs:
-    """One connection's stubs. The server decides which of them it serves."""
+    """All stubs of one connection. Each server serves some of them."""
 
     def __init__(self, channel: Any) -> None:
         self.frontend = FrontendServiceStub(channel)

@@ -1,4 +1,4 @@
-"""Time limits for blocking reads on open streams. gRPC's own threads have none."""
+"""Time limits for blocking reads on open streams. gRPC has no time limit for one read."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ _log = logging.getLogger("stampede_rt")
 
 
 class Watchdog:
-    """Calls a function for each overdue block, from one daemon thread that starts with the first limit.
+    """Calls a function for each `with` block that lasts too long. One daemon thread does so; the first limit starts it.
 
-    The thread ends after IDLE_S without a limit, so that a dropped connection leaves no thread behind.
+    The thread ends after IDLE_S without a limit. So no thread remains after the program has dropped a connection.
     """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._limits: list[tuple[float, int, Callable[[], object], list[bool], list[bool]]] = []
         self._count = 0
-        self._wakes_at_s = float("inf")  # the thread looks next then; an earlier limit wakes it
+        self._wakes_at_s = float("inf")  # when the thread looks next; an earlier limit wakes it
         self._thread: threading.Thread | None = None
         self._closed = False
 
     @contextmanager
     def limit(self, timeout_s: float | None, on_overdue: Callable[[], object]) -> Iterator[list[bool]]:
-        """Call `on_overdue` if the block lasts longer than `timeout_s`.
+        """Call `on_overdue` if the `with` block lasts longer than `timeout_s`.
 
-        It yields an object that is true from then on.
+        Yields a list that is empty until then, and not empty afterwards.
         """
         overdue: list[bool] = []
         if timeout_s is None:
@@ -58,13 +58,13 @@ class Watchdog:
 
     def _watch(self) -> None:
         while (on_overdue := self._next_overdue()) is not None:
-            try:  # without the lock: cancelling takes gRPC's locks, and no caller of `limit` may wait for them
+            try:  # without the lock: the function takes gRPC's locks, and callers of `limit` must not wait for these
                 on_overdue()
-            except Exception:  # noqa: BLE001  # a defect at one limit must not end the others
+            except Exception:  # noqa: BLE001  # a defect at one limit must not stop the others
                 _log.exception("an overdue call could not be cancelled")
 
     def _next_overdue(self) -> Callable[[], object] | None:
-        """Wait until a block is overdue, and return it; None: the thread is to end."""
+        """Wait until a block is overdue, and return its function. None: the thread must end."""
         with self._changed:
             while not self._closed:
                 while self._limits and self._limits[0][4]:

@@ -1,7 +1,7 @@
 """Codecs of channels and queues: they turn values into payloads and back. Pure; numpy is imported at its first use.
 
-Each item carries its content type on the wire. A reader that does not know the writer's codec can therefore still tell
-what kind of payload it has.
+Each item carries its content type on the wire. A reader without the writer's codec can therefore still tell the kind of
+a payload.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stampede_rt.values.payloads import check_payload
 
 @runtime_checkable
 class Codec(Protocol):
-    """The interface of a codec: a MIME type, and two functions of which each undoes the other.
+    """The interface of a codec: a MIME type, and two functions. `decode` is the inverse of `encode`.
 
     `encode` and `decode` may raise any exception. The caller gets a CodecError with that exception as its cause.
     """
@@ -40,7 +40,7 @@ class Codec(Protocol):
 
 
 CodecLike = Literal["bytes", "json", "numpy"] | Codec
-"""A codec by name, or an own one."""
+"""The name of a codec of this package, or a codec of the program."""
 
 
 class JsonCodec:
@@ -64,12 +64,12 @@ class NumpyCodec:
 
     def __init__(self) -> None:
         try:
-            import numpy  # noqa: F401  # said at once rather than at the first item
+            import numpy  # noqa: F401  # the error comes now, and not at the first item
         except ImportError as error:
             raise CodecError('codec="numpy" needs numpy, which is not installed; run: pip install numpy') from error
 
     def encode(self, value: Any) -> bytes:
-        """Return any value that numpy can turn into an array. Refuses arrays of objects."""
+        """Return an array, or any value that numpy turns into one, as a `.npy` file. Refuses arrays of objects."""
         import numpy as np
 
         file = io.BytesIO()
@@ -96,9 +96,10 @@ class Coding:
 
     @classmethod
     def parse(cls, codec: str | Codec | None, thing: str, content_type: str | None = None) -> Coding | None:
-        """Return the codec that `codec=` names, or None: values are payloads. `content_type` overrides the codec's own.
+        """Return the codec that the argument `codec` names; None if values are payloads.
 
-        Raises InvalidArgument, and CodecError if numpy is missing.
+        `content_type` overrides the content type of the codec. Raises InvalidArgument, and CodecError if numpy is
+        missing.
         """
         if codec is None or codec == "bytes":
             return None
@@ -145,7 +146,7 @@ class Coding:
             ) from error
 
     def item(self, fields: Iterable[Any]) -> CodedItem:
-        """An item that decodes its own payload."""
+        """Return an item that decodes its own payload."""
         item = CodedItem._make(fields)
         item.coding = self
         return item
@@ -159,7 +160,7 @@ class CodedItem(Item):
     @cached_property
     def value(self) -> Any:
         """The decoded payload; None in reads without payloads. Raises CodecError."""
-        if self.coding is None:  # `_replace` made this item from another one
+        if self.coding is None:  # `_replace` made this item
             return self.payload
         return self.coding.decode(self.payload, self.content_type, f"item #{self.seq} at {self.time}")
 

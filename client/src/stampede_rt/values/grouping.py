@@ -1,4 +1,4 @@
-"""Groups of channels: the values that their readers hold (paper, section 3.3). Pure.
+"""The values that readers of groups get (paper, section 3.3). Pure.
 
 Instants and durations are int nanoseconds. A cut is exclusive: the group shows items before it.
 """
@@ -38,16 +38,16 @@ Key = TypeVar("Key", bound=NamedChannel)
 
 @dataclass(slots=True)
 class SeenCut:
-    """The group through which a reader looks, and the highest cut that the reader has seen.
+    """The group through which a reader reads, and the highest cut that the reader has seen.
 
-    Later reads are never below it.
+    Later reads never have a lower cut.
     """
 
     group_id: bytes
     cut_floor: int | None = None
 
     def saw(self, cut: int | None) -> None:
-        """Keep the cut of an answer, if it is the highest."""
+        """Keep `cut`, which an answer had, if it is the highest so far."""
         if cut is not None and (self.cut_floor is None or cut > self.cut_floor):
             self.cut_floor = cut
 
@@ -102,7 +102,7 @@ class NewestItems(ByChannel[Key, Item | None]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupInfo:
-    """A group as the directory knows it. `reference_id` None: the group has the smallest of its members' cuts."""
+    """A group as the directory knows it. `reference_id` None: the group's cut is the smallest cut of its members."""
 
     group_id: bytes
     name: str
@@ -121,8 +121,8 @@ class MemberStatus:
 
     `cut`: the member's own cut; None if it never had an item or an advance. `lead_nanos`: how far its newest item is
     ahead of the group's cut. `hidden`: the number of held items that the group does not show yet; None if only another
-    host knows it. `idle`: the reference leaves the member out, because it has been silent for `idle_after`.
-    `window_too_short`: retention collects the member's items before the group shows them.
+    host knows the number. `idle`: the group's cut does not wait for the member, because it has been silent for
+    `idle_after`. `window_too_short`: retention collects the member's items before the group shows them.
     """
 
     newest: int | None
@@ -152,9 +152,9 @@ class GroupStatus(Generic[Key]):
 class Cut(Generic[Key]):
     """A cut event: for each channel the items that became visible since the last event, `cut[channel]`.
 
-    `time` is the cut, exclusive. `late[channel]`: items that the host accepted below an earlier event's cut.
-    `incomplete`: the members that had not caught up within `max_wait`. `cut[channel].truncated`: some items of the
-    event are missing, and `.reason` says why.
+    `time` is the cut, exclusive. `late[channel]`: items before the cut of an earlier event that the host accepted after
+    that event. `incomplete`: the members that had not reached the cut within `max_wait`. `cut[channel].truncated`: some
+    items of the event are missing, and `.reason` says why.
     """
 
     time: int
@@ -194,7 +194,7 @@ def parse_group_bound(bound: str) -> str:
 
 
 def parse_members(channels: Sequence[Key]) -> list[Key]:
-    """Return the channels. Raises InvalidArgument if there are none or too many, or if one is named twice."""
+    """Return the channels as a list. Raises InvalidArgument if there are none or too many, or if one is there twice."""
     if not isinstance(channels, Iterable) or isinstance(channels, str):
         raise InvalidArgument(f"channels is {channels!r}; give a list of channels, even for one")
     members = list(channels)
@@ -225,14 +225,14 @@ def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChanne
 
 
 def is_named_by(named: NamedChannel | str, channel: NamedChannel) -> bool:
-    """Whether `channel` is the name, a handle or a descriptor of the other."""
+    """Whether `named`, a name, a handle or a descriptor, stands for `channel`."""
     if isinstance(named, str):
         return named == channel.info.name
     return getattr(named, "info", None) is not None and named.info.channel_id == channel.info.channel_id
 
 
 def shown_name(named: NamedChannel | str) -> object:
-    """The name that an error shows."""
+    """Return the name that an error shows."""
     return named if isinstance(named, str) or not hasattr(named, "info") else named.info.name
 
 

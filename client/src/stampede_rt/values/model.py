@@ -1,4 +1,4 @@
-"""The values that callers hold: items, answers, descriptions of channels and hosts. Pure."""
+"""The values that callers get: items, answers, descriptions of channels and hosts. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stampede_rt.values.timeline import ResolvedInterval
 
 REPR_BYTES_MAX = 32
 OVERLAP_NANOS_MAX = 3_600_000_000_000
-"""The greatest `Policy.overlap_nanos`. A read looks at every item of that time before its start."""
+"""The greatest `Policy.overlap_nanos`. A read must also look at all items in a time of this length before its start."""
 
 OnFull = Literal["drop_oldest", "block", "reject"]
 """What the host does with a put on a full channel or queue."""
@@ -90,7 +90,7 @@ class Items(Sequence[Item]):
     - `interval`: the interval as the host resolved it. None if a bound is NEWEST or OLDEST and the channel has no
       items.
     - `complete`: no more items can come into the interval.
-    - `truncated`: earlier items of the interval may have been collected.
+    - `truncated`: retention may have collected earlier items of the interval.
     - `more`: the limit left out items.
     - `reason`: why the answer is empty or partial; None if nothing is missing.
     - `cut`: for reads through a group, its cut, exclusive. None for other reads, and while the group shows nothing.
@@ -141,9 +141,9 @@ class Items(Sequence[Item]):
 class Policy:
     """The policy of a channel (paper, section 3.4). None: not stated. Times are nanoseconds, sizes are bytes.
 
-    `max_age_unconsumed_nanos`: the age, instead of `max_age_nanos`, at which an item leaves that a live consumer has
-    still to consume. `overlap_nanos`: the time for which a later item does not end the span of an item with a duration;
-    None: a later item ends it at once.
+    `max_age_unconsumed_nanos` replaces `max_age_nanos` for items that a live consumer has still to consume.
+    `overlap_nanos`: for this time a later item does not end the span of an item with a duration; None: a later item
+    ends the span at once.
     """
 
     max_age_nanos: int | None = None
@@ -187,7 +187,7 @@ class HostInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SupernodeInfo:
-    """A supernode as the supernode that answers sees it."""
+    """A supernode, as the answering supernode sees it."""
 
     supernode_id: str
     endpoint: str
@@ -197,7 +197,7 @@ class SupernodeInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ConsumerStats:
-    """A consumer's place at a channel that counts consumption.
+    """A consumer place of a channel.
 
     `waiting`: the number of held items that the consumer has still to consume. `lease_nanos` 0: the lease has ended,
     and the place holds back no item until a consumer takes it again.
@@ -214,7 +214,8 @@ class ChannelStats:
 
     `collected` is by cause (age, count, bytes, consumption), `rejected` by reason. Times are nanoseconds since the
     epoch, or None. `consumers` are the taken places, of `policy.consumers`. `clock_offset_nanos`: how far the host's
-    clock is ahead of this machine's, give or take half the round trip of the call; None in a listing.
+    clock is ahead of this machine's clock. The error is at most half the round trip of the call. None in a list of
+    channels.
     """
 
     accepted: int
@@ -240,7 +241,10 @@ class ChannelStats:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
-    """One change of the directory: `kind` is "added", "updated" or "removed"; `subject` is the description after it."""
+    """One change of the directory.
+
+    `kind` is "added", "updated" or "removed"; `subject` is the thing after the change.
+    """
 
     index: int
     kind: ChangeKind

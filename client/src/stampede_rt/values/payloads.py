@@ -23,7 +23,7 @@ def check_payload(payload: object) -> bytes:
 
 
 def _instead(payload: object) -> str:
-    """What the caller of `check_payload` may give instead."""
+    """Return a text that says which value to give instead."""
     if isinstance(payload, str):
         return 'give text.encode(), or open the channel or queue with codec="json"'
     if hasattr(payload, "__array_interface__"):

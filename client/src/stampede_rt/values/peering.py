@@ -27,12 +27,11 @@ class ClockOffset:
     def measured(
         cls, *, sent_unix_nano: int, took_nanos: int, told_unix_nano: int, supernode: str, held_nanos: int = 0
     ) -> ClockOffset:
-        """The offset by a call in which a supernode told its time.
+        """Return the offset, computed from a call in which a supernode told its time.
 
-        The peer sent it at `sent_unix_nano` of its own clock.
-
-        The supernode read its clock at the end of the `held_nanos` for which it had the request. The peer counts the
-        rest of the round trip as two equal halves, which is wrong by at most one half.
+        The peer sent the request at `sent_unix_nano` of its own clock. The supernode had the request for `held_nanos`,
+        and read its clock at the end of that time. The peer assumes that the rest of the round trip took equally long
+        in both directions. The error is at most half of that rest.
         """
         uncertainty = (max(0, took_nanos - held_nanos) + 1) // 2
         return cls(
@@ -46,8 +45,8 @@ class ClockOffset:
 class PeerInfo:
     """A peer as the directory knows it. `registered` is an instant in nanoseconds since the epoch.
 
-    `clock` is the peer's last measurement; None: unknown. It is unknown if the peer has not sent one yet or is too old
-    to send one, if the leader of the supernodes did not answer, and always in watched changes.
+    `clock` is the peer's last measurement; None: unknown. It is unknown in three cases: the peer has not sent one yet,
+    or its release is too old to send one; the leader of the supernodes did not answer; the record comes from a watch.
     """
 
     peer_id: bytes
@@ -65,7 +64,7 @@ class PeerInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerChange:
-    """One change among the peers: `kind` is "added", "updated" or "removed"; `peer` is the description after it."""
+    """One change of a peer. `kind` is "added", "updated" or "removed"; `peer` is the peer after the change."""
 
     index: int
     kind: ChangeKind
@@ -81,9 +80,9 @@ class PeerIdentity:
 
     @classmethod
     def parse(cls, name: str, proof: str | None, randomness: bytes) -> PeerIdentity:
-        """Derive the identity from the caller's secret text, always the same one; without a text from 48 random bytes.
+        """Derive the identity from `proof`: the same proof gives the same identity.
 
-        Raises InvalidArgument, InvalidName.
+        Without a proof use `randomness` (48 bytes). Raises InvalidArgument, InvalidName.
         """
         if proof is None:
             return cls(peer_id=randomness[:16], proof=randomness[16:48])

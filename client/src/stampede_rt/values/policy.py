@@ -11,7 +11,7 @@ from stampede_rt.values.model import OnFull, Policy
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 NAME_GRAMMAR = r"[A-Za-z0-9][A-Za-z0-9._/-]{0,127}"
-"""Of channels, groups, queues, peers and hosts. Names that differ only in case are different names."""
+"""The pattern of the names of channels, groups, queues, peers and hosts. Upper and lower case differ."""
 _NAME = re.compile(NAME_GRAMMAR)
 ON_FULL: tuple[OnFull, ...] = get_args(OnFull)
 
@@ -82,14 +82,14 @@ def count_of(what: str, value: int | None) -> int | None:
 
 
 def whole_number_of(what: str, value: int) -> int:
-    """Return `value` as an int. True is no number. Raises InvalidArgument, which names `what`."""
+    """Return `value` as an int. Refuses True and False. Raises InvalidArgument, which names `what`."""
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise InvalidArgument(f"{what} is {value!r}; it must be a whole number")
     return operator.index(value)
 
 
 def flag_of(what: str, value: bool) -> bool:
-    """Return True or False. Raises InvalidArgument for other values: "no" would count as true."""
+    """Return True or False. Raises InvalidArgument for other values, because "no" would count as true."""
     if not isinstance(value, bool):
         raise InvalidArgument(f"{what} is {value!r}; write True or False")
     return value

@@ -1,4 +1,4 @@
-"""Queues and mailboxes: the values that their users hold (paper, section 3.5). Pure.
+"""The values that users of queues and mailboxes get (paper, section 3.5). Pure.
 
 Instants are int nanoseconds since the epoch, durations int nanoseconds.
 """
@@ -16,7 +16,7 @@ from stampede_rt.values.timeline import DurationLike
 
 ON_FULL = ("block", "reject", "drop_oldest")
 LEASE_NANOS_MAX = 3_600_000_000_000
-LEASE_NANOS_DEFAULT = 30_000_000_000  # of a queue without a stated lease
+LEASE_NANOS_DEFAULT = 30_000_000_000  # the lease of a queue whose policy states none
 DELAY_NANOS_MAX = 2**63 - 1
 PREFETCH_MAX = 1024
 MESSAGE_ID_BYTES_MAX = 128
@@ -58,10 +58,10 @@ class QueueInfo:
 class QueueStats:
     """A queue's counters at one moment: `accepted == held + consumed + dropped + dead_lettered + expelled`, always.
 
-    - `leased`: those held messages that takers have now.
+    - `leased`: the held messages that takers have at this moment.
     - `delivered`: all deliveries, also repeated ones. `given_back`, `leases_expired` and `terminated` count the
       deliveries that ended without an acknowledgement.
-    - `duplicates`: puts of a message id that the queue knew. `rejected`: refused puts, by reason.
+    - `duplicates`: puts with a message id that the queue already knew. `rejected`: refused puts, by reason.
     - `oldest`: the time at which the queue accepted the oldest held message.
     """
 
@@ -91,8 +91,8 @@ class QueueStats:
 class Enqueued(NamedTuple):
     """The place of an accepted message: its `seq` within one `incarnation` of the queue.
 
-    `duplicate`: the queue has accepted a message of the same id before, and stored nothing now. `seq` is then that
-    message's.
+    `duplicate`: the queue has accepted a message with the same id before, and stored nothing now. `seq` is then the seq
+    of that first message.
     """
 
     seq: int

@@ -1,4 +1,4 @@
-"""A read as its caller stated it. The client turns it into a request. Pure."""
+"""A read with the caller's arguments. The client turns it into a request. Pure."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ class Wait:
         return cls(min(timeout, TIMEOUT_S_MAX))
 
     def after(self, passed_s: float) -> Wait:
-        """The rest of the wait after so many seconds. A repeated read does not wait longer."""
+        """Return the rest of the wait after `passed_s` seconds, so that a repeated read does not wait longer."""
         return self if not self.seconds else Wait(max(self.seconds - passed_s, 0))
 
     @property
     def nanos(self) -> int:
-        """Nanoseconds on the wire; -1 stands for no limit."""
+        """Return the nanoseconds for the wire; -1 stands for no limit."""
         return -1 if self.seconds is None else round(self.seconds * 1e9)
 
 
@@ -49,9 +49,8 @@ NO_WAIT = Wait(0)
 class ReadQuery:
     """One read of a channel (see `Channel.get`).
 
-    `after` is an item or an instant; the answer has only what lies behind it.
-
-    `cut`: read through a group at exactly this cut, which one of its hosts gave. None: at the cut of the moment.
+    `after` is an item or an instant; the answer has only later items. `cut`: read through a group at exactly this cut,
+    which one of its hosts gave. None: read at the present cut.
     """
 
     interval: Interval
@@ -73,7 +72,7 @@ class ReadQuery:
 
 
 def after_position(after: Item | InstantLike) -> Item | int:
-    """Return an item, or an instant."""
+    """Return `after` as an item, or as an instant in nanoseconds."""
     return after if isinstance(after, Item) else parse_instant(after, "after")
 
 

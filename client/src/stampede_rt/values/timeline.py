@@ -1,7 +1,7 @@
 """Instants, durations, bounds and intervals (paper, sections 3.1 and 3.2). Pure.
 
-Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. Time is continuous, only the
-written bounds are whole nanoseconds: `(10, 11)` is not empty, `[10, 10)` is.
+Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. Time is continuous; only the
+written bounds are whole nanoseconds. So `(10, 11)` is not empty, but `[10, 10)` is.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ DurationLike = str | timedelta
 InstantLike = int | datetime
 """An instant: int nanoseconds since the epoch, or a datetime with a timezone."""
 Bounds = Literal["[]", "[)", "(]", "()"]
-"""The bounds of an interval that belong to it."""
+"""Says which bounds belong to the interval: a bracket stands for an inclusive bound, a parenthesis for an exclusive
+one."""
 
 
 def parse_duration(value: DurationLike, what: str = "a duration") -> int:
     """Return the nanoseconds of `"30ms"`, `"1.5 s"` or a timedelta. Units: ns, us, ms, s, m, h, d.
 
-    Refuses bare numbers, because nobody could tell nanoseconds from seconds in `max_age=10`. Refuses 292 years and
-    more, which do not fit into 64 bits. Raises InvalidArgument.
+    Refuses bare numbers: in `max_age=10` the unit would be unknown. Refuses 292 years and more, because they do not fit
+    into 64 bits. Raises InvalidArgument.
     """
     nanos = _nanos_of(value) if isinstance(value, timedelta) else _read_duration(value, what)
     if not MIN_INSTANT <= nanos <= MAX_INSTANT:
@@ -115,7 +116,7 @@ def _no_bool(value: DurationLike | int) -> DurationLike:
 
 
 def format_duration(nanos: int) -> str:
-    """Return `nanos` for people, rounded to thousandths: "1.5 s", "30 ms", and not "60 m"."""
+    """Return `nanos` as a text for people, rounded to thousandths: "1.5 s", "30 ms", "1 h" (not "60 m")."""
     for unit, smaller in pairwise(("d", "h", "m", "s", "ms", "us", "ns")):
         if abs(nanos) + _UNITS_NANOS[smaller] // 2000 >= _UNITS_NANOS[unit]:
             return f"{round(nanos / _UNITS_NANOS[unit], 3):g} {unit}"
@@ -132,7 +133,7 @@ def format_instant(instant: int) -> str:
 
 
 def clamp(instant: int) -> int:
-    """Return `instant`, or the nearest one that fits into int64."""
+    """Return `instant`, or the nearest instant that fits into int64."""
     return max(MIN_INSTANT, min(MAX_INSTANT, instant))
 
 

@@ -1,1 +1,1 @@
-"""Values to and from protobuf. Of the client, only these modules and its shells use stubs."""
+"""Converts values to and from protobuf. In the client, only these modules and the shells use generated code."""

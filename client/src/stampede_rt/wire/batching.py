@@ -20,7 +20,7 @@ class NumberedRun:
 
 @dataclass(slots=True)
 class RunBuilder:
-    """Gathers items into one run while they fit together. The caller takes the run when it can send it.
+    """Collects items that fit together in one run. The caller takes the run when it can send it.
 
     Items fit together if all or none have a time, if they share attributes and content type, and if the run stays
     within its limits. Numbers grow by one for each item, over all runs.

@@ -1,4 +1,4 @@
-"""Groups, cuts and matches from their protobuf form (`group.proto`, `group_service.proto`), and group specs to it."""
+"""Converts groups, cuts and matches from protobuf, and group specs to it (`group.proto`, `group_service.proto`)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def group_spec(
     idle_after_nanos: int | None,
     max_lead_nanos: int,
 ) -> group_pb2.GroupSpec:
-    """A group's spec, as its creator states it."""
+    """Return the message for a group's spec, as its creator states it."""
     return group_pb2.GroupSpec(
         channel_ids=channel_ids,
         reference=group_pb2.GROUP_REFERENCE_CHANNEL if reference_id else group_pb2.GROUP_REFERENCE_OLDEST,
@@ -34,7 +34,7 @@ def group_spec(
 
 
 def group_info(record: group_pb2.GroupRecord) -> GroupInfo:
-    """A group, as callers see it."""
+    """Return a group, as callers see it."""
     spec = record.spec
     by_channel = spec.reference == group_pb2.GROUP_REFERENCE_CHANNEL
     return GroupInfo(
@@ -51,7 +51,7 @@ def group_info(record: group_pb2.GroupRecord) -> GroupInfo:
 
 
 def member_status(message: group_pb2.GroupMemberStatus) -> MemberStatus:
-    """One member's status."""
+    """Return one member's status."""
     times = message.times
     return MemberStatus(
         newest=times.newest_unix_nano if times.HasField("newest_unix_nano") else None,
@@ -68,7 +68,7 @@ def member_status(message: group_pb2.GroupMemberStatus) -> MemberStatus:
 def cut_items(
     parts: Sequence[group_service_pb2.CutPart], decoder: ItemDecoder, since: int, cut: int
 ) -> tuple[Items, Sequence[Item]]:
-    """One channel's items of one event: those since the cut `since`, and the late ones."""
+    """Return one channel's items of one event: the items since the cut `since`, and the late items."""
     losses = [part.loss for part in parts if part.HasField("loss")]
     items = Items(
         decoder.decode([run for part in parts for run in part.runs]),

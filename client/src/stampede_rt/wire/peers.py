@@ -1,4 +1,4 @@
-"""Peers, from their protobuf form (`peer.proto`)."""
+"""Converts peers and clock offsets from protobuf, and clock offsets to it (`peer.proto`)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def peer_info(record: peer_pb2.PeerRecord) -> PeerInfo:
 
 
 def clock_offset(message: peer_pb2.ClockOffset) -> ClockOffset:
-    """How far a peer's clock is off."""
+    """Return the offset of a peer's clock."""
     return ClockOffset(
         offset_nanos=message.offset_nanos,
         uncertainty_nanos=message.uncertainty_nanos,
@@ -34,7 +34,7 @@ def clock_offset(message: peer_pb2.ClockOffset) -> ClockOffset:
 
 
 def clock_message(clock: ClockOffset | None) -> peer_pb2.ClockOffset | None:
-    """A clock offset for the wire. None, which is unknown, leaves the field absent."""
+    """Return a clock offset for the wire. For None (unknown) the field stays absent."""
     if clock is None:
         return None
     return peer_pb2.ClockOffset(

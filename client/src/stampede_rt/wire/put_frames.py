@@ -1,4 +1,4 @@
-"""Put requests around encoded runs, framed by hand so that payloads are copied once (`channel_service.proto`)."""
+"""Encodes put requests without protobuf, so that payloads are copied only once (`channel_service.proto`)."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ _RUN_TAG = bytes((3 << 3 | 2,))  # PutRun.run
 
 
 def put_head(subject_id: bytes, epoch: int, producer_id: int) -> bytes:
-    """The fields of a stream's first request that name the channel or queue. Later requests leave them out."""
+    """Return the encoded fields that name the channel or queue. Only the first request of a stream has them."""
     return channel_pb.PutRequest(channel_id=subject_id, epoch=epoch, producer_id=producer_id).SerializeToString()
 
 
 def put_request(
     head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, message_id: str = ""
 ) -> bytes:
-    """A PutRequest or EnqueueRequest of one run, whose bytes come in pieces. Only queues know the `message_id`.
+    """Return an encoded PutRequest or EnqueueRequest with one run. `run`: the bytes of the run, in pieces.
 
-    `wait_nanos` as in PutRun; None leaves it out.
+    `message_id` is for queues only. `wait_nanos` is as in PutRun; None leaves it out.
     """
     put = queue_pb.EnqueueRun(
         first_number=first_number, wait_nanos=wait_nanos, message_id=message_id

@@ -1,4 +1,4 @@
-"""Channels, policies, hosts and counters, to and from their protobuf form (`channel.proto`, `directory.proto`)."""
+"""Converts channels, policies, hosts and counters to and from protobuf (`channel.proto`, `directory.proto`)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _CHANGE_KINDS: dict[directory_pb2.ChangeKind, ChangeKind] = {
 
 
 def change_kind(kind: directory_pb2.ChangeKind) -> ChangeKind:
-    """What happened, as far as this release knows kinds of it: whatever else it is, the thing is different now."""
+    """Return the kind of a change. A kind that this release does not know counts as "updated"."""
     return _CHANGE_KINDS.get(kind, "updated")
 
 
@@ -40,7 +40,7 @@ REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed", "o
 
 
 def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
-    """A channel's policy. A field that was never stated stays unset."""
+    """Return the message for a channel's policy. A setting that nobody has stated stays unset."""
     retention = channel_pb2.RetentionPolicy(
         max_age_nanos=policy.max_age_nanos,
         max_items=policy.max_items,
@@ -59,7 +59,7 @@ def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
 
 
 def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
-    """A channel's policy. A field that was never stated is None."""
+    """Return a channel's policy, from its message. A setting that nobody has stated is None."""
     retention, unconsumed = spec.retention, "max_age_unconsumed_nanos"
     return Policy(
         max_age_nanos=retention.max_age_nanos if retention.HasField("max_age_nanos") else None,
@@ -88,7 +88,7 @@ def host_info(record: directory_pb2.HostRecord) -> HostInfo:
 
 
 def channel_info(record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelInfo:
-    """A channel as callers see it; `host` is its owner, None if the directory does not know it any more."""
+    """A channel as callers see it; `host` is its owner, or None if the directory no longer knows that host."""
     return ChannelInfo(
         channel_id=record.channel_id,
         name=record.name,

@@ -1,4 +1,4 @@
-"""Cuts parts out of the bytes of sealed runs (`item.proto`). It reads a run once for all its parts."""
+"""Cuts parts out of the bytes of sealed runs (`item.proto`). It parses a run once for any number of parts."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PAYLOADS_TAG = bytes((_PAYLOADS << 3 | _BYTES,))
 
 
 class _Field(NamedTuple):
-    """One field of a message: its number, where the field begins, where its value begins, and where both end."""
+    """One field of a message: its number, and the positions where the field and its value begin, and where they end."""
 
     number: int
     wire_type: int
@@ -30,14 +30,14 @@ class _Field(NamedTuple):
 
 
 class RunSlicer:
-    """One sealed run and the positions of its fields. It keeps the run's bytes, and 4 bytes for each item."""
+    """One sealed run with the positions of its fields. The object keeps the run's bytes, and 4 bytes for each item."""
 
     __slots__ = ("_body", "_columns", "_first_seq", "_labels", "_offsets", "_payloads")
 
     def __init__(self, sealed: bytes) -> None:
         """`sealed` is a run as a host stores it."""
         fields = list(_fields(sealed))
-        if not _is_plain(fields):  # such as columns in several pieces: encode the run again
+        if not _is_plain(fields):  # for example, a column comes in several pieces: encode the run again
             sealed = item_pb2.ItemRun.FromString(sealed).SerializeToString()
             fields = list(_fields(sealed))
         self._body = sealed
@@ -45,13 +45,14 @@ class RunSlicer:
         self._columns = [(n, found[n].value, width) for n, width in _COLUMN_WIDTHS.items() if n in found]
         self._labels = [(field.begin, field.end) for field in fields if field.number in _LABELS]
         self._payloads = found[_PAYLOADS].value if _PAYLOADS in found else len(sealed)
-        seq, lengths = found[_FIRST_SEQ], found[_LENGTHS]  # a host accepts no run without items, and seqs start at 1
+        # Both are there: a run has at least one item, and seqs start at 1.
+        seq, lengths = found[_FIRST_SEQ], found[_LENGTHS]
         self._first_seq: int = struct.unpack_from("<Q", sealed, seq.value)[0]
         counts = struct.unpack_from(f"<{(lengths.end - lengths.value) // 4}I", sealed, lengths.value)
         self._offsets = memoryview(struct.pack(f"<{len(counts) + 1}I", *accumulate(counts, initial=0))).cast("I")
 
     def cut(self, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
-        """Return the items from index `lo` up to, not including, `hi` as a run of their own."""
+        """Return a run with the items from index `lo` up to `hi`, exclusive."""
         body, parts = self._body, []
         for number, begin, width in self._columns:
             parts.append(bytes((number << 3 | _BYTES,)) + encode_varint((hi - lo) * width))
@@ -65,19 +66,19 @@ class RunSlicer:
 
 
 def slice_run(sealed: bytes, lo: int, hi: int, *, without_payloads: bool = False) -> bytes:
-    """Return one part of a sealed run. For several parts make a `RunSlicer`."""
+    """Return one part of a sealed run. For several parts use a `RunSlicer`."""
     return RunSlicer(sealed).cut(lo, hi, without_payloads=without_payloads)
 
 
 def _is_plain(fields: list[_Field]) -> bool:
-    """Whether each field but attributes comes once, and columns are packed."""
+    """Whether columns are packed, and each field except attributes comes only once."""
     numbers = [field.number for field in fields if field.number not in _LABELS]
     packed = all(field.wire_type == _BYTES for field in fields if field.number in _COLUMN_WIDTHS)
     return packed and len(numbers) == len(set(numbers)) and {_LENGTHS, _FIRST_SEQ} <= set(numbers)
 
 
 def _fields(message: bytes) -> Iterator[_Field]:
-    """The fields of a valid ItemRun message, in their order."""
+    """Yield the fields of a valid ItemRun message, in their order."""
     at = 0
     while at < len(message):
         begin = at
@@ -94,7 +95,7 @@ def _fields(message: bytes) -> Iterator[_Field]:
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """Return a number and the position behind it."""
+    """Return the number at position `at`, and the position behind it."""
     value = shift = 0
     while True:  # ends with the number
         byte = message[at]

@@ -1,7 +1,7 @@
 """Item runs: columns that a producer encodes once, and that a host stores and sends as they are (`item.proto`).
 
-A host appends its own fields to the producer's bytes. In protobuf the last scalar wins and repeated fields concatenate,
-so the result is a valid run again.
+A host appends its own fields to the producer's bytes. A protobuf parser keeps the last value of a scalar field, and
+concatenates repeated fields. So the result is a valid run again.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
 _TIMES_TAG = 1 << 3 | 2  # field 1, packed
 _ORIGIN_TAG = bytes((8 << 3 | 2,))
 _PAYLOADS_TAG = bytes((6 << 3 | 2,))
-_COLUMN_BYTES_MAX = 23  # of one item in three columns that the encoder did not pack, with a tag for each entry
+_COLUMN_BYTES_MAX = 23  # of one item in three columns, if the encoder did not pack them and each entry has a tag
 _ATTRIBUTE_FRAMING_BYTES_MAX = 16
 _FRAMING_BYTES_MAX = 64
 
 
 @dataclass(frozen=True, slots=True)
 class RunColumns:
-    """What a host needs to know of a producer's run. All columns have the same length; -1 means no duration."""
+    """The columns of a producer's run. All have the same length. A duration of -1 stands for none."""
 
     times: Sequence[int] | None
     durations: Sequence[int] | None
@@ -54,7 +54,10 @@ def encode_run(
     content_type: str = "",
     attributes: Mapping[str, str] | None = None,
 ) -> bytes:
-    """Return the bytes of a run as its producer sends it. `times` None: the host gives the items their time."""
+    """Return the bytes of a run in the form that a producer sends.
+
+    `times` None: the host gives the items their time.
+    """
     return b"".join(
         run_parts(payloads, times=times, durations=durations, content_type=content_type, attributes=attributes)
     )
@@ -68,10 +71,10 @@ def run_parts(
     content_type: str = "",
     attributes: Mapping[str, str] | None = None,
 ) -> list[bytes]:
-    """Return the bytes of a run in pieces, of which the payloads are some.
+    """Return the bytes of a run in pieces. Each payload is a piece.
 
-    The caller joins the pieces with other bytes, so that each payload is copied once. A copy of 300 KB costs a third of
-    a round trip.
+    The caller joins the pieces with other bytes, so that each payload is copied only once. A copy of 300 KB costs a
+    third of a round trip.
     """
     lengths = [len(payload) for payload in payloads]
     columns = item_pb2.ItemRun(
@@ -124,7 +127,7 @@ def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int]
 
 
 def _check_length(raw: bytes, run: item_pb2.ItemRun, *, items: int, payload_bytes: int) -> None:
-    """Refuse a run with a field that comes twice: the parser keeps the last one, but the host would keep both."""
+    """Refuse a run in which a field comes twice. The parser keeps the last value, but the host would keep both."""
     attributes_bytes = attributes_length_bytes(run.attributes) + len(run.attributes) * _ATTRIBUTE_FRAMING_BYTES_MAX
     labels_bytes = len(run.content_type.encode()) + attributes_bytes
     if len(raw) > payload_bytes + items * _COLUMN_BYTES_MAX + labels_bytes + _FRAMING_BYTES_MAX:
@@ -145,12 +148,12 @@ def _check_labels(run: item_pb2.ItemRun) -> None:
 
 
 def attributes_length_bytes(attributes: Mapping[str, str]) -> int:
-    """The length of all keys and values, encoded."""
+    """Return the length in bytes of all keys and values, encoded."""
     return sum(len(key.encode()) + len(value.encode()) for key, value in attributes.items())
 
 
 def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = None) -> bytes:
-    """Return a producer's run with the host's fields appended: `first_seq`, and the times if it had none."""
+    """Return a producer's run with the host's fields appended: `first_seq`, and `stamped_times` if it had no times."""
     seq = _FIRST_SEQ.pack(_FIRST_SEQ_TAG, first_seq)
     if stamped_times is None:
         return raw + seq
@@ -159,7 +162,10 @@ def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = N
 
 
 def origin_field(origin: bytes) -> bytes:
-    """The field that a host appends to the sealed run of one dead letter; `origin` is an encoded DeadLetterOrigin."""
+    """Return the field for the sealed run of one dead letter, which a host appends.
+
+    `origin`: an encoded DeadLetterOrigin.
+    """
     return b"".join((_ORIGIN_TAG, encode_varint(len(origin)), origin))
 
 
@@ -189,7 +195,7 @@ def select_items(raw: bytes, indexes: Sequence[int]) -> bytes:
 class ItemDecoder:
     """Turns delivered runs of one channel and incarnation into Items; `coding` decodes their values.
 
-    `overlap_nanos`: the time for which a later item does not end the span of an item with a duration.
+    `overlap_nanos`: for this time a later item does not end the span of an item with a duration.
     """
 
     def __init__(
@@ -269,7 +275,10 @@ def _end(time: int, duration: int, next_time: int | None, overlap: int) -> int |
 
 
 def _ends(times: Sequence[int], durations: Sequence[int], next_time: int | None, overlap: int) -> list[int | None]:
-    """Return each item's end. In a run out of order (late items of a subscription) only later neighbours count."""
+    """Return the end of each item.
+
+    A run of late items may be out of order. An earlier neighbour does not end an item.
+    """
     ends: list[int | None] = []
     following, bucket = next_time, None
     for time, duration in zip(reversed(times), reversed(durations), strict=True):
