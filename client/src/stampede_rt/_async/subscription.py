@@ -75,7 +75,10 @@ class Subscription(BoundToProcess):
         if mode not in _MODES:
             raise InvalidArgument(f'mode is {mode!r}; write "all" or "newest"')
         if start is not None and after is not None:
-            raise InvalidArgument("start and after exclude each other: after resumes a subscription, start begins one")
+            raise InvalidArgument(
+                "start and after exclude each other: start begins a subscription, and after resumes one; "
+                "give only one of them"
+            )
         if after is not None and not isinstance(after, Item):
             raise InvalidArgument(f"after is {after!r}; give the last Item received, or use start for a time")
         begun = channel_pb.SubscribeOpen(mode=_MODES[mode], without_payloads=not payloads, group_id=group_id)

@@ -48,7 +48,7 @@ class Settler:
             nonlocal tries
             tries += 1
             if binding.incarnation != incarnation:
-                raise LeaseExpired("the queue's host was lost with its messages and this one; take the next message")
+                raise LeaseExpired("the queue's host was lost with this message and all others; take the next message")
             result = (self._settle_at(binding, (settlement,), CALL_TIMEOUT_S))[0]
             if result.HasField("error"):
                 error = from_error_message(result.error)
@@ -144,7 +144,7 @@ class Message(BoundToProcess):
         """The payload as the handle's codec decodes it, or the payload itself without a codec. Raises CodecError."""
         if self._coding is None:
             return self.payload
-        return self._coding.decode(self.payload, self.content_type, f"item #{self.seq}")
+        return self._coding.decode(self.payload, self.content_type, f"message #{self.seq}")
 
     def decode(self, codec: CodecLike) -> Any:
         """Return the payload, decoded with `codec`. Useful for mailboxes, because senders may use different codecs.

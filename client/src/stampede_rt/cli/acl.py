@@ -21,26 +21,30 @@ EFFECTS_SHOWN = 20
 
 def add_verbs(subparsers: Any) -> None:
     """Add the noun of this module and its verbs."""
-    text = "rules of access: who may do what; for operators and holders of the cluster's secret"
+    text = "rules of access, which say who may do what; for operators and holders of the cluster's secret"
     noun = subparsers.add_parser("acl", help=text, description=text)
     verbs = noun.add_subparsers(dest="acl_verb", metavar="VERB", required=True, parser_class=VerbParser)
-    _add_change(add_verb(verbs, "add", "add a rule; with the first one, what no rule allows is denied", run_add))
+    _add_change(
+        add_verb(verbs, "add", "add a rule; from the first rule on, clients may do only what a rule allows", run_add)
+    )
     _add_change(add_verb(verbs, "rm", "remove a rule, written as for add", run_rm))
     add_verb(verbs, "ls", "list all rules", run_ls)
     check = add_verb(verbs, "check", "tell whether a client may do something, and why; status 3: it may not", run_check)
     check.add_argument("who", metavar="WHO", help="the name of a client")
     check.add_argument("action", metavar="VERB", choices=VERBS, help=", ".join(VERBS))
     check.add_argument("name", metavar="NAME", help="the name of a thing")
-    check.add_argument("--kind", choices=KINDS, help="what it is; left out: the first kind that has the verb")
+    check.add_argument("--kind", choices=KINDS, help="the kind of the thing; default: the first kind that has the verb")
 
 
 def _add_change(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("who", metavar="WHO", help='names of clients, such as "cam-*"; @clients: their shared secret')
     parser.add_argument("actions", metavar="VERB,...", type=_verbs, help=f"{', '.join(VERBS)}; * for all")
     parser.add_argument("names", metavar="NAME", help='names of things, such as "video/*"')
-    parser.add_argument("--kind", choices=KINDS, help="of this kind alone; left out: of every kind")
-    parser.add_argument("--deny", action="store_true", help="forbid it, whatever other rules allow")
-    parser.add_argument("--dry-run", action="store_true", help="change nothing, and tell what would come of it")
+    parser.add_argument("--kind", choices=KINDS, help="only things of this kind; default: every kind")
+    parser.add_argument("--deny", action="store_true", help="forbid the verbs, even if other rules allow them")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="change nothing, and print the effects that the change would have"
+    )
 
 
 def _verbs(text: str) -> tuple[str, ...]:

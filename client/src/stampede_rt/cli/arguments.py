@@ -149,10 +149,12 @@ def add_policy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-age-unconsumed",
         metavar="DURATION",
-        help="keep items that a live consumer has still to consume for this time",
+        help="keep items for this time while a live consumer has still to consume them",
     )
     parser.add_argument(
-        "--overlap", metavar="DURATION", help="for this time a later item does not end an item with a duration"
+        "--overlap",
+        metavar="DURATION",
+        help="for this time a later item does not end the span of an item with a duration",
     )
     parser.add_argument("--on-full", choices=ON_FULL, help="what the host does with a put into a full channel")
     parser.add_argument("--content-type", metavar="MIME", help='the MIME type of the items, such as "image/jpeg"')

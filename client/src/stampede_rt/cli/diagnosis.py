@@ -63,7 +63,7 @@ def _lost(one: Observation) -> tuple[str, str]:
     if one.lost_for_nanos is None:
         advice = "it left, or came back without its data folder, but still owns channels or queues; open them again"
         return "gone", advice
-    advice = "its lease has ended: it was killed, hangs, or is cut off from the network; start it again"
+    advice = "its lease has ended: the host was killed, hangs, or cannot reach the supernodes; start it again"
     return f"lost {roughly(one.lost_for_nanos)} ago", advice
 
 

@@ -33,7 +33,7 @@ def add_payload(parser: argparse.ArgumentParser, *, message_id: bool = False) ->
     """Add the payload argument, and for queues and mailboxes the message id."""
     parser.add_argument("payload", nargs="?", help="the payload as text; default: standard input")
     if message_id:
-        text = "for 10 minutes the queue stores no second message of the same id"
+        text = "the id of the message; for 10 minutes the queue stores no second message with the same id"
         parser.add_argument("--message-id", metavar="ID", help=text)
 
 
@@ -45,13 +45,13 @@ def add_pending(parser: argparse.ArgumentParser) -> None:
 
 
 def payload_of(arguments: argparse.Namespace) -> bytes:
-    """Return the payload to send. Raises InvalidArgument if standard input has more bytes than one message can have."""
+    """Return the payload to send. Raises InvalidArgument if standard input is too long for one message."""
     if arguments.payload is not None:
         return str(arguments.payload).encode()
     payload = sys.stdin.buffer.read(STDIN_BYTES_MAX + 1)
     if len(payload) > STDIN_BYTES_MAX:
         raise InvalidArgument(
-            f"standard input has more than {STDIN_BYTES_MAX} bytes, the greatest size of one item; split it"
+            f"standard input has more than {STDIN_BYTES_MAX} bytes, the greatest size of one item or message; split it"
         )
     return payload
 

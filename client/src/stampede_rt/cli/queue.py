@@ -69,7 +69,9 @@ def _add_policy(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-deliveries", type=parse_count, metavar="N", help="a message leaves the queue after N deliveries"
     )
-    parser.add_argument("--dead-letter", metavar="QUEUE", help="the queue to which it goes then")
+    parser.add_argument(
+        "--dead-letter", metavar="QUEUE", help="the queue for messages that leave after --max-deliveries"
+    )
 
 
 def _existing(rt: Connection, name: str) -> Queue:

@@ -21,15 +21,21 @@ def add_verbs(subparsers: Any) -> None:
     text = "tokens that prove a client's name and roles for a while"
     noun = subparsers.add_parser("token", help=text, description=text)
     verbs = noun.add_subparsers(dest="token_verb", metavar="VERB", required=True, parser_class=VerbParser)
-    issue = add_verb(verbs, "issue", "make a token; operators and holders of the cluster's secret may", run_issue)
-    issue.add_argument("name", metavar="NAME", help="what rules of access know its bearer by")
+    issue = add_verb(verbs, "issue", "make a token; for operators and holders of the cluster's secret", run_issue)
+    issue.add_argument("name", metavar="NAME", help="the client's name, which rules of access use")
     issue.add_argument("--role", action="append", choices=ROLES, help="may be repeated; default client")
     issue.add_argument(
-        "--ttl", type=checked(parse_duration), default=TTL_DEFAULT, metavar="DURATION", help="how long it lasts; 1h"
+        "--ttl",
+        type=checked(parse_duration),
+        default=TTL_DEFAULT,
+        metavar="DURATION",
+        help="how long the token is valid; default 1h",
     )
-    revoke = add_verb(verbs, "revoke", "have all services take a token no more, for good", run_revoke, output=False)
-    revoke.add_argument("serial", metavar="SERIAL", help="its serial number, which `token issue` told")
-    issue.add_argument("--out", type=Path, metavar="FILE", help="write it there, for its user's eyes only")
+    revoke = add_verb(
+        verbs, "revoke", "revoke a token for good: all services refuse it from then on", run_revoke, output=False
+    )
+    revoke.add_argument("serial", metavar="SERIAL", help="the token's serial number, which `token issue` printed")
+    issue.add_argument("--out", type=Path, metavar="FILE", help="write the token to FILE, which only you can read")
 
 
 def run_issue(arguments: argparse.Namespace) -> int:
@@ -49,7 +55,7 @@ def run_issue(arguments: argparse.Namespace) -> int:
     _write(arguments.out, made.token)
     print_facts({**facts, "file": str(arguments.out)}, arguments.output)
     if arguments.output == "table":
-        print(f"\nIts bearer sets STAMPEDE_SECRET_FILE={arguments.out}.")
+        print(f"\nThe client sets STAMPEDE_SECRET_FILE={arguments.out}.")
     return 0
 
 
@@ -59,7 +65,7 @@ def run_revoke(arguments: argparse.Namespace) -> int:
 
     with reached(arguments.url, None) as cluster:
         print_behind(cluster.parts_behind(cluster.revoke(arguments.serial)))
-    print(f"{arguments.serial} is revoked: open streams of its bearers have ended, and it opens nothing any more.")
+    print(f"{arguments.serial} is revoked: its open streams have ended, and services refuse it from now on.")
     return 0
 
 

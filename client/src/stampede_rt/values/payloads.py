@@ -18,7 +18,9 @@ def check_payload(payload: object) -> bytes:
         raise InvalidArgument(f"the payload is a {type(payload).__name__}; {_instead(payload)}")
     data = payload if type(payload) is bytes else bytes(payload)
     if len(data) > ITEM_BYTES_MAX:
-        raise ItemTooLarge(f"the item has {len(data)} bytes; one item has at most {ITEM_BYTES_MAX}: split it")
+        raise ItemTooLarge(
+            f"the payload has {len(data)} bytes; one item or message has at most {ITEM_BYTES_MAX}: split it"
+        )
     return data
 
 
