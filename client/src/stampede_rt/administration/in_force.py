@@ -1,4 +1,4 @@
-"""Waits until a change of rules, or a revocation, holds at every part of a running cluster."""
+"""Waits until every part of a running cluster uses a change of rules or a revocation."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-IN_FORCE_SECONDS = 5.0  # hosts and supernodes hear of changes within milliseconds, front-ends ask each second
+IN_FORCE_SECONDS = 5.0  # hosts and supernodes learn of changes within milliseconds; front-ends ask once a second
 CALL_SECONDS = 1.0
 PAUSE_SECONDS = 0.02
 
 
 class Judge(NamedTuple):
-    """A part of the cluster that judges callers, and the call by which it tells what it judges by."""
+    """A part of the cluster that judges callers. `ask` is the call that returns the version of access that it uses."""
 
     name: str
     target: str
@@ -28,9 +28,12 @@ class Judge(NamedTuple):
 
 
 def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int) -> dict[str, str]:
-    """Wait until all judge by that version of access, IN_FORCE_SECONDS at most. Gives those that do not, and why."""
+    """Wait until all `judges` use that version of access, for at most IN_FORCE_SECONDS.
+
+    Returns the names of those that do not, each with the reason.
+    """
     waiting, deadline_s = list(judges), time.monotonic() + IN_FORCE_SECONDS
-    while True:  # until none is behind, or the time is up
+    while True:  # ends when no part is behind, or when the time is over
         reasons = {one: _why_behind(endpoints, one, version) for one in waiting}
         waiting = [one for one in waiting if reasons[one]]
         if not waiting or time.monotonic() > deadline_s:
@@ -39,7 +42,7 @@ def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int)
 
 
 def _why_behind(endpoints: EndpointPool, one: Judge, version: int) -> str:
-    """Empty: it is not."""
+    """Return why a part does not use that version yet; an empty text if it does."""
     try:
         known = one.ask(endpoints.to(one.target)).access.version
     except StampedeError as error:
@@ -48,16 +51,16 @@ def _why_behind(endpoints: EndpointPool, one: Judge, version: int) -> str:
 
 
 def ping_supernode(endpoint: ServerEndpoint) -> Any:
-    """Ask a supernode."""
+    """Call Ping of a supernode."""
     return endpoint.call(endpoint.directory.Ping, directory_pb.DirectoryServicePingRequest(), CALL_SECONDS)
 
 
 def ping_frontend(endpoint: ServerEndpoint) -> Any:
-    """Ask a front-end."""
+    """Call Bind of a front-end."""
     request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
     return endpoint.call(endpoint.frontend.Bind, request, CALL_SECONDS)
 
 
 def ping_host(endpoint: ServerEndpoint) -> Any:
-    """Ask a host."""
+    """Call Ping of a host."""
     return endpoint.call(endpoint.gatekeeper.Ping, gatekeeper_pb.GatekeeperServicePingRequest(), CALL_SECONDS)

@@ -37,7 +37,7 @@ HOST_PAGES_MAX = 1000
 class Cluster:
     """The supernodes of a running cluster. Each call goes to one of the given addresses.
 
-    `frontends`: those that named the addresses.
+    `frontends`: the front-ends that named these addresses.
     """
 
     def __init__(self, endpoints: EndpointPool, addresses: list[str], frontends: Sequence[str] = ()) -> None:
@@ -103,7 +103,7 @@ class Cluster:
         try:
             members = [one for one in self.members().supernodes if one.endpoint.target]
             hosts = list(self._live_hosts())
-        except StampedeError as error:  # the change itself is made
+        except StampedeError as error:  # the change itself has succeeded
             return {"the cluster": error.message}
         judges = [
             *(Judge(f"supernode {one.supernode_id}", one.endpoint.target, ping_supernode) for one in members),

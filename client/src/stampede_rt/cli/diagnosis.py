@@ -188,7 +188,10 @@ def _holdings(held: Inventory) -> CheckResult:
 
 
 def _denials(seen: Sequence[Observation]) -> Iterator[CheckResult]:
-    """The denied calls, for people to judge: a rule that works denies, too. No line if there were none."""
+    """Report the denied calls. A person must judge them, because a rule that works also denies calls.
+
+    Yields nothing if no call was denied.
+    """
     denying = [one for one in seen if one.denials]
     if not denying:
         return

@@ -57,7 +57,7 @@ def print_facts(facts: Mapping[str, Any], form: str) -> None:
 
 
 def print_behind(behind: Mapping[str, str]) -> None:
-    """Warn of the parts of a cluster that do not judge yet by a change of access, each with the reason."""
+    """Warn of the parts of a cluster that do not use a change of access yet, each with the reason."""
     for name, why in behind.items():
         print(f"stampede: not in force yet at {escaped(name)}: {escaped(why)}", file=sys.stderr)
 
