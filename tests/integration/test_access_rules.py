@@ -12,53 +12,17 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
-from stampede_rt.cli.commands import run
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.credentials import call_metadata
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import peer_service_pb2_grpc as peer_grpc
-from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
-from stampede_rt.v1 import queue_directory_service_pb2_grpc as queue_directory_grpc
-from stampede_rt.v1 import queue_service_pb2 as queue_pb
-from stampede_rt.v1 import queue_service_pb2_grpc as queue_grpc
-from stampede_rt.v1.queue_pb2 import Acknowledge, Settlement
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
+from tests.support.operator import Operator, operating
 from tests.support.waiting import wait_until
 
 cluster = cluster_fixture(hosts=2)
 FRAMES: list[st.Item] = []  # the newest one that is there
-
-
-class Operator:
-    """Makes rules and tokens as an operator does, and takes its rules back."""
-
-    def __init__(self, cluster: LocalCluster, folder: Path) -> None:
-        self.cluster, self._folder = cluster, folder
-        self.tokens: dict[str, str] = {}
-        self._rules: list[tuple[str, ...]] = []
-
-    def run(self, *words: str) -> int:
-        return run([*words, "--url", self.cluster.address])
-
-    def token(self, name: str) -> str:
-        if name not in self.tokens:
-            file = self._folder / f"{name}.token"
-            assert self.run("token", "issue", name, "--out", str(file)) == 0
-            self.tokens[name] = file.read_text().strip()
-        return self.tokens[name]
-
-    def add(self, *rule: str) -> None:
-        assert self.run("acl", "add", *rule) == 0
-        self._rules.append(rule)
-
-    def rm(self, *rule: str) -> None:
-        assert self.run("acl", "rm", *rule) == 0
-        self._rules.remove(rule)
-
-    def take_back(self) -> None:
-        for rule in tuple(self._rules):
-            self.rm(*rule)
 
 
 def refused(ask: Callable[[], Any]) -> str:
@@ -70,9 +34,8 @@ def refused(ask: Callable[[], Any]) -> str:
 
 @pytest.fixture
 def operator(cluster: LocalCluster, tmp_path: Path) -> Iterator[Operator]:
-    made = Operator(cluster, tmp_path)
-    yield made
-    made.take_back()
+    with operating(cluster, tmp_path) as made:
+        yield made
 
 
 def things(cluster: LocalCluster) -> None:
@@ -165,6 +128,33 @@ def test_a_group_is_read_by_who_may_read_it_and_made_by_who_may_read_its_channel
         assert rt.group(*mine).name == "mine"
         operator.add("dash", "read", "pair", "--kind", "group")
         assert rt.group("pair").name == "pair"
+
+
+def test_channels_queues_groups_and_peers_tell_who_made_them(
+    cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with st.connect(cluster.address, secret=operator.token("maker"), name="maker-peer") as rt:
+        rt.channel("by/maker")
+        rt.queue("by/maker")
+        rt.group("by/maker", [rt.channel("by/maker")])
+        with st.connect(cluster.address) as other:
+            made = other.channel("by/maker").info, other.queue("by/maker").info, other.groups("by/maker")[0]
+            assert {one.created_by for one in made} == {"maker"}
+            assert other.channel("by/nobody").info.created_by == "@cluster"
+            assert [one.owner for one in other.peers("maker-peer")] == ["maker"]
+        for words, key in (
+            (["ls", "-l", "by/maker"], "created_by"),
+            (["queue", "ls", "-l", "by/maker"], "created_by"),
+            (["group", "ls", "by/maker"], "created_by"),
+            (["peers", "maker-peer"], "owner"),
+        ):
+            capsys.readouterr()
+            assert operator.run(*words, "-o", "json") == 0
+            assert [row[key] for row in json.loads(capsys.readouterr().out)] == ["maker"]
+        for words in (["info", "by/maker"], ["queue", "info", "by/maker"]):
+            capsys.readouterr()
+            assert operator.run(*words, "-o", "json") == 0
+            assert json.loads(capsys.readouterr().out)["created_by"] == "maker"
 
 
 def test_peers_own_their_mailboxes_and_nobody_else_does(cluster: LocalCluster, operator: Operator) -> None:
@@ -299,27 +289,3 @@ def test_no_client_speaks_for_a_host(cluster: LocalCluster, operator: Operator) 
     with grpc.insecure_channel(target) as channel, pytest.raises(grpc.RpcError) as caught:
         peer_grpc.PeerServiceStub(channel).RegisterPeer(request, timeout=10, metadata=call_metadata(token))
     assert "client forger may not speak for a host" in str(caught.value)
-
-
-def test_nobody_settles_what_another_caller_has_taken(cluster: LocalCluster, operator: Operator) -> None:
-    things(cluster)
-    operator.add("worker-*", "take", "jobs", "--kind", "queue")
-    thief = call_metadata(operator.token("worker-2"))
-    with st.connect(cluster.address, secret=operator.token("worker-1")) as rt:
-        message = rt.queue("jobs").get(timeout=10)
-        assert message is not None
-        with grpc.insecure_channel(cluster.supernodes[0].address) as channel:
-            resolve = queue_directory_grpc.QueueDirectoryServiceStub(channel).ResolveQueue
-            found = resolve(queue_directory_pb.ResolveQueueRequest(name="jobs"), timeout=10, metadata=thief)
-        with grpc.insecure_channel(found.host.gatekeepers[0].target) as channel:
-            stub, place = queue_grpc.QueueServiceStub(channel), {"queue_id": found.queue.queue_id}
-            pending = stub.ListPending(queue_pb.ListPendingRequest(**place), timeout=10, metadata=thief)
-            [taken] = [one for one in pending.deliveries if one.seq == message.seq]
-            settlement = Settlement(delivery_id=taken.delivery_id, acknowledge=Acknowledge())
-            request = queue_pb.SettleRequest(
-                **place, epoch=found.queue.epoch, taker_id=taken.taker_id, settlements=[settlement]
-            )
-            with pytest.raises(grpc.RpcError) as caught:
-                stub.Settle(request, timeout=10, metadata=thief)
-        assert "is one of worker-1, and worker-2 may not act for it" in str(caught.value)
-        message.ack()

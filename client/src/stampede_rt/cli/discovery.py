@@ -50,7 +50,8 @@ def _add_counters(
 ) -> None:
     hosts = {channel.host for channel in channels if channel.host_alive}
     stats = {name: one for host in hosts for name, one in rt.hosted_channels(host, glob).items()}
-    for row in rows:
+    for row, channel in zip(rows, channels, strict=True):
+        row["created_by"] = channel.created_by or None
         one = stats.get(row["channel"])
         held_bytes = one.held_bytes if one else None
         row["held"] = one.held if one else None
@@ -69,6 +70,7 @@ def run_info(arguments: argparse.Namespace) -> int:
     facts: dict[str, Any] = {
         "channel": info.name,
         "host": info.host,
+        "created_by": info.created_by or None,
         "epoch": info.epoch,
         "incarnation": f"{stats.incarnation:016x}",
         "keeps": policy_text(stats.policy),

@@ -117,6 +117,7 @@ def _group_row(info: GroupInfo, names: dict[bytes, str]) -> dict[str, Any]:
         "reference": names.get(info.reference_id, "?") if info.reference_id else "oldest",
         "bound": info.bound,
         "idle_after": None if info.idle_after_nanos is None else format_duration(info.idle_after_nanos),
+        "created_by": info.created_by or None,
     }
 
 

@@ -90,6 +90,7 @@ def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
         "host": hosts.get(peer.host_id) if peer.host_id is not None else None,
         "zone": peer.zone or None,
         "version": peer.version,
+        "owner": peer.owner or None,
     } | _clock(peer, people)
 
 

@@ -106,6 +106,7 @@ def _row(rt: Connection, info: QueueInfo, names: Mapping[bytes, str], arguments:
         "epoch": info.epoch,
     }
     if arguments.long:
+        row["created_by"] = info.created_by or None
         stats = rt.queue(info.name, create=False).stats() if info.host_alive else None
         for name in ("held", "leased", "accepted", "consumed"):
             row[name] = getattr(stats, name) if stats else None
@@ -137,6 +138,7 @@ def run_info(arguments: argparse.Namespace) -> int:
     facts = {
         "queue": info.name,
         "host": info.host,
+        "created_by": info.created_by or None,
         "epoch": info.epoch,
         "incarnation": f"{stats.incarnation:016x}",
         "set_up": policy_text(stats.policy, names),

@@ -49,7 +49,7 @@ class ChannelSpec(_message.Message):
     def __init__(self, retention: _Optional[_Union[RetentionPolicy, _Mapping]] = ..., on_full: _Optional[_Union[OnFull, str]] = ..., max_future_nanos: _Optional[int] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ..., overlap_nanos: _Optional[int] = ...) -> None: ...
 
 class ChannelRecord(_message.Message):
-    __slots__ = ("channel_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "proxy_host_ids")
+    __slots__ = ("channel_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "proxy_host_ids", "created_by")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -58,6 +58,7 @@ class ChannelRecord(_message.Message):
     SPEC_FIELD_NUMBER: _ClassVar[int]
     SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
     PROXY_HOST_IDS_FIELD_NUMBER: _ClassVar[int]
+    CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     name: str
     host_id: bytes
@@ -66,7 +67,8 @@ class ChannelRecord(_message.Message):
     spec: ChannelSpec
     spec_version: int
     proxy_host_ids: _containers.RepeatedScalarFieldContainer[bytes]
-    def __init__(self, channel_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[ChannelSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., proxy_host_ids: _Optional[_Iterable[bytes]] = ...) -> None: ...
+    created_by: str
+    def __init__(self, channel_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[ChannelSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., proxy_host_ids: _Optional[_Iterable[bytes]] = ..., created_by: _Optional[str] = ...) -> None: ...
 
 class ChannelCounters(_message.Message):
     __slots__ = ("accepted", "held", "collected_by_age", "collected_by_count", "collected_by_bytes", "collected_by_consumption", "rejected_too_old", "rejected_in_future", "rejected_too_large", "rejected_full", "accepted_bytes", "held_bytes", "delivered_bytes", "rejected_malformed", "rejected_overloaded")

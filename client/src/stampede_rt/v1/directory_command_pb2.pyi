@@ -113,20 +113,22 @@ class MarkTimeCommand(_message.Message):
     def __init__(self, tenure: _Optional[int] = ..., after_index: _Optional[int] = ...) -> None: ...
 
 class OpenChannelCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation")
+    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation", "created_by")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
     HOST_NAME_FIELD_NUMBER: _ClassVar[int]
     NEW_CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _channel_pb2.ChannelSpec
     create: bool
     host_name: str
     new_channel_id: bytes
     new_incarnation: int
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+    created_by: str
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ...) -> None: ...
 
 class UpdateChannelCommand(_message.Message):
     __slots__ = ("channel_id", "epoch", "spec")
@@ -205,18 +207,20 @@ class BeginTenureCommand(_message.Message):
     def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ..., founded_anew: bool = ..., takes_over: bool = ..., new_feature_level: _Optional[int] = ..., new_join_key: _Optional[bytes] = ..., new_token_key: _Optional[bytes] = ...) -> None: ...
 
 class OpenGroupCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation")
+    __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation", "created_by")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
     NEW_GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _group_pb2.GroupSpec
     create: bool
     new_group_id: bytes
     new_incarnation: int
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_group_pb2.GroupSpec, _Mapping]] = ..., create: bool = ..., new_group_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+    created_by: str
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_group_pb2.GroupSpec, _Mapping]] = ..., create: bool = ..., new_group_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ...) -> None: ...
 
 class UpdateGroupCommand(_message.Message):
     __slots__ = ("group_id", "add_channel_ids", "remove_channel_ids", "spec_version")
@@ -275,20 +279,22 @@ class SetReplicaInSyncCommand(_message.Message):
     def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ...) -> None: ...
 
 class OpenQueueCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "host_name", "new_queue_id", "new_incarnation")
+    __slots__ = ("name", "spec", "create", "host_name", "new_queue_id", "new_incarnation", "created_by")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
     HOST_NAME_FIELD_NUMBER: _ClassVar[int]
     NEW_QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _queue_pb2.QueueSpec
     create: bool
     host_name: str
     new_queue_id: bytes
     new_incarnation: int
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_queue_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ...) -> None: ...
+    created_by: str
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_queue_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ...) -> None: ...
 
 class UpdateQueueCommand(_message.Message):
     __slots__ = ("queue_id", "epoch", "spec")

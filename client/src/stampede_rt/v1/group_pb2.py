@@ -24,27 +24,27 @@ _sym_db = _symbol_database.Default()
 
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1astampede_rt/v1/group.proto\x12\x0estampede_rt.v1\"\x80\x02\n\tGroupSpec\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\x12\x31\n\treference\x18\x02 \x01(\x0e\x32\x1e.stampede_rt.v1.GroupReference\x12\x1c\n\x14reference_channel_id\x18\x03 \x01(\x0c\x12)\n\x05\x62ound\x18\x04 \x01(\x0e\x32\x1a.stampede_rt.v1.GroupBound\x12\x1d\n\x10idle_after_nanos\x18\x05 \x01(\x03H\x00\x88\x01\x01\x12\x1b\n\x0emax_lead_nanos\x18\x06 \x01(\x03H\x01\x88\x01\x01\x42\x13\n\x11_idle_after_nanosB\x11\n\x0f_max_lead_nanos\"\x81\x01\n\x0bGroupRecord\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\'\n\x04spec\x18\x03 \x01(\x0b\x32\x19.stampede_rt.v1.GroupSpec\x12\x14\n\x0cspec_version\x18\x04 \x01(\x04\x12\x13\n\x0bincarnation\x18\x05 \x01(\x06\"\x82\x02\n\x0c\x43hannelTimes\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bincarnation\x18\x03 \x01(\x06\x12\x1d\n\x10newest_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x12!\n\x14newest_end_unix_nano\x18\x05 \x01(\x10H\x01\x88\x01\x01\x12\x1e\n\x11\x61\x64vance_unix_nano\x18\x06 \x01(\x10H\x02\x88\x01\x01\x12\x14\n\x0csilent_nanos\x18\x07 \x01(\x03\x42\x13\n\x11_newest_unix_nanoB\x17\n\x15_newest_end_unix_nanoB\x14\n\x12_advance_unix_nano\"^\n\x08\x43utFloor\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x13\n\x0bincarnation\x18\x02 \x01(\x06\x12\x15\n\rcut_unix_nano\x18\x03 \x01(\x10\x12\x14\n\x0cspec_version\x18\x04 \x01(\x04\"\x83\x02\n\x11GroupMemberStatus\x12+\n\x05times\x18\x01 \x01(\x0b\x32\x1c.stampede_rt.v1.ChannelTimes\x12\x1a\n\rcut_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x12\x17\n\nlead_nanos\x18\x03 \x01(\x12H\x01\x88\x01\x01\x12\x19\n\x0chidden_items\x18\x04 \x01(\x04H\x02\x88\x01\x01\x12\x0c\n\x04idle\x18\x05 \x01(\x08\x12\x18\n\x10window_too_short\x18\x06 \x01(\x08\x12\x17\n\x0fheard_ago_nanos\x18\x07 \x01(\x03\x42\x10\n\x0e_cut_unix_nanoB\r\n\x0b_lead_nanosB\x0f\n\r_hidden_items\"\xd9\x01\n\x0bGroupStatus\x12+\n\x06record\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupRecord\x12\x1a\n\rcut_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x12\x1e\n\x16waiting_on_channel_ids\x18\x03 \x03(\x0c\x12\x32\n\x07members\x18\x04 \x03(\x0b\x32!.stampede_rt.v1.GroupMemberStatus\x12\x1b\n\x13host_time_unix_nano\x18\x05 \x01(\x10\x42\x10\n\x0e_cut_unix_nano*j\n\x0eGroupReference\x12\x1f\n\x1bGROUP_REFERENCE_UNSPECIFIED\x10\x00\x12\x1a\n\x16GROUP_REFERENCE_OLDEST\x10\x01\x12\x1b\n\x17GROUP_REFERENCE_CHANNEL\x10\x02*U\n\nGroupBound\x12\x1b\n\x17GROUP_BOUND_UNSPECIFIED\x10\x00\x12\x15\n\x11GROUP_BOUND_START\x10\x01\x12\x13\n\x0fGROUP_BOUND_END\x10\x02\x62\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\x1astampede_rt/v1/group.proto\x12\x0estampede_rt.v1\"\x80\x02\n\tGroupSpec\x12\x13\n\x0b\x63hannel_ids\x18\x01 \x03(\x0c\x12\x31\n\treference\x18\x02 \x01(\x0e\x32\x1e.stampede_rt.v1.GroupReference\x12\x1c\n\x14reference_channel_id\x18\x03 \x01(\x0c\x12)\n\x05\x62ound\x18\x04 \x01(\x0e\x32\x1a.stampede_rt.v1.GroupBound\x12\x1d\n\x10idle_after_nanos\x18\x05 \x01(\x03H\x00\x88\x01\x01\x12\x1b\n\x0emax_lead_nanos\x18\x06 \x01(\x03H\x01\x88\x01\x01\x42\x13\n\x11_idle_after_nanosB\x11\n\x0f_max_lead_nanos\"\x95\x01\n\x0bGroupRecord\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\'\n\x04spec\x18\x03 \x01(\x0b\x32\x19.stampede_rt.v1.GroupSpec\x12\x14\n\x0cspec_version\x18\x04 \x01(\x04\x12\x13\n\x0bincarnation\x18\x05 \x01(\x06\x12\x12\n\ncreated_by\x18\x06 \x01(\t\"\x82\x02\n\x0c\x43hannelTimes\x12\x12\n\nchannel_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bincarnation\x18\x03 \x01(\x06\x12\x1d\n\x10newest_unix_nano\x18\x04 \x01(\x10H\x00\x88\x01\x01\x12!\n\x14newest_end_unix_nano\x18\x05 \x01(\x10H\x01\x88\x01\x01\x12\x1e\n\x11\x61\x64vance_unix_nano\x18\x06 \x01(\x10H\x02\x88\x01\x01\x12\x14\n\x0csilent_nanos\x18\x07 \x01(\x03\x42\x13\n\x11_newest_unix_nanoB\x17\n\x15_newest_end_unix_nanoB\x14\n\x12_advance_unix_nano\"^\n\x08\x43utFloor\x12\x10\n\x08group_id\x18\x01 \x01(\x0c\x12\x13\n\x0bincarnation\x18\x02 \x01(\x06\x12\x15\n\rcut_unix_nano\x18\x03 \x01(\x10\x12\x14\n\x0cspec_version\x18\x04 \x01(\x04\"\x83\x02\n\x11GroupMemberStatus\x12+\n\x05times\x18\x01 \x01(\x0b\x32\x1c.stampede_rt.v1.ChannelTimes\x12\x1a\n\rcut_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x12\x17\n\nlead_nanos\x18\x03 \x01(\x12H\x01\x88\x01\x01\x12\x19\n\x0chidden_items\x18\x04 \x01(\x04H\x02\x88\x01\x01\x12\x0c\n\x04idle\x18\x05 \x01(\x08\x12\x18\n\x10window_too_short\x18\x06 \x01(\x08\x12\x17\n\x0fheard_ago_nanos\x18\x07 \x01(\x03\x42\x10\n\x0e_cut_unix_nanoB\r\n\x0b_lead_nanosB\x0f\n\r_hidden_items\"\xd9\x01\n\x0bGroupStatus\x12+\n\x06record\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.GroupRecord\x12\x1a\n\rcut_unix_nano\x18\x02 \x01(\x10H\x00\x88\x01\x01\x12\x1e\n\x16waiting_on_channel_ids\x18\x03 \x03(\x0c\x12\x32\n\x07members\x18\x04 \x03(\x0b\x32!.stampede_rt.v1.GroupMemberStatus\x12\x1b\n\x13host_time_unix_nano\x18\x05 \x01(\x10\x42\x10\n\x0e_cut_unix_nano*j\n\x0eGroupReference\x12\x1f\n\x1bGROUP_REFERENCE_UNSPECIFIED\x10\x00\x12\x1a\n\x16GROUP_REFERENCE_OLDEST\x10\x01\x12\x1b\n\x17GROUP_REFERENCE_CHANNEL\x10\x02*U\n\nGroupBound\x12\x1b\n\x17GROUP_BOUND_UNSPECIFIED\x10\x00\x12\x15\n\x11GROUP_BOUND_START\x10\x01\x12\x13\n\x0fGROUP_BOUND_END\x10\x02\x62\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.group_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_GROUPREFERENCE']._serialized_start=1276
-  _globals['_GROUPREFERENCE']._serialized_end=1382
-  _globals['_GROUPBOUND']._serialized_start=1384
-  _globals['_GROUPBOUND']._serialized_end=1469
+  _globals['_GROUPREFERENCE']._serialized_start=1296
+  _globals['_GROUPREFERENCE']._serialized_end=1402
+  _globals['_GROUPBOUND']._serialized_start=1404
+  _globals['_GROUPBOUND']._serialized_end=1489
   _globals['_GROUPSPEC']._serialized_start=47
   _globals['_GROUPSPEC']._serialized_end=303
   _globals['_GROUPRECORD']._serialized_start=306
-  _globals['_GROUPRECORD']._serialized_end=435
-  _globals['_CHANNELTIMES']._serialized_start=438
-  _globals['_CHANNELTIMES']._serialized_end=696
-  _globals['_CUTFLOOR']._serialized_start=698
-  _globals['_CUTFLOOR']._serialized_end=792
-  _globals['_GROUPMEMBERSTATUS']._serialized_start=795
-  _globals['_GROUPMEMBERSTATUS']._serialized_end=1054
-  _globals['_GROUPSTATUS']._serialized_start=1057
-  _globals['_GROUPSTATUS']._serialized_end=1274
+  _globals['_GROUPRECORD']._serialized_end=455
+  _globals['_CHANNELTIMES']._serialized_start=458
+  _globals['_CHANNELTIMES']._serialized_end=716
+  _globals['_CUTFLOOR']._serialized_start=718
+  _globals['_CUTFLOOR']._serialized_end=812
+  _globals['_GROUPMEMBERSTATUS']._serialized_start=815
+  _globals['_GROUPMEMBERSTATUS']._serialized_end=1074
+  _globals['_GROUPSTATUS']._serialized_start=1077
+  _globals['_GROUPSTATUS']._serialized_end=1294
 # @@protoc_insertion_point(module_scope)

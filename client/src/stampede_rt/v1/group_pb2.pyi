@@ -42,18 +42,20 @@ class GroupSpec(_message.Message):
     def __init__(self, channel_ids: _Optional[_Iterable[bytes]] = ..., reference: _Optional[_Union[GroupReference, str]] = ..., reference_channel_id: _Optional[bytes] = ..., bound: _Optional[_Union[GroupBound, str]] = ..., idle_after_nanos: _Optional[int] = ..., max_lead_nanos: _Optional[int] = ...) -> None: ...
 
 class GroupRecord(_message.Message):
-    __slots__ = ("group_id", "name", "spec", "spec_version", "incarnation")
+    __slots__ = ("group_id", "name", "spec", "spec_version", "incarnation", "created_by")
     GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
     INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     group_id: bytes
     name: str
     spec: GroupSpec
     spec_version: int
     incarnation: int
-    def __init__(self, group_id: _Optional[bytes] = ..., name: _Optional[str] = ..., spec: _Optional[_Union[GroupSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., incarnation: _Optional[int] = ...) -> None: ...
+    created_by: str
+    def __init__(self, group_id: _Optional[bytes] = ..., name: _Optional[str] = ..., spec: _Optional[_Union[GroupSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., incarnation: _Optional[int] = ..., created_by: _Optional[str] = ...) -> None: ...
 
 class ChannelTimes(_message.Message):
     __slots__ = ("channel_id", "epoch", "incarnation", "newest_unix_nano", "newest_end_unix_nano", "advance_unix_nano", "silent_nanos")

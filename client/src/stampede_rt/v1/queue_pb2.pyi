@@ -43,7 +43,7 @@ class QueueSpec(_message.Message):
     def __init__(self, max_items: _Optional[int] = ..., max_bytes: _Optional[int] = ..., on_full: _Optional[_Union[QueueOnFull, str]] = ..., copies: _Optional[int] = ..., lease_nanos: _Optional[int] = ..., max_deliveries: _Optional[int] = ..., dead_letter_queue_id: _Optional[bytes] = ..., content_type: _Optional[str] = ..., max_item_bytes: _Optional[int] = ...) -> None: ...
 
 class QueueRecord(_message.Message):
-    __slots__ = ("queue_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "mailbox_peer_id", "mailbox_peer_name", "mailbox_owner")
+    __slots__ = ("queue_id", "name", "host_id", "epoch", "incarnation", "spec", "spec_version", "mailbox_peer_id", "mailbox_peer_name", "mailbox_owner", "created_by")
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
@@ -54,6 +54,7 @@ class QueueRecord(_message.Message):
     MAILBOX_PEER_ID_FIELD_NUMBER: _ClassVar[int]
     MAILBOX_PEER_NAME_FIELD_NUMBER: _ClassVar[int]
     MAILBOX_OWNER_FIELD_NUMBER: _ClassVar[int]
+    CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     queue_id: bytes
     name: str
     host_id: bytes
@@ -64,7 +65,8 @@ class QueueRecord(_message.Message):
     mailbox_peer_id: bytes
     mailbox_peer_name: str
     mailbox_owner: str
-    def __init__(self, queue_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[QueueSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., mailbox_peer_id: _Optional[bytes] = ..., mailbox_peer_name: _Optional[str] = ..., mailbox_owner: _Optional[str] = ...) -> None: ...
+    created_by: str
+    def __init__(self, queue_id: _Optional[bytes] = ..., name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., incarnation: _Optional[int] = ..., spec: _Optional[_Union[QueueSpec, _Mapping]] = ..., spec_version: _Optional[int] = ..., mailbox_peer_id: _Optional[bytes] = ..., mailbox_peer_name: _Optional[str] = ..., mailbox_owner: _Optional[str] = ..., created_by: _Optional[str] = ...) -> None: ...
 
 class QueueCounters(_message.Message):
     __slots__ = ("accepted", "held", "leased", "consumed", "dropped", "dead_lettered", "expelled", "delivered", "given_back", "leases_expired", "rejected_full", "rejected_too_large", "rejected_malformed", "accepted_bytes", "held_bytes", "rejected_overloaded", "terminated", "duplicates")

@@ -102,7 +102,10 @@ class NewestItems(ByChannel[Key, Item | None]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupInfo:
-    """A group as the directory knows it. `reference_id` None: the group's cut is the smallest cut of its members."""
+    """A group as the directory knows it. `reference_id` None: the group's cut is the smallest cut of its members.
+
+    `created_by`: as for channels.
+    """
 
     group_id: bytes
     name: str
@@ -113,6 +116,7 @@ class GroupInfo:
     max_lead_nanos: int
     incarnation: int
     spec_version: int
+    created_by: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

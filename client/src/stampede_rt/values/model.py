@@ -160,7 +160,11 @@ class Policy:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelInfo:
-    """A channel as the directory knows it."""
+    """A channel as the directory knows it.
+
+    `created_by`: the name of the caller that made it, as rules of access know it: that of its certificate or token,
+    "@clients" or "@cluster" for holders of a secret. Empty: not known.
+    """
 
     channel_id: bytes
     name: str
@@ -171,6 +175,7 @@ class ChannelInfo:
     incarnation: int
     policy: Policy
     spec_version: int
+    created_by: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -40,7 +40,10 @@ class QueuePolicy:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueInfo:
-    """A queue as the directory knows it. A mailbox has no name of its own; `mailbox_of` is the id of its peer."""
+    """A queue as the directory knows it. A mailbox has no name of its own; `mailbox_of` is the id of its peer.
+
+    `created_by`: as for channels; empty for a mailbox, whose peer has an `owner`.
+    """
 
     queue_id: bytes
     name: str
@@ -52,6 +55,7 @@ class QueueInfo:
     policy: QueuePolicy
     spec_version: int
     mailbox_of: bytes | None = None
+    created_by: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

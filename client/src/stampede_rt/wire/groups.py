@@ -47,6 +47,7 @@ def group_info(record: group_pb2.GroupRecord) -> GroupInfo:
         max_lead_nanos=spec.max_lead_nanos if spec.HasField("max_lead_nanos") else MAX_LEAD_DEFAULT_NANOS,
         incarnation=record.incarnation,
         spec_version=record.spec_version,
+        created_by=record.created_by,
     )
 
 

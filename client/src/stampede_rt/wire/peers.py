@@ -21,6 +21,7 @@ def peer_info(record: peer_pb2.PeerRecord) -> PeerInfo:
         attributes=dict(record.attributes),
         registered=record.registered_unix_nano,
         clock=clock_offset(record.clock) if record.HasField("clock") else None,
+        owner=record.owner if record.HasField("owner") else None,
     )
 
 

@@ -58,6 +58,7 @@ def queue_info(record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord | N
         policy=queue_policy_from_spec(record.spec),
         spec_version=record.spec_version,
         mailbox_of=record.mailbox_peer_id if record.HasField("mailbox_peer_id") else None,
+        created_by=record.created_by,
     )
 
 

@@ -99,6 +99,7 @@ def channel_info(record: channel_pb2.ChannelRecord, host: directory_pb2.HostReco
         incarnation=record.incarnation,
         policy=policy_from_spec(record.spec),
         spec_version=record.spec_version,
+        created_by=record.created_by,
     )
 
 

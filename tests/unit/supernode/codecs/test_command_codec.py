@@ -113,6 +113,10 @@ EVERYTHING_OF_PEERS: dict[str, Any] = {
 OPERATIONS: list[Operation] = [
     open_channel("cam", host="rig", create=False, **EVERYTHING),
     open_channel("cam"),
+    *(
+        replace(one, created_by="@cluster")
+        for one in (open_channel("cam"), open_queue("jobs"), open_group("pair", None))
+    ),
     update(id_of(1), 2**64 - 1, max_items=7),
     delete(id_of(1)),
     register(1, boot=2**64 - 1),

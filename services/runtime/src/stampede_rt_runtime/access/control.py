@@ -280,6 +280,12 @@ def audit_change(what: str, name: str) -> None:
         call.changed(what, name)
 
 
+def caller_name() -> str:
+    """What rules know the current caller by, also one whom they do not judge; empty outside of a server."""
+    caller = current_caller()
+    return "" if caller is None else caller.name
+
+
 def owner_name() -> str:
     """The name under which the current caller owns things; empty for one whom rules do not judge."""
     caller = current_caller()

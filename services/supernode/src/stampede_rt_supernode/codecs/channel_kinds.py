@@ -26,6 +26,7 @@ def _open_message(operation: OpenChannel) -> pb.OpenChannelCommand:
         host_name=operation.host_name,
         new_channel_id=operation.new_channel_id,
         new_incarnation=operation.new_incarnation,
+        created_by=operation.created_by,
     )
 
 
@@ -37,6 +38,7 @@ def _read_open(message: pb.OpenChannelCommand) -> OpenChannel:
         host_name=message.host_name,
         new_channel_id=message.new_channel_id,
         new_incarnation=message.new_incarnation,
+        created_by=message.created_by,
     )
 
 

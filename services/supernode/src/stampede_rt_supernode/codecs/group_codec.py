@@ -65,6 +65,7 @@ def group_record(group: GroupRecord) -> group_pb2.GroupRecord:
         spec=group_spec_message(group.spec),
         spec_version=group.spec_version,
         incarnation=group.incarnation,
+        created_by=group.created_by,
     )
 
 
@@ -76,6 +77,7 @@ def group_from(record: group_pb2.GroupRecord) -> GroupRecord:
         spec=group_spec_from(record.spec),
         spec_version=record.spec_version,
         incarnation=record.incarnation,
+        created_by=record.created_by,
     )
 
 

@@ -24,6 +24,7 @@ def _open_message(operation: OpenGroup) -> pb.OpenGroupCommand:
         create=operation.create,
         new_group_id=operation.new_group_id,
         new_incarnation=operation.new_incarnation,
+        created_by=operation.created_by,
     )
 
 
@@ -34,6 +35,7 @@ def _read_open(message: pb.OpenGroupCommand) -> OpenGroup:
         create=message.create,
         new_group_id=message.new_group_id,
         new_incarnation=message.new_incarnation,
+        created_by=message.created_by,
     )
 
 

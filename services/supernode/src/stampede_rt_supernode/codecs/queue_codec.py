@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sys import intern
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
@@ -56,6 +57,7 @@ def queue_record(queue: QueueRecord) -> queue_pb2.QueueRecord:
         mailbox_peer_id=queue.mailbox_peer_id,
         mailbox_peer_name=queue.mailbox_peer_name,
         mailbox_owner=queue.mailbox_owner,
+        created_by=queue.created_by,
     )
 
 
@@ -72,4 +74,5 @@ def queue_from(record: queue_pb2.QueueRecord) -> QueueRecord:
         mailbox_peer_id=record.mailbox_peer_id if record.HasField("mailbox_peer_id") else None,
         mailbox_peer_name=record.mailbox_peer_name,
         mailbox_owner=record.mailbox_owner if record.HasField("mailbox_owner") else None,
+        created_by=intern(record.created_by),
     )

@@ -26,6 +26,7 @@ def _open_message(operation: OpenQueue) -> pb.OpenQueueCommand:
         host_name=operation.host_name,
         new_queue_id=operation.new_queue_id,
         new_incarnation=operation.new_incarnation,
+        created_by=operation.created_by,
     )
 
 
@@ -37,6 +38,7 @@ def _read_open(message: pb.OpenQueueCommand) -> OpenQueue:
         host_name=message.host_name,
         new_queue_id=message.new_queue_id,
         new_incarnation=message.new_incarnation,
+        created_by=message.created_by,
     )
 
 

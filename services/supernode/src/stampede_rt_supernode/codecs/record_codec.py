@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from sys import intern
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
@@ -73,6 +74,7 @@ def channel_from(record: channel_pb2.ChannelRecord) -> ChannelRecord:
         policy=_held_policy(record.spec.SerializeToString()),
         policy_version=record.spec_version,
         proxy_host_ids=tuple(record.proxy_host_ids),
+        created_by=intern(record.created_by),  # one text for all that a caller has made
     )
 
 
@@ -94,6 +96,7 @@ def channel_record(channel: ChannelRecord) -> channel_pb2.ChannelRecord:
         spec=_held_spec(channel.policy),
         spec_version=channel.policy_version,
         proxy_host_ids=channel.proxy_host_ids,
+        created_by=channel.created_by,
     )
 
 

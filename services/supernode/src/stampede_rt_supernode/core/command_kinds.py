@@ -7,14 +7,16 @@ that has the same operation says how the command travels.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from stampede_rt_supernode.core.commands import Operation, Success
+from stampede_rt_supernode.core.cluster.feature_levels import OWNERS_LEVEL
+from stampede_rt_supernode.core.commands import Creation, Operation, Success
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.tables import Tables
 
 Op = TypeVar("Op", bound=Operation)
+Made = TypeVar("Made", bound=Creation)
 Done = TypeVar("Done", bound=Success)
 
 
@@ -56,6 +58,17 @@ def on_tables(transition: Callable[[Tables, Op], Done]) -> Callable[[DirectorySt
     """`apply` for a command that concerns the tables alone."""
 
     def apply(state: DirectoryState, operation: Op, time_unix_nano: int) -> Done:
+        return transition(state.tables, operation)
+
+    return apply
+
+
+def noting_creator(transition: Callable[[Tables, Made], Done]) -> Callable[[DirectoryState, Made, int], Done]:
+    """As `on_tables`, for a command that may make a thing. Below OWNERS_LEVEL no replica keeps who did."""
+
+    def apply(state: DirectoryState, operation: Made, time_unix_nano: int) -> Done:
+        if state.feature_level < OWNERS_LEVEL:
+            operation = replace(operation, created_by="")
         return transition(state.tables, operation)
 
     return apply

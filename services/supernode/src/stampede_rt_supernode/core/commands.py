@@ -20,6 +20,13 @@ class Operation:
     __slots__ = ()
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Creation(Operation):
+    """Base of what may make a channel, queue or group. `created_by`: its caller, see ChannelRecord."""
+
+    created_by: str = ""
+
+
 class Success:
     """Base of all that comes of an operation that was done."""
 

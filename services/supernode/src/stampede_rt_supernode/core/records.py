@@ -57,7 +57,10 @@ class HostRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelRecord:
-    """A channel and its owner. `epoch` never falls; `incarnation` changes only when items may have been lost."""
+    """A channel and its owner. `epoch` never falls; `incarnation` changes only when items may have been lost.
+
+    `created_by`: what rules know the caller by that made it; empty: not known.
+    """
 
     channel_id: bytes
     name: str
@@ -67,6 +70,7 @@ class ChannelRecord:
     policy: Policy
     policy_version: int
     proxy_host_ids: tuple[bytes, ...] = ()
+    created_by: str = ""
 
     def begun_anew(self, incarnation: int) -> ChannelRecord:
         """The next epoch of it, at the same host. There may be very many: `replace` takes three times as long."""
@@ -79,6 +83,7 @@ class ChannelRecord:
             policy=self.policy,
             policy_version=self.policy_version,
             proxy_host_ids=self.proxy_host_ids,
+            created_by=self.created_by,
         )
 
 
@@ -99,13 +104,17 @@ class GroupSpec:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupRecord:
-    """A group. `spec_version` grows by 1 with every change; `incarnation` changes only when the cut may begin anew."""
+    """A group. `spec_version` grows by 1 with every change; `incarnation` changes only when the cut may begin anew.
+
+    `created_by`: as for channels.
+    """
 
     group_id: bytes
     name: str
     spec: GroupSpec
     spec_version: int
     incarnation: int
+    created_by: str = ""
 
 
 class ReplicaKind(Enum):
@@ -154,7 +163,8 @@ class QueueRecord:
 
     That peer's name and owner are known if it was registered at feature level 2 or above.
 
-    `epoch` never falls; `incarnation` changes only when items may have been lost.
+    `epoch` never falls; `incarnation` changes only when items may have been lost. `created_by`: as for channels; empty
+    for a mailbox.
     """
 
     queue_id: bytes
@@ -167,6 +177,7 @@ class QueueRecord:
     mailbox_peer_id: bytes | None = None
     mailbox_peer_name: str = ""
     mailbox_owner: str | None = None
+    created_by: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
-from stampede_rt_runtime.access.control import AccessControl, allowed_to, check_known
+from stampede_rt_runtime.access.control import AccessControl, allowed_to, caller_name, check_known
 from stampede_rt_runtime.access.messages import status_message
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.clock import HostClock
@@ -102,6 +102,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             host_name=request.host_name,
             new_channel_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=_random_incarnation(),
+            created_by=caller_name(),
         )
         opened = await self._calls.open(
             context,

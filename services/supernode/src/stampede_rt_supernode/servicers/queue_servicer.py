@@ -8,7 +8,7 @@ import secrets
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
 from stampede_rt.v1 import queue_directory_service_pb2_grpc
 from stampede_rt.v1.queue_pb2 import QueueSpec
-from stampede_rt_runtime.access.control import allowed_to, check_known, owner_name
+from stampede_rt_runtime.access.control import allowed_to, caller_name, check_known, owner_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
@@ -49,6 +49,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             host_name=request.host_name,
             new_queue_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=secrets.randbits(64) or 1,
+            created_by=caller_name(),
         )
 
         def check(operation: OpenQueue) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stampede_rt.values.model import Policy
-from stampede_rt_supernode.core.commands import Operation, Success
+from stampede_rt_supernode.core.commands import Creation, Operation, Success
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class OpenChannel(Operation):
+class OpenChannel(Creation):
     """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew."""
 
     name: str

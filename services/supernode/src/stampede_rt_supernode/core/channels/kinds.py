@@ -20,7 +20,7 @@ from stampede_rt_supernode.core.channels.transitions import (
     open_channel,
     update_channel,
 )
-from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables
+from stampede_rt_supernode.core.command_kinds import CommandKind, noting_creator, on_tables
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
 
@@ -43,7 +43,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         subject=lambda one: one.name,
         check=check_open,
         check_in_time=_check_open_in_time,
-        apply=on_tables(open_channel),
+        apply=noting_creator(open_channel),
     ),
     CommandKind(
         operation=UpdateChannel,

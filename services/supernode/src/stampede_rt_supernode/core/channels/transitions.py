@@ -118,6 +118,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
         incarnation=operation.new_incarnation,
         policy=operation.policy,
         policy_version=1,
+        created_by=operation.created_by,
     )
     tables.add_channel(channel)
     return ChannelOpened(channel=channel, host=tables.hosts[host.host_id], created=True)

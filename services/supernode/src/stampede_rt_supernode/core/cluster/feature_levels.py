@@ -15,6 +15,8 @@ from __future__ import annotations
 HIGHEST_LEVEL = 2
 # Where a cluster is that was founded before there were levels.
 FIRST_LEVEL = 1
+# From here on replicas keep who owns peers, and who made channels, queues and groups.
+OWNERS_LEVEL = 2
 
 
 def may_be_used(needed: int, cluster_level: int) -> bool:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stampede_rt_supernode.core.commands import Operation, Success
+from stampede_rt_supernode.core.commands import Creation, Operation, Success
 from stampede_rt_supernode.core.records import GroupRecord, GroupSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class OpenGroup(Operation):
+class OpenGroup(Creation):
     """Get or create a group; `spec` None takes it as it is. The new ones are used if it is made."""
 
     name: str

@@ -6,7 +6,7 @@ from typing import Any
 
 from stampede_rt_supernode.core import late_opens
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted
-from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables
+from stampede_rt_supernode.core.command_kinds import CommandKind, noting_creator, on_tables
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,
@@ -44,7 +44,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         subject=lambda one: one.name,
         check=check_open_group,
         check_in_time=_check_open_in_time,
-        apply=on_tables(open_group),
+        apply=noting_creator(open_group),
     ),
     CommandKind(
         operation=UpdateGroup,

@@ -101,6 +101,7 @@ def _create(tables: Tables, operation: OpenGroup) -> GroupOpened:
         spec=spec,
         spec_version=1,
         incarnation=operation.new_incarnation,
+        created_by=operation.created_by,
     )
     tables.groups.add(group, _hosts_of(tables, group))
     return GroupOpened(group=group, created=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from stampede_rt_supernode.core.cluster.feature_levels import OWNERS_LEVEL
 from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.peers.checks import check_register_peer
 from stampede_rt_supernode.core.peers.commands import (
@@ -18,8 +19,6 @@ from stampede_rt_supernode.core.peers.commands import (
 from stampede_rt_supernode.core.peers.transitions import deregister_peer, expire_peers, register_peer
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
-
-OWNERS_LEVEL = 2  # below it no replica keeps an owner
 
 
 def _register(state: DirectoryState, operation: RegisterPeer, time_unix_nano: int) -> PeerRegistered:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from stampede_rt_supernode.core.commands import Operation, Success
+from stampede_rt_supernode.core.commands import Creation, Operation, Success
 from stampede_rt_supernode.core.records import HostRecord, QueueRecord, QueueSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class OpenQueue(Operation):
+class OpenQueue(Creation):
     """Get or create a queue; the new ones are used if it is made or placed anew."""
 
     name: str

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stampede_rt_supernode.core import late_opens
-from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables
+from stampede_rt_supernode.core.command_kinds import CommandKind, noting_creator, on_tables
 from stampede_rt_supernode.core.queues.commands import (
     DeleteQueue,
     OpenQueue,
@@ -43,7 +43,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         subject=lambda one: one.name,
         check=check_open_queue,
         check_in_time=_check_open_in_time,
-        apply=on_tables(open_queue),
+        apply=noting_creator(open_queue),
     ),
     CommandKind(
         operation=UpdateQueue,

@@ -99,6 +99,7 @@ def _create(tables: Tables, operation: OpenQueue) -> QueueOpened:
         incarnation=operation.new_incarnation,
         spec=operation.spec,
         spec_version=1,
+        created_by=operation.created_by,
     )
     tables.put_queue(queue)
     return QueueOpened(queue=queue, host=host, created=True)

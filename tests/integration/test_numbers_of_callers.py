@@ -1,0 +1,130 @@
+"""Consumers' places and takers' deliveries belong to their callers: nobody else who is judged can touch them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+
+import stampede_rt as st
+from stampede_rt.security.credentials import call_metadata
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import channel_service_pb2_grpc as channel_grpc
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.v1 import queue_service_pb2_grpc as queue_grpc
+from stampede_rt.v1.error_pb2 import ERROR_REASON_LEASE_EXPIRED
+from stampede_rt.v1.queue_pb2 import Acknowledge, PendingDelivery, Settlement
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+from tests.support.operator import Operator, operating
+
+cluster = cluster_fixture(hosts=1, supernodes=1)
+OWN_NUMBER = 4711
+
+
+@pytest.fixture
+def operator(cluster: LocalCluster, tmp_path: Path) -> Iterator[Operator]:
+    with operating(cluster, tmp_path) as made:
+        yield made
+
+
+class Thief:
+    """Calls a queue's host by hand, with what listings tell it of a delivery of somebody else."""
+
+    def __init__(self, channel: grpc.Channel, queue: st.Queue, token: str) -> None:
+        self._stub: Any = queue_grpc.QueueServiceStub(channel)
+        self._place: dict[str, Any] = {"queue_id": queue.info.queue_id, "epoch": queue.info.epoch}
+        self._call = {"timeout": 10, "metadata": call_metadata(token)}
+
+    def pending(self) -> PendingDelivery:
+        listed = self._stub.ListPending(queue_pb.ListPendingRequest(queue_id=self._place["queue_id"]), **self._call)
+        [one] = listed.deliveries
+        return one
+
+    def settle(self, taken: PendingDelivery) -> None:
+        settled = [Settlement(delivery_id=taken.delivery_id, acknowledge=Acknowledge())]
+        self._stub.Settle(
+            queue_pb.SettleRequest(**self._place, taker_id=taken.taker_id, settlements=settled), **self._call
+        )
+
+    def take(self, taker_id: int, *settled: int) -> list[queue_pb.TakeResponse]:
+        """What a stream of that taker is told, which asks for nothing and settles these deliveries."""
+        first = queue_pb.TakeRequest(
+            open=queue_pb.TakeOpen(**self._place, taker_id=taker_id),
+            settlements=[Settlement(delivery_id=one, acknowledge=Acknowledge()) for one in settled],
+        )
+        return list(self._stub.Take(iter([first]), **self._call))
+
+
+@contextmanager
+def robbed(operator: Operator) -> Iterator[tuple[Thief, st.Message]]:
+    """A thief, and the message that somebody else has taken."""
+    operator.add("worker-*", "take", "jobs", "--kind", "queue")
+    tokens = [operator.token(name) for name in ("worker-1", "worker-2")]
+    with st.connect(operator.cluster.address) as own, st.connect(operator.cluster.address, secret=tokens[0]) as rt:
+        own.queue("jobs").put(b"job")
+        queue = rt.queue("jobs")
+        message = queue.get(timeout=10)
+        assert message is not None
+        with grpc.insecure_channel(own.hosts()[0].endpoints[0]) as channel:
+            yield Thief(channel, queue, tokens[1]), message
+        assert message.ack() is None
+        assert queue.stats().held == 0
+
+
+def refusal(error: pytest.ExceptionInfo[grpc.RpcError]) -> str:
+    return from_rpc_error(error.value, "the host").message
+
+
+def test_nobody_settles_under_the_number_of_another_callers_taker(operator: Operator) -> None:
+    with robbed(operator) as (thief, _), pytest.raises(grpc.RpcError) as caught:
+        thief.settle(thief.pending())
+    assert "is one of worker-1, and worker-2 may not act for it; use a number of your own" in refusal(caught)
+
+
+def test_nobody_opens_a_stream_as_another_callers_taker(operator: Operator) -> None:
+    with robbed(operator) as (thief, _), pytest.raises(grpc.RpcError) as caught:
+        thief.take(thief.pending().taker_id)
+    assert "is one of worker-1, and worker-2 may not act for it" in refusal(caught)
+
+
+def test_nobody_settles_another_callers_delivery_on_a_stream_of_its_own(operator: Operator) -> None:
+    with robbed(operator) as (thief, _):
+        told = thief.take(OWN_NUMBER, thief.pending().delivery_id)
+        [result] = [one for response in told for one in response.results]
+        assert result.error.reason == ERROR_REASON_LEASE_EXPIRED
+        assert thief.pending().taker_id != OWN_NUMBER
+
+
+def test_nobody_moves_another_callers_place_among_the_consumers(operator: Operator) -> None:
+    operator.add("reader-*", "read,consume", "tape", "--kind", "channel")
+    tokens = [operator.token(name) for name in ("reader-1", "reader-2")]
+    with st.connect(operator.cluster.address) as own, st.connect(operator.cluster.address, secret=tokens[0]) as rt:
+        tape = own.channel("tape", consumers=1)
+        tape.put(b"first")
+        tape.put(b"second")
+        channel = rt.channel("tape")
+        first = channel.oldest()
+        assert first is not None
+        assert channel.consume(first) == 1
+        [place] = channel.stats().consumers
+        with grpc.insecure_channel(own.hosts()[0].endpoints[0]) as port:
+            stub: Any = channel_grpc.ChannelServiceStub(port)
+            for fields in ({"seqs": [first.seq + 1]}, {"lease_nanos": 0}, {}):
+                request = channel_pb.ConsumeRequest(
+                    channel_id=channel.info.channel_id,
+                    epoch=channel.info.epoch,
+                    consumer_id=place.consumer_id,
+                    **fields,
+                )
+                with pytest.raises(grpc.RpcError) as caught:
+                    stub.Consume(request, timeout=10, metadata=call_metadata(tokens[1]))
+                assert "is one of reader-1, and reader-2 may not act for it" in refusal(caught)
+        [after] = tape.stats().consumers
+        assert (after.consumer_id, after.waiting) == (place.consumer_id, 1)
+        assert after.lease_nanos > 0

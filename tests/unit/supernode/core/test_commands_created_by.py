@@ -1,0 +1,58 @@
+"""Channels, queues and groups record who made them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core.cluster.feature_levels import OWNERS_LEVEL
+from stampede_rt_supernode.core.commands import Creation
+from stampede_rt_supernode.core.tables import Tables
+from tests.support.supernode.operations import (
+    Log,
+    begin_tenure,
+    deregister,
+    open_channel,
+    open_group,
+    open_queue,
+    register,
+)
+
+C = TypeVar("C", bound=Creation)
+
+
+def by(operation: C, name: str) -> C:
+    return replace(operation, created_by=name)
+
+
+def filled(*, feature_level: int) -> Log:
+    log = Log(founded=False)
+    log.apply(replace(begin_tenure(1), new_feature_level=feature_level))
+    log.apply(register(1))
+    log.apply(by(open_channel("cam"), "alice"))
+    log.apply(by(open_queue("jobs"), "bob"))
+    [channel] = log.directory.tables.channels.values()
+    log.apply(by(open_group("all", (channel.channel_id,)), "@cluster"))
+    return log
+
+
+def makers(tables: Tables) -> list[str]:
+    records = (tables.channel_named("cam"), tables.queues.named("jobs"), tables.groups.named("all"))
+    return [one.created_by for one in records if one is not None]
+
+
+def test_who_made_a_thing_is_kept_also_by_snapshots_when_others_open_it_and_when_it_gets_another_host() -> None:
+    log = filled(feature_level=OWNERS_LEVEL)
+    assert makers(log.directory.tables) == ["alice", "bob", "@cluster"]
+    log.apply(deregister(1))
+    log.apply(register(2))
+    for operation in (open_channel("cam"), open_queue("jobs"), open_group("all", None, create=False)):
+        log.apply(by(operation, "mallory"))
+    assert makers(log.directory.tables) == ["alice", "bob", "@cluster"]
+    read = decode_snapshot(encode_snapshot(log.directory))
+    assert makers(read.tables) == ["alice", "bob", "@cluster"]
+
+
+def test_below_the_feature_level_of_owners_nobody_keeps_who_made_a_thing() -> None:
+    assert makers(filled(feature_level=OWNERS_LEVEL - 1).directory.tables) == ["", "", ""]
