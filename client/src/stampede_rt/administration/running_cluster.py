@@ -13,13 +13,14 @@ import grpc
 
 from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.administration.in_force import Judge, parts_behind, ping_frontend, ping_host, ping_supernode
+from stampede_rt.administration.quota_use import PartUse, uses_at
 from stampede_rt.cluster.connecting import parse_target
 from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable, WrongCluster
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.v1 import access_service_pb2 as access_pb
-from stampede_rt.v1 import access_service_pb2_grpc, membership_service_pb2_grpc
+from stampede_rt.v1 import access_service_pb2_grpc, membership_service_pb2_grpc, quota_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import membership_service_pb2 as pb
@@ -101,16 +102,24 @@ class Cluster:
         them.
         """
         try:
-            members = [one for one in self.members().supernodes if one.endpoint.target]
-            hosts = list(self._live_hosts())
+            judges = self._parts(with_frontends=not of_rules)
         except StampedeError as error:  # the change itself has succeeded
             return {"the cluster": error.message}
-        judges = [
+        return parts_behind(self._endpoints, judges, version)
+
+    def quota_uses(self, subject_glob: str) -> Iterator[PartUse]:
+        """Ask each part for what callers use of their quotas. Raises Unavailable."""
+        return uses_at(self._endpoints, self._parts(with_frontends=True), subject_glob)
+
+    def _parts(self, *, with_frontends: bool) -> list[Judge]:
+        """All that judge callers. Raises StampedeError."""
+        members = [one for one in self.members().supernodes if one.endpoint.target]
+        hosts = list(self._live_hosts())
+        return [
             *(Judge(f"supernode {one.supernode_id}", one.endpoint.target, ping_supernode) for one in members),
-            *(Judge(f"front-end {one}", one, ping_frontend) for one in self._frontends if not of_rules),
+            *(Judge(f"front-end {one}", one, ping_frontend) for one in self._frontends if with_frontends),
             *(Judge(f"host {one.name}", one.gatekeepers[0].target, ping_host) for one in hosts),
         ]
-        return parts_behind(self._endpoints, judges, version)
 
     def _live_hosts(self) -> Iterator[HostRecord]:
         request = directory_pb.ListHostsRequest()
@@ -129,6 +138,10 @@ class Cluster:
     def ask_access(self, rpc: str, request: Any) -> Any:
         """Make a call of AccessService at the first supernode that answers. Raises the error with which it refuses."""
         return self._first(lambda endpoint: endpoint.call(getattr(_access(endpoint), rpc), request, CALL_SECONDS))
+
+    def ask_quotas(self, rpc: str, request: Any) -> Any:
+        """Make a call of QuotaService at the first supernode that answers. Raises its refusal."""
+        return self._first(lambda endpoint: endpoint.call(getattr(_quotas(endpoint), rpc), request, CALL_SECONDS))
 
     def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
         """Ask the leader to remove a member. Raises the leader's error, or Unavailable if there is no leader."""
@@ -258,6 +271,10 @@ def _same_cluster(endpoints: EndpointPool, members: Sequence[str]) -> list[str]:
             endpoints.metadata.cluster_id = own or pong.cluster_id
             told = told or address
     return list(members)
+
+
+def _quotas(endpoint: ServerEndpoint) -> Any:
+    return endpoint.stub(quota_service_pb2_grpc.QuotaServiceStub)
 
 
 def _access(endpoint: ServerEndpoint) -> Any:

@@ -1,4 +1,5 @@
 from stampede_rt.v1 import access_pb2 as _access_pb2
+from stampede_rt.v1 import quota_pb2 as _quota_pb2
 from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
@@ -36,18 +37,20 @@ class GetAccessStateRequest(_message.Message):
     def __init__(self, stale_ok: bool = ...) -> None: ...
 
 class GetAccessStateResponse(_message.Message):
-    __slots__ = ("version", "cluster_id", "rules", "token_keys", "revoked_serials")
+    __slots__ = ("version", "cluster_id", "rules", "token_keys", "revoked_serials", "quotas")
     VERSION_FIELD_NUMBER: _ClassVar[int]
     CLUSTER_ID_FIELD_NUMBER: _ClassVar[int]
     RULES_FIELD_NUMBER: _ClassVar[int]
     TOKEN_KEYS_FIELD_NUMBER: _ClassVar[int]
     REVOKED_SERIALS_FIELD_NUMBER: _ClassVar[int]
+    QUOTAS_FIELD_NUMBER: _ClassVar[int]
     version: int
     cluster_id: str
     rules: _containers.RepeatedCompositeFieldContainer[_access_pb2.AccessRule]
     token_keys: _containers.RepeatedScalarFieldContainer[bytes]
     revoked_serials: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, version: _Optional[int] = ..., cluster_id: _Optional[str] = ..., rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., token_keys: _Optional[_Iterable[bytes]] = ..., revoked_serials: _Optional[_Iterable[str]] = ...) -> None: ...
+    quotas: _containers.RepeatedCompositeFieldContainer[_quota_pb2.QuotaSetting]
+    def __init__(self, version: _Optional[int] = ..., cluster_id: _Optional[str] = ..., rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., token_keys: _Optional[_Iterable[bytes]] = ..., revoked_serials: _Optional[_Iterable[str]] = ..., quotas: _Optional[_Iterable[_Union[_quota_pb2.QuotaSetting, _Mapping]]] = ...) -> None: ...
 
 class AddAccessRuleRequest(_message.Message):
     __slots__ = ("request_id", "rule", "dry_run")

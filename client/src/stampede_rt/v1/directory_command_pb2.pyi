@@ -4,6 +4,7 @@ from stampede_rt.v1 import directory_pb2 as _directory_pb2
 from stampede_rt.v1 import group_pb2 as _group_pb2
 from stampede_rt.v1 import peer_pb2 as _peer_pb2
 from stampede_rt.v1 import queue_pb2 as _queue_pb2
+from stampede_rt.v1 import quota_pb2 as _quota_pb2
 from stampede_rt.v1 import replica_pb2 as _replica_pb2
 from stampede_rt.v1 import subject_pb2 as _subject_pb2
 from google.protobuf.internal import containers as _containers
@@ -15,7 +16,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class DirectoryCommand(_message.Message):
-    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers", "mark_time", "raise_feature_level", "create_token_key", "add_access_rule", "remove_access_rule", "revoke_credential", "as_of_index")
+    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers", "mark_time", "raise_feature_level", "create_token_key", "add_access_rule", "remove_access_rule", "revoke_credential", "set_quotas", "remove_quotas", "as_of_index")
     OP_ID_FIELD_NUMBER: _ClassVar[int]
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     OPEN_CHANNEL_FIELD_NUMBER: _ClassVar[int]
@@ -43,6 +44,8 @@ class DirectoryCommand(_message.Message):
     ADD_ACCESS_RULE_FIELD_NUMBER: _ClassVar[int]
     REMOVE_ACCESS_RULE_FIELD_NUMBER: _ClassVar[int]
     REVOKE_CREDENTIAL_FIELD_NUMBER: _ClassVar[int]
+    SET_QUOTAS_FIELD_NUMBER: _ClassVar[int]
+    REMOVE_QUOTAS_FIELD_NUMBER: _ClassVar[int]
     AS_OF_INDEX_FIELD_NUMBER: _ClassVar[int]
     op_id: bytes
     time_unix_nano: int
@@ -71,8 +74,10 @@ class DirectoryCommand(_message.Message):
     add_access_rule: AddAccessRuleCommand
     remove_access_rule: RemoveAccessRuleCommand
     revoke_credential: RevokeCredentialCommand
+    set_quotas: SetQuotasCommand
+    remove_quotas: RemoveQuotasCommand
     as_of_index: int
-    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., raise_feature_level: _Optional[_Union[RaiseFeatureLevelCommand, _Mapping]] = ..., create_token_key: _Optional[_Union[CreateTokenKeyCommand, _Mapping]] = ..., add_access_rule: _Optional[_Union[AddAccessRuleCommand, _Mapping]] = ..., remove_access_rule: _Optional[_Union[RemoveAccessRuleCommand, _Mapping]] = ..., revoke_credential: _Optional[_Union[RevokeCredentialCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ...) -> None: ...
+    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., raise_feature_level: _Optional[_Union[RaiseFeatureLevelCommand, _Mapping]] = ..., create_token_key: _Optional[_Union[CreateTokenKeyCommand, _Mapping]] = ..., add_access_rule: _Optional[_Union[AddAccessRuleCommand, _Mapping]] = ..., remove_access_rule: _Optional[_Union[RemoveAccessRuleCommand, _Mapping]] = ..., revoke_credential: _Optional[_Union[RevokeCredentialCommand, _Mapping]] = ..., set_quotas: _Optional[_Union[SetQuotasCommand, _Mapping]] = ..., remove_quotas: _Optional[_Union[RemoveQuotasCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ...) -> None: ...
 
 class RaiseFeatureLevelCommand(_message.Message):
     __slots__ = ("feature_level",)
@@ -97,6 +102,20 @@ class RemoveAccessRuleCommand(_message.Message):
     RULE_FIELD_NUMBER: _ClassVar[int]
     rule: _access_pb2.AccessRule
     def __init__(self, rule: _Optional[_Union[_access_pb2.AccessRule, _Mapping]] = ...) -> None: ...
+
+class SetQuotasCommand(_message.Message):
+    __slots__ = ("settings",)
+    SETTINGS_FIELD_NUMBER: _ClassVar[int]
+    settings: _containers.RepeatedCompositeFieldContainer[_quota_pb2.QuotaSetting]
+    def __init__(self, settings: _Optional[_Iterable[_Union[_quota_pb2.QuotaSetting, _Mapping]]] = ...) -> None: ...
+
+class RemoveQuotasCommand(_message.Message):
+    __slots__ = ("who", "kinds")
+    WHO_FIELD_NUMBER: _ClassVar[int]
+    KINDS_FIELD_NUMBER: _ClassVar[int]
+    who: str
+    kinds: _containers.RepeatedScalarFieldContainer[_quota_pb2.QuotaKind]
+    def __init__(self, who: _Optional[str] = ..., kinds: _Optional[_Iterable[_Union[_quota_pb2.QuotaKind, str]]] = ...) -> None: ...
 
 class RevokeCredentialCommand(_message.Message):
     __slots__ = ("serial",)
@@ -378,7 +397,7 @@ class PeerLease(_message.Message):
     def __init__(self, peer_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., registered_index: _Optional[int] = ...) -> None: ...
 
 class DirectoryResult(_message.Message):
-    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set", "queue_opened", "queue_updated", "queue_deleted", "peer_registered", "peer_deregistered", "peers_expired", "time_marked", "feature_level_raised", "token_key_created", "access_rule_added", "access_rule_removed", "credential_revoked")
+    __slots__ = ("refused", "channel_opened", "channel_updated", "channel_deleted", "host_registered", "host_deregistered", "host_expired", "tenure_begun", "group_opened", "group_updated", "group_deleted", "replica_added", "replica_removed", "replica_in_sync_set", "queue_opened", "queue_updated", "queue_deleted", "peer_registered", "peer_deregistered", "peers_expired", "time_marked", "feature_level_raised", "token_key_created", "access_rule_added", "access_rule_removed", "credential_revoked", "quotas_set", "quotas_removed")
     REFUSED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_OPENED_FIELD_NUMBER: _ClassVar[int]
     CHANNEL_UPDATED_FIELD_NUMBER: _ClassVar[int]
@@ -405,6 +424,8 @@ class DirectoryResult(_message.Message):
     ACCESS_RULE_ADDED_FIELD_NUMBER: _ClassVar[int]
     ACCESS_RULE_REMOVED_FIELD_NUMBER: _ClassVar[int]
     CREDENTIAL_REVOKED_FIELD_NUMBER: _ClassVar[int]
+    QUOTAS_SET_FIELD_NUMBER: _ClassVar[int]
+    QUOTAS_REMOVED_FIELD_NUMBER: _ClassVar[int]
     refused: RefusedResult
     channel_opened: ChannelOpenedResult
     channel_updated: ChannelUpdatedResult
@@ -431,7 +452,9 @@ class DirectoryResult(_message.Message):
     access_rule_added: AccessRuleAddedResult
     access_rule_removed: AccessRuleRemovedResult
     credential_revoked: CredentialRevokedResult
-    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ..., queue_opened: _Optional[_Union[QueueOpenedResult, _Mapping]] = ..., queue_updated: _Optional[_Union[QueueUpdatedResult, _Mapping]] = ..., queue_deleted: _Optional[_Union[QueueDeletedResult, _Mapping]] = ..., peer_registered: _Optional[_Union[PeerRegisteredResult, _Mapping]] = ..., peer_deregistered: _Optional[_Union[PeerDeregisteredResult, _Mapping]] = ..., peers_expired: _Optional[_Union[PeersExpiredResult, _Mapping]] = ..., time_marked: _Optional[_Union[TimeMarkedResult, _Mapping]] = ..., feature_level_raised: _Optional[_Union[FeatureLevelRaisedResult, _Mapping]] = ..., token_key_created: _Optional[_Union[TokenKeyCreatedResult, _Mapping]] = ..., access_rule_added: _Optional[_Union[AccessRuleAddedResult, _Mapping]] = ..., access_rule_removed: _Optional[_Union[AccessRuleRemovedResult, _Mapping]] = ..., credential_revoked: _Optional[_Union[CredentialRevokedResult, _Mapping]] = ...) -> None: ...
+    quotas_set: QuotasSetResult
+    quotas_removed: QuotasRemovedResult
+    def __init__(self, refused: _Optional[_Union[RefusedResult, _Mapping]] = ..., channel_opened: _Optional[_Union[ChannelOpenedResult, _Mapping]] = ..., channel_updated: _Optional[_Union[ChannelUpdatedResult, _Mapping]] = ..., channel_deleted: _Optional[_Union[ChannelDeletedResult, _Mapping]] = ..., host_registered: _Optional[_Union[HostRegisteredResult, _Mapping]] = ..., host_deregistered: _Optional[_Union[HostDeregisteredResult, _Mapping]] = ..., host_expired: _Optional[_Union[HostExpiredResult, _Mapping]] = ..., tenure_begun: _Optional[_Union[TenureBegunResult, _Mapping]] = ..., group_opened: _Optional[_Union[GroupOpenedResult, _Mapping]] = ..., group_updated: _Optional[_Union[GroupUpdatedResult, _Mapping]] = ..., group_deleted: _Optional[_Union[GroupDeletedResult, _Mapping]] = ..., replica_added: _Optional[_Union[ReplicaAddedResult, _Mapping]] = ..., replica_removed: _Optional[_Union[ReplicaRemovedResult, _Mapping]] = ..., replica_in_sync_set: _Optional[_Union[ReplicaInSyncSetResult, _Mapping]] = ..., queue_opened: _Optional[_Union[QueueOpenedResult, _Mapping]] = ..., queue_updated: _Optional[_Union[QueueUpdatedResult, _Mapping]] = ..., queue_deleted: _Optional[_Union[QueueDeletedResult, _Mapping]] = ..., peer_registered: _Optional[_Union[PeerRegisteredResult, _Mapping]] = ..., peer_deregistered: _Optional[_Union[PeerDeregisteredResult, _Mapping]] = ..., peers_expired: _Optional[_Union[PeersExpiredResult, _Mapping]] = ..., time_marked: _Optional[_Union[TimeMarkedResult, _Mapping]] = ..., feature_level_raised: _Optional[_Union[FeatureLevelRaisedResult, _Mapping]] = ..., token_key_created: _Optional[_Union[TokenKeyCreatedResult, _Mapping]] = ..., access_rule_added: _Optional[_Union[AccessRuleAddedResult, _Mapping]] = ..., access_rule_removed: _Optional[_Union[AccessRuleRemovedResult, _Mapping]] = ..., credential_revoked: _Optional[_Union[CredentialRevokedResult, _Mapping]] = ..., quotas_set: _Optional[_Union[QuotasSetResult, _Mapping]] = ..., quotas_removed: _Optional[_Union[QuotasRemovedResult, _Mapping]] = ...) -> None: ...
 
 class TokenKeyCreatedResult(_message.Message):
     __slots__ = ("version",)
@@ -446,6 +469,22 @@ class CredentialRevokedResult(_message.Message):
     revoked: bool
     version: int
     def __init__(self, revoked: bool = ..., version: _Optional[int] = ...) -> None: ...
+
+class QuotasSetResult(_message.Message):
+    __slots__ = ("changed", "version")
+    CHANGED_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    changed: bool
+    version: int
+    def __init__(self, changed: bool = ..., version: _Optional[int] = ...) -> None: ...
+
+class QuotasRemovedResult(_message.Message):
+    __slots__ = ("removed", "version")
+    REMOVED_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
+    removed: int
+    version: int
+    def __init__(self, removed: _Optional[int] = ..., version: _Optional[int] = ...) -> None: ...
 
 class AccessRuleAddedResult(_message.Message):
     __slots__ = ("added", "version")
@@ -663,7 +702,7 @@ class RememberedOperation(_message.Message):
     def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ...) -> None: ...
 
 class DirectorySnapshot(_message.Message):
-    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids", "digest", "feature_level", "join_key", "access_rules", "token_key", "access_version", "revoked_serials")
+    __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids", "digest", "feature_level", "join_key", "access_rules", "token_key", "access_version", "revoked_serials", "quotas")
     FORMAT_VERSION_FIELD_NUMBER: _ClassVar[int]
     APPLIED_INDEX_FIELD_NUMBER: _ClassVar[int]
     TENURE_FIELD_NUMBER: _ClassVar[int]
@@ -685,6 +724,7 @@ class DirectorySnapshot(_message.Message):
     TOKEN_KEY_FIELD_NUMBER: _ClassVar[int]
     ACCESS_VERSION_FIELD_NUMBER: _ClassVar[int]
     REVOKED_SERIALS_FIELD_NUMBER: _ClassVar[int]
+    QUOTAS_FIELD_NUMBER: _ClassVar[int]
     format_version: int
     applied_index: int
     tenure: int
@@ -706,4 +746,5 @@ class DirectorySnapshot(_message.Message):
     token_key: bytes
     access_version: int
     revoked_serials: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ..., time_marks: _Optional[_Iterable[int]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., digest: _Optional[bytes] = ..., feature_level: _Optional[int] = ..., join_key: _Optional[bytes] = ..., access_rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., token_key: _Optional[bytes] = ..., access_version: _Optional[int] = ..., revoked_serials: _Optional[_Iterable[str]] = ...) -> None: ...
+    quotas: _containers.RepeatedCompositeFieldContainer[_quota_pb2.QuotaSetting]
+    def __init__(self, format_version: _Optional[int] = ..., applied_index: _Optional[int] = ..., tenure: _Optional[int] = ..., cluster_id: _Optional[str] = ..., hosts: _Optional[_Iterable[_Union[HostEntry, _Mapping]]] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., remembered_operations: _Optional[_Iterable[_Union[RememberedOperation, _Mapping]]] = ..., lease_ttl_nanos: _Optional[int] = ..., groups: _Optional[_Iterable[_Union[GroupEntry, _Mapping]]] = ..., replicas: _Optional[_Iterable[_Union[_replica_pb2.ReplicaRecord, _Mapping]]] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., peers: _Optional[_Iterable[_Union[PeerEntry, _Mapping]]] = ..., time_marks: _Optional[_Iterable[int]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., digest: _Optional[bytes] = ..., feature_level: _Optional[int] = ..., join_key: _Optional[bytes] = ..., access_rules: _Optional[_Iterable[_Union[_access_pb2.AccessRule, _Mapping]]] = ..., token_key: _Optional[bytes] = ..., access_version: _Optional[int] = ..., revoked_serials: _Optional[_Iterable[str]] = ..., quotas: _Optional[_Iterable[_Union[_quota_pb2.QuotaSetting, _Mapping]]] = ...) -> None: ...

@@ -36,6 +36,8 @@ _SERVICES: Mapping[str, frozenset[Role]] = {
     "PeerService": _CALLERS,
     "QueueDirectoryService": _CALLERS,
     "QueueService": _CALLERS,
+    "QuotaService": _OPERATORS,
+    "QuotaUseService": _OPERATORS,
     "RaftService": _SUPERNODES,
     "ReplicaDirectoryService": _CALLERS,
     "ReplicaService": _CALLERS,

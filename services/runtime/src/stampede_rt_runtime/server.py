@@ -11,6 +11,7 @@ from typing import Any
 
 import grpc
 
+from stampede_rt.v1 import quota_use_service_pb2_grpc
 from stampede_rt_runtime.aborts import AbortInterceptor
 from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.access.proofs import Accepted
@@ -22,6 +23,7 @@ from stampede_rt_runtime.health import Health
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.listen import CannotListen, check_listen
 from stampede_rt_runtime.overload import RefusedCalls
+from stampede_rt_runtime.quotas.use_servicer import QuotaUseServicer
 from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.values import Address
 
@@ -74,6 +76,8 @@ class ServiceServer:
         self.stopping = asyncio.Event()
         self._health = Health()
         self._health.add_to(self.grpc)
+        uses = QuotaUseServicer(self.access.accounts)
+        quota_use_service_pb2_grpc.add_QuotaUseServiceServicer_to_server(uses, self.grpc)
 
     def bind(self, listen: str, *, allow_insecure_anywhere: bool = False) -> str:
         """Take the port at `listen`, once, and return the address with the port that was bound. Raises CannotListen.

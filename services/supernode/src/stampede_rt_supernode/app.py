@@ -13,7 +13,12 @@ from typing import Any
 
 from stampede_rt.administration.options import ADMINISTRATIVE_VERBS
 from stampede_rt.errors import StampedeError
-from stampede_rt.v1 import access_service_pb2_grpc, directory_service_pb2_grpc, membership_service_pb2_grpc
+from stampede_rt.v1 import (
+    access_service_pb2_grpc,
+    directory_service_pb2_grpc,
+    membership_service_pb2_grpc,
+    quota_service_pb2_grpc,
+)
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
 from stampede_rt_runtime.identity import Role
@@ -46,6 +51,7 @@ from stampede_rt_supernode.servicers.level_keeper import LevelKeeper
 from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
 from stampede_rt_supernode.servicers.membership_servicer import MembershipServicer
 from stampede_rt_supernode.servicers.own_cluster import OwnCluster
+from stampede_rt_supernode.servicers.quota_servicer import QuotaServicer
 from stampede_rt_supernode.servicers.record_services import register_record_services
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
@@ -186,6 +192,7 @@ def _register(parts: _Parts, server: ServiceServer) -> None:
     register_record_services(server.grpc, calls, loads, parts.leases, parts.watches)
     access = AccessServicer(calls, clock.time_unix_nano)
     access_service_pb2_grpc.add_AccessServiceServicer_to_server(access, server.grpc)
+    quota_service_pb2_grpc.add_QuotaServiceServicer_to_server(QuotaServicer(calls), server.grpc)
     membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(parts.membership, server.grpc)
 
 

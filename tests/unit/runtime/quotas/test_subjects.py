@@ -33,8 +33,9 @@ def test_who_brings_no_name_goes_by_its_address(caller: Caller) -> None:
 @pytest.mark.parametrize(
     ("peer", "subject"),
     [
-        ("ipv6:%5B::1%5D:5", "@::1"),
-        ("ipv6:[::1]:5", "@::1"),
+        ("ipv6:%5B::1%5D:5", "@localhost"),
+        ("ipv6:[::1]:5", "@localhost"),
+        ("ipv4:127.0.0.9:5", "@localhost"),
         ("ipv6:%5B2001:db8:1:2:aaaa::7%5D:5", "@2001:db8:1:2::/64"),
         ("ipv6:%5B2001:db8:1:2:bbbb::8%5D:5", "@2001:db8:1:2::/64"),
         ("ipv6:%5Bfe80::1%25eth0%5D:5", "@fe80::/64"),

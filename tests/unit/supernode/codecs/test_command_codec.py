@@ -7,6 +7,7 @@ from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.v1 import channel_pb2, directory_command_pb2
 from stampede_rt.values.model import Policy
 from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessVerb
+from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota, QuotaSetting
 from stampede_rt_supernode.codecs.command_codec import (
     CODECS,
     decode_command,
@@ -25,6 +26,7 @@ from stampede_rt_supernode.core.access.commands import (
     RevokeCredential,
     TokenKeyCreated,
 )
+from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, QuotasSet, RemoveQuotas, SetQuotas
 from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
 from stampede_rt_supernode.core.cluster.commands import (
@@ -152,6 +154,9 @@ OPERATIONS: list[Operation] = [
     RevokeCredential(serial="a1b2"),
     AddAccessRule(rule=RULE),
     RemoveAccessRule(rule=AccessRule("@clients", (), None, "*")),
+    SetQuotas(settings=tuple(QuotaSetting("cam-*", quota, LIMIT_MAX) for quota in Quota)),
+    RemoveQuotas(who="@10.0.0.*", quotas=tuple(Quota)),
+    RemoveQuotas(who="*"),
 ]
 HOST = HostRecord(
     host_id=id_of(1),
@@ -247,6 +252,8 @@ RESULTS: list[Result] = [
     CredentialRevoked(revoked=True, version=9),
     AccessRuleAdded(added=True, version=2**64 - 1),
     AccessRuleRemoved(removed=True, version=8),
+    QuotasSet(changed=True, version=2**64 - 1),
+    QuotasRemoved(removed=1000, version=9),
 ]
 
 

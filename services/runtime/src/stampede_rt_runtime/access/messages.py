@@ -10,6 +10,8 @@ from stampede_rt.v1 import access_service_pb2
 from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
+from stampede_rt_runtime.quotas.limits import QuotaTable
+from stampede_rt_runtime.quotas.messages import known_settings, setting_message
 
 VERBS: Mapping[AccessVerb, pb.AccessVerb] = {verb: getattr(pb, f"ACCESS_VERB_{verb.name}") for verb in AccessVerb}
 KINDS: Mapping[AccessKind, pb.AccessKind] = {kind: getattr(pb, f"ACCESS_KIND_{kind.name}") for kind in AccessKind}
@@ -61,6 +63,7 @@ def state_message(state: AccessState) -> access_service_pb2.GetAccessStateRespon
         rules=map(rule_message, state.rules.rules),
         token_keys=state.token_keys,
         revoked_serials=sorted(state.revoked_serials),
+        quotas=map(setting_message, state.quotas.settings),
     )
 
 
@@ -72,6 +75,7 @@ def state_from(message: access_service_pb2.GetAccessStateResponse) -> AccessStat
         rules=AccessRules(map(rule_from, message.rules)),
         token_keys=tuple(message.token_keys),
         revoked_serials=frozenset(message.revoked_serials),
+        quotas=QuotaTable(known_settings(message.quotas)),
     )
 
 

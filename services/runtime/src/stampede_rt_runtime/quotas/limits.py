@@ -69,6 +69,12 @@ class QuotaTable:
         self.settings = tuple(settings)
         self._by_weight = sorted(self.settings, key=_weight, reverse=True)
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, QuotaTable) and other.settings == self.settings
+
+    def __hash__(self) -> int:
+        return hash(self.settings)
+
     def setting_for(self, subject: str, quota: Quota) -> QuotaSetting | None:
         """The setting that holds for a caller; None: the default does."""
         found = (one for one in self._by_weight if one.quota is quota and matcher(one.who)(subject))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ipaddress import AddressValueError, IPv6Address
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from urllib.parse import unquote
 
 from stampede_rt_runtime.access.caller import Caller, CallerKind
@@ -13,7 +13,8 @@ _NAMED = (CallerKind.CERTIFICATE, CallerKind.TOKEN)
 def subject_of(caller: Caller, peer: str) -> str | None:
     """The name that quotas know a caller by. None: it has none, as a member of the cluster or an operator.
 
-    A caller whose proof bears no name goes by its address, "@10.0.0.3". `peer`: as gRPC names the other side.
+    A caller whose proof bears no name goes by its address, "@10.0.0.3", or "@localhost" if it is on this machine and
+    says so. `peer`: as gRPC names the other side.
     """
     if caller.kind in _NAMED:
         return caller.name if caller.is_judged else None
@@ -25,15 +26,16 @@ def _address(peer: str) -> str:
     if kind not in ("ipv4", "ipv6"):
         return kind or "unknown"
     address = unquote(rest).rpartition(":")[0].strip("[]")
-    return address if kind == "ipv4" else _network(address)
-
-
-def _network(address: str) -> str:
-    """One machine commands a whole /64 of IPv6 addresses."""
     try:
-        parsed = IPv6Address(address.partition("%")[0])
-    except AddressValueError:
+        return _network(ip_address(address.partition("%")[0]))
+    except ValueError:
         return address
-    if parsed.ipv4_mapped is not None:
-        return str(parsed.ipv4_mapped)
-    return str(parsed) if parsed.is_loopback else f"{IPv6Address(int(parsed) >> 64 << 64)}/64"
+
+
+def _network(address: IPv4Address | IPv6Address) -> str:
+    """One machine commands a whole /64 of IPv6 addresses, and all that lead to itself."""
+    if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
+        address = address.ipv4_mapped
+    if address.is_loopback:
+        return "localhost"
+    return str(address) if isinstance(address, IPv4Address) else f"{IPv6Address(int(address) >> 64 << 64)}/64"

@@ -18,6 +18,7 @@ from stampede_rt_supernode.codecs import (
     host_kinds,
     peer_kinds,
     queue_kinds,
+    quota_kinds,
     replica_kinds,
 )
 from stampede_rt_supernode.codecs.kind_codec import KindCodec
@@ -33,6 +34,7 @@ CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
     *host_kinds.CODECS,
     *peer_kinds.CODECS,
     *queue_kinds.CODECS,
+    *quota_kinds.CODECS,
     *replica_kinds.CODECS,
 )
 _BY_OPERATION: Mapping[type[Operation], KindCodec[Any, Any, Any, Any]] = MappingProxyType(

@@ -16,6 +16,8 @@ from stampede_rt.errors import StampedeError, VersionMismatch
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt_runtime.access.messages import rule_from, rule_message
 from stampede_rt_runtime.access.rules import AccessRules
+from stampede_rt_runtime.quotas.limits import QuotaTable
+from stampede_rt_runtime.quotas.messages import setting_from, setting_message
 from stampede_rt_supernode.codecs.command_codec import read_result, result_message
 from stampede_rt_supernode.codecs.group_codec import group_entry, group_entry_from
 from stampede_rt_supernode.codecs.host_codec import host_entry, host_from
@@ -152,6 +154,7 @@ def _head(directory: Directory) -> bytes:
         token_key=directory.access.token_key,
         access_version=directory.access.version,
         revoked_serials=directory.access.revoked_serials,
+        quotas=map(setting_message, directory.access.quotas.settings),
     ).SerializeToString()
 
 
@@ -211,6 +214,7 @@ def _directory(message: pb.DirectorySnapshot) -> Directory:
             rules=AccessRules(map(rule_from, message.access_rules)),
             token_key=message.token_key,
             revoked_serials=tuple(message.revoked_serials),
+            quotas=QuotaTable(map(setting_from, message.quotas)),
         ),
     )
 

@@ -18,6 +18,13 @@ from stampede_rt_supernode.core.access.commands import (
     RevokeCredential,
     TokenKeyCreated,
 )
+from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, QuotasSet, RemoveQuotas, SetQuotas
+from stampede_rt_supernode.core.access.quota_transitions import (
+    check_remove_quotas,
+    check_set_quotas,
+    remove_quotas,
+    set_quotas,
+)
 from stampede_rt_supernode.core.access.transitions import (
     add_access_rule,
     create_token_key,
@@ -74,5 +81,21 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         subject=lambda one: str(one.rule),
         check=lambda one: check_rule(one.rule),
         apply=remove_access_rule,
+    ),
+    CommandKind(
+        operation=SetQuotas,
+        result=QuotasSet,
+        feature_level=2,
+        subject=lambda one: ",".join(map(str, one.settings)),
+        check=check_set_quotas,
+        apply=set_quotas,
+    ),
+    CommandKind(
+        operation=RemoveQuotas,
+        result=QuotasRemoved,
+        feature_level=2,
+        subject=lambda one: f"{one.who} {','.join(one.quotas)}",
+        check=check_remove_quotas,
+        apply=remove_quotas,
     ),
 )

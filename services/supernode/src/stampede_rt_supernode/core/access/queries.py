@@ -25,6 +25,7 @@ def access_state(directory: DirectoryState) -> AccessState:
         rules=access.rules,
         token_keys=(_public_key(access.token_key),) if access.token_key else (),
         revoked_serials=_set_of(access.revoked_serials),
+        quotas=access.quotas,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from stampede_rt_runtime.access.rules import NO_RULES, AccessRules
+from stampede_rt_runtime.quotas.limits import NO_SETTINGS, QuotaTable
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -18,3 +19,4 @@ class AccessTable:
     rules: AccessRules = field(default=NO_RULES)
     token_key: bytes = field(default=b"", repr=False)
     revoked_serials: tuple[str, ...] = ()
+    quotas: QuotaTable = field(default=NO_SETTINGS)

@@ -11,7 +11,7 @@ A changed one looks at the level of the state, and does what it did before as lo
 
 from __future__ import annotations
 
-# The highest level that this release knows. 2: rules of access and client tokens.
+# The highest level that this release knows. 2: rules of access, client tokens and quotas.
 HIGHEST_LEVEL = 2
 # Where a cluster is that was founded before there were levels.
 FIRST_LEVEL = 1

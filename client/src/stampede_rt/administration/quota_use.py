@@ -1,0 +1,34 @@
+"""What callers use of their quotas, as each part of a running cluster tells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+from stampede_rt._sync.endpoints import EndpointPool
+from stampede_rt.administration.in_force import CALL_SECONDS, Judge
+from stampede_rt.errors import StampedeError
+from stampede_rt.v1 import quota_use_service_pb2 as pb
+from stampede_rt.v1 import quota_use_service_pb2_grpc
+
+
+class PartUse(NamedTuple):
+    """What one part tells; `failure`: why it tells nothing."""
+
+    part: str
+    uses: tuple[Any, ...] = ()
+    failure: str = ""
+
+
+def uses_at(endpoints: EndpointPool, parts: Iterable[Judge], subject_glob: str) -> Iterator[PartUse]:
+    """Ask each part for the use by callers that match."""
+    request = pb.ListQuotaUseRequest(subject_glob=subject_glob)
+    for part in parts:
+        endpoint = endpoints.to(part.target)
+        stub: Any = endpoint.stub(quota_use_service_pb2_grpc.QuotaUseServiceStub)
+        try:
+            told = endpoint.call(stub.ListQuotaUse, request, CALL_SECONDS)
+        except StampedeError as error:
+            yield PartUse(part.name, failure=error.message)
+        else:
+            yield PartUse(part.name, tuple(told.uses))

@@ -1,0 +1,193 @@
+"""`stampede quota set|rm|ls|check|use`: how much one caller may use of a host or supernode, and what it uses."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import secrets
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from stampede_rt.cli.arguments import VerbParser, add_verb
+from stampede_rt.cli.output import bytes_text, print_behind, print_facts, print_rows
+from stampede_rt.cli.terminal import escaped
+from stampede_rt.errors import StampedeError
+
+QUOTAS = ("streams", "subscriptions", "waiting-calls", "bytes-in-flight")
+IN_BYTES = frozenset({"bytes-in-flight"})
+UNLIMITED = 2**62
+_UNITS = {"": 1, "B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
+_LIMIT = re.compile(r"(\d{1,19})\s*(B|KiB|MiB|GiB)?", re.ASCII)
+_WHO_HELP = (
+    'a client\'s name, "@ADDRESS" for callers whose proof bears no name, or a pattern such as "cam-*" or "@10.*"'
+)
+
+
+def add_verbs(subparsers: Any) -> None:
+    """Add the noun of this module and its verbs."""
+    text = (
+        "quotas: how much one caller may use of a host or supernode; for operators and holders of the cluster's secret"
+    )
+    noun = subparsers.add_parser("quota", help=text, description=text)
+    verbs = noun.add_subparsers(dest="quota_verb", metavar="VERB", required=True, parser_class=VerbParser)
+    set_ = add_verb(verbs, "set", "set limits; the longest pattern that matches a caller holds for it", run_set)
+    set_.add_argument("who", metavar="WHO", help=_WHO_HELP)
+    set_.add_argument(
+        "limits", metavar="QUOTA=LIMIT", nargs="+", type=_limit,
+        help=f"{', '.join(QUOTAS)}; a number, bytes also with KiB, MiB, GiB; or `unlimited`",
+    )  # fmt: skip
+    rm = add_verb(verbs, "rm", "remove limits, so that the next pattern or the default holds", run_rm)
+    rm.add_argument("who", metavar="WHO", help="as it was set")
+    rm.add_argument("quotas", metavar="QUOTA", nargs="*", type=_quota, help="left out: all of WHO")
+    add_verb(verbs, "ls", "list all limits that were set, and the defaults", run_ls)
+    check = add_verb(verbs, "check", "tell the limits of one caller, and which setting says so", run_check)
+    check.add_argument("who", metavar="WHO", help='its name, or "@ADDRESS"')
+    use = add_verb(verbs, "use", "tell who uses how much of each part of the cluster, and who was refused", run_use)
+    use.add_argument("who", metavar="WHO", nargs="?", default="", help="a pattern; left out: everybody")
+
+
+def _quota(text: str) -> str:
+    if text not in QUOTAS:
+        raise argparse.ArgumentTypeError(f"there is no quota {text!r}; there are {', '.join(QUOTAS)}")
+    return text
+
+
+def _limit(text: str) -> tuple[str, int]:
+    name, equals, value = text.partition("=")
+    quota, match = _quota(name), _LIMIT.fullmatch(value)
+    if value == "unlimited":
+        return quota, UNLIMITED
+    if not equals or match is None or (match[2] and quota not in IN_BYTES):
+        example = f"{quota}=64MiB" if quota in IN_BYTES else f"{quota}=100"
+        raise argparse.ArgumentTypeError(f"{text!r} sets no limit; write it as {example}, or {quota}=unlimited")
+    return quota, int(match[1]) * _UNITS[match[2] or ""]
+
+
+def run_set(arguments: argparse.Namespace) -> int:
+    """Set limits."""
+    from stampede_rt.administration.running_cluster import reached  # here and below: gRPC takes 0.1 s to load
+    from stampede_rt.v1 import quota_pb2
+    from stampede_rt.v1 import quota_service_pb2 as pb
+
+    request = pb.SetQuotasRequest(request_id=secrets.token_bytes(16))
+    for quota, limit in arguments.limits:
+        request.settings.append(quota_pb2.QuotaSetting(who=arguments.who, kind=_kind(quota), limit=limit))
+    with reached(arguments.url, None) as cluster:
+        answer = cluster.ask_quotas("SetQuotas", request)
+        print_behind(cluster.parts_behind(answer.version, of_rules=True))
+    if arguments.output != "table":
+        print_facts({"changed": answer.changed, "settings": list(map(_row, request.settings))}, arguments.output)
+        return 0
+    for quota, limit in arguments.limits:
+        print(f"{quota} of {arguments.who} is {_text(quota, limit)}" + ("." if answer.changed else " already."))
+    return 0
+
+
+def run_rm(arguments: argparse.Namespace) -> int:
+    """Remove limits."""
+    from stampede_rt.administration.running_cluster import reached
+    from stampede_rt.v1 import quota_service_pb2 as pb
+
+    request = pb.RemoveQuotasRequest(
+        request_id=secrets.token_bytes(16), who=arguments.who, kinds=map(_kind, arguments.quotas)
+    )
+    with reached(arguments.url, None) as cluster:
+        answer = cluster.ask_quotas("RemoveQuotas", request)
+        print_behind(cluster.parts_behind(answer.version, of_rules=True))
+    if arguments.output != "table":
+        print_facts({"removed": answer.removed}, arguments.output)
+    else:
+        what = f"{answer.removed} limit{'' if answer.removed == 1 else 's'} of {arguments.who}"
+        print(f"{what} {'is' if answer.removed == 1 else 'are'} removed.")
+    return 0
+
+
+def run_ls(arguments: argparse.Namespace) -> int:
+    """List all limits."""
+    from stampede_rt.v1 import quota_service_pb2 as pb
+
+    listed = _asked(arguments, "ListQuotas", pb.ListQuotasRequest())
+    rows = sorted(map(_row, listed.settings), key=lambda row: (row["who"], row["quota"]))
+    rows += [_limit_row(one.kind, one.limit) | {"who": "(default)"} for one in listed.defaults]
+    _print(rows, arguments.output, ("who", "quota", "limit"))
+    return 0
+
+
+def run_check(arguments: argparse.Namespace) -> int:
+    """Tell the limits of one caller."""
+    from stampede_rt.v1 import quota_service_pb2 as pb
+
+    answer = _asked(arguments, "CheckQuotas", pb.CheckQuotasRequest(subject=arguments.who))
+    rows = [
+        _limit_row(one.kind, one.limit) | {"set_for": one.setting.who if one.HasField("setting") else "(default)"}
+        for one in answer.limits
+    ]
+    _print(rows, arguments.output, ("quota", "limit", "set_for"))
+    return 0
+
+
+def run_use(arguments: argparse.Namespace) -> int:
+    """Tell who uses how much, and who was refused."""
+    from stampede_rt.administration.running_cluster import reached
+
+    with reached(arguments.url, None) as cluster:
+        told = list(cluster.quota_uses(arguments.who))
+    for part in told:
+        if part.failure:
+            print(f"stampede: {escaped(part.part)} does not tell: {escaped(part.failure)}", file=sys.stderr)
+    if all(part.failure for part in told):
+        raise StampedeError("no part of the cluster tells who uses how much")
+    rows = [
+        {"who": use.subject, "at": part.part}
+        | _limit_row(use.kind, use.limit)
+        | {"used": use.used, "refused": use.refused}
+        for part in told
+        for use in part.uses
+    ]
+    rows.sort(key=lambda row: (-row["refused"], row["who"], row["at"], row["quota"]))
+    _print(rows, arguments.output, ("who", "at", "quota", "used", "limit", "refused"), none="nobody uses anything")
+    return 0
+
+
+def _asked(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
+    from stampede_rt.administration.running_cluster import reached
+
+    with reached(arguments.url, None) as cluster:
+        return cluster.ask_quotas(rpc, request)
+
+
+def _print(rows: Iterable[dict[str, Any]], output: str, columns: tuple[str, ...], none: str = "") -> None:
+    """In a table numbers are for people, in JSON for programs."""
+    if output == "table":
+        rows = [row | {key: _text(row["quota"], row[key]) for key in ("limit", "used") if key in row} for row in rows]
+    print_rows([{column: row[column] for column in columns} for row in rows], output, none=none)
+
+
+def _row(setting: Any) -> dict[str, Any]:
+    return {"who": setting.who} | _limit_row(setting.kind, setting.limit)
+
+
+def _limit_row(kind: int, limit: int) -> dict[str, Any]:
+    return {"quota": _name(kind), "limit": limit}
+
+
+def _text(quota: str, amount: int) -> str:
+    if amount >= UNLIMITED:
+        return "unlimited"
+    return bytes_text(amount) if quota in IN_BYTES else f"{amount:,}"
+
+
+def _kind(quota: str) -> Any:
+    from stampede_rt.v1 import quota_pb2
+
+    return getattr(quota_pb2, f"QUOTA_KIND_{quota.upper().replace('-', '_')}")
+
+
+def _name(kind: int) -> str:
+    """A newer service may know a quota that this release does not."""
+    from stampede_rt.v1 import quota_pb2
+
+    if kind not in quota_pb2.QuotaKind.values():
+        return f"quota {kind}"
+    return quota_pb2.QuotaKind.Name(kind).removeprefix("QUOTA_KIND_").lower().replace("_", "-")

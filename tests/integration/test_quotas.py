@@ -1,0 +1,146 @@
+"""Quotas of callers in a running cluster, as an operator sets them and clients meet them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt._sync import reads
+from stampede_rt.cli.commands import run
+from stampede_rt.errors import Overloaded
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture()
+CLIENT = "team/cam-1"
+
+
+class Operator:
+    """Gives out tokens and sets quotas by the command line, and takes its settings back."""
+
+    def __init__(self, cluster: LocalCluster, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        self.address, self._folder, self.capsys = cluster.address, folder, capsys
+        self._set: set[str] = set()
+
+    def says(self, *words: str, status: int = 0) -> str:
+        self.capsys.readouterr()
+        assert run([*words, "--url", self.address]) == status
+        captured = self.capsys.readouterr()
+        return captured.out if status == 0 else captured.err
+
+    def set(self, who: str, *limits: str) -> str:
+        self._set.add(who)
+        return self.says("quota", "set", who, *limits)
+
+    def rows(self, *words: str) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = json.loads(self.says("quota", *words, "-o", "json"))
+        return rows
+
+    def token(self, name: str) -> str:
+        file = self._folder / "token"
+        self.says("token", "issue", name, "--out", str(file))
+        return file.read_text().strip()
+
+    def take_back(self) -> None:
+        for who in self._set:
+            self.says("quota", "rm", who)
+
+
+@pytest.fixture
+def operator(cluster: LocalCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Iterator[Operator]:
+    one = Operator(cluster, tmp_path, capsys)
+    yield one
+    one.take_back()
+
+
+@pytest.fixture
+def client(cluster: LocalCluster, operator: Operator, monkeypatch: pytest.MonkeyPatch) -> Iterator[st.Connection]:
+    monkeypatch.setattr(reads, "CALL_TIMEOUT_S", 0.1)  # a refused get is tried again for as long
+    with st.connect(cluster.address, secret=operator.token(CLIENT)) as rt:
+        yield rt
+
+
+def test_a_client_beyond_its_quota_is_told_which_and_what_raises_it_and_what_it_has_goes_on(
+    operator: Operator, client: st.Connection
+) -> None:
+    channel = client.channel("quotas/video")
+    channel.put(b"frame")
+    with channel.subscribe(start=st.OLDEST) as subscription:
+        assert next(subscription).payload == b"frame"
+        operator.set("team/*", "bytes-in-flight=0")
+        with pytest.raises(Overloaded) as caught:
+            channel.newest()
+        assert caught.value.message.startswith(
+            f"channel 'quotas/video': {CLIENT} has 0 bytes in flight at this port and wants "
+        )
+        assert caught.value.message.endswith(
+            "its quota bytes-in-flight is 0; put and read less at once, or have an operator raise it (stampede quota "
+            f"set {CLIENT} bytes-in-flight=LIMIT)"
+        )
+        channel.put(b"next")
+        assert next(subscription).payload == b"next"
+        operator.set(CLIENT, "bytes-in-flight=1MiB")
+        assert channel.newest().payload == b"next"
+
+
+def test_who_uses_how_much_and_who_was_refused_is_told_for_each_part(operator: Operator, client: st.Connection) -> None:
+    channel = client.channel("quotas/refused")
+    channel.put(b"x")
+    operator.set(CLIENT, "bytes-in-flight=0")
+    with channel.subscribe(), pytest.raises(Overloaded):
+        channel.newest()
+    host = {row["quota"]: row for row in operator.rows("use", "team/*") if row["at"].startswith("host ")}
+    assert host["bytes-in-flight"]["refused"] >= 1
+    assert host["bytes-in-flight"]["limit"] == 0
+    assert host["streams"]["who"] == CLIENT
+    assert operator.rows("use", "team/unheard-of") == []
+
+
+def test_members_and_others_are_not_bound_by_the_quota_of_one(
+    cluster: LocalCluster, operator: Operator, client: st.Connection
+) -> None:
+    operator.set("team/*", "streams=0", "waiting-calls=0")
+    with st.connect(cluster.address, secret=cluster.secret.text) as rt:
+        rt.channel("quotas/of-others").put(b"x")
+
+
+def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operator: Operator) -> None:
+    assert operator.set("cam-*", "streams=7", "bytes-in-flight=64MiB") == (
+        "streams of cam-* is 7.\nbytes-in-flight of cam-* is 64.0 MiB.\n"
+    )
+    assert operator.set("cam-*", "streams=7") == "streams of cam-* is 7 already.\n"
+    operator.set("cam-1", "streams=unlimited")
+    listed = operator.rows("ls")
+    assert {"who": "cam-*", "quota": "bytes-in-flight", "limit": 64 * 2**20} in listed
+    assert {"who": "(default)", "quota": "streams", "limit": 3072} in listed
+    found = {row["quota"]: (row["limit"], row["set_for"]) for row in operator.rows("check", "cam-1")}
+    assert found["streams"] == (2**62, "cam-1")
+    assert found["bytes-in-flight"] == (64 * 2**20, "cam-*")
+    assert found["subscriptions"] == (2048, "(default)")
+    assert operator.says("quota", "rm", "cam-*", "streams") == "1 limit of cam-* is removed.\n"
+    assert operator.says("quota", "rm", "cam-9") == "0 limits of cam-9 are removed.\n"
+
+
+def test_a_mistake_is_named_with_the_way_out(operator: Operator) -> None:
+    assert "is a pattern; name one caller" in operator.says("quota", "check", "cam-*", status=2)
+    for words, complaint in (
+        (("cam", "x=3"), "there is no quota 'x'; there are streams, "),
+        (("cam", "streams=3MiB"), "write it as streams=100, or streams=unlimited"),
+        (("cam", "bytes-in-flight"), "write it as bytes-in-flight=64MiB"),
+    ):
+        with pytest.raises(SystemExit):
+            operator.says("quota", "set", *words)
+        assert complaint in operator.capsys.readouterr().err
+
+
+def test_a_client_changes_no_quotas(operator: Operator, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    operator.token("cam")
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(tmp_path / "token"))
+    for words in (("set", "cam", "streams=9"), ("ls",), ("use",)):
+        assert "client cam may not call" in operator.says("quota", *words, status=1)
+    monkeypatch.undo()
