@@ -1,4 +1,4 @@
-"""`stampede bench`: the paper's figures as tables and charts; our match beside the synchroniser of ROS."""
+"""`stampede bench`: the paper's figures; what the machine's parts can do; the same work on other systems."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.cli.interrupts import unwinding
+from stampede_rt_bench.comparison import measure_limits
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import get_cost, interval_cost, memory_cost, skew, visibility
 from stampede_rt_bench.tables import Table
+from stampede_rt_bench.works.catalogue import works
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 ITEMS_MAX = 10_000_000
 RUNS_MAX = 100
+SECONDS_MIN, SECONDS_MAX = 0.1, 600.0
 
 Figure = Callable[[Effort, Path], Table]
 FIGURES: dict[str, tuple[str, Figure]] = {
@@ -40,6 +43,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with unwinding(signal.SIGINT, signal.SIGTERM):
             return run(arguments)
+    except OSError as error:
+        if error.filename is None or "out" not in arguments:
+            raise
+        print(f"stampede bench: {error.filename}: {error.strerror}; name another folder with --out", file=sys.stderr)
+        return EXIT_FAILED
     except KeyboardInterrupt:
         print("\nstampede bench: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -48,18 +56,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _paper(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.out
     effort = Effort(items_max=arguments.items_max, runs=arguments.runs)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in arguments.figure or FIGURES:
-            title, measure = FIGURES[name]
-            print(f"\n{title[0].upper()}{title[1:]}", flush=True)
-            measure(effort, folder / f"{name}.png").print()
-    except OSError as error:
-        print(
-            f"stampede bench: {error.filename or folder}: {error.strerror}; name another folder with --out",
-            file=sys.stderr,
-        )
-        return EXIT_FAILED
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in arguments.figure or FIGURES:
+        title, measure = FIGURES[name]
+        print(f"\n{title[0].upper()}{title[1:]}", flush=True)
+        measure(effort, folder / f"{name}.png").print()
     return 0
 
 
@@ -74,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     kinds = parser.add_subparsers(dest="kind", metavar="NAME")
     _add_paper(kinds)
+    _add_limits(kinds)
     text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"
     matching = kinds.add_parser("matching", help=text, description=text)
     matching.add_argument("--seconds", type=_between(15, 3600), default=60, help="of each recording (default: 60)")
@@ -107,6 +109,44 @@ def _add_paper(kinds: Any) -> None:
         "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="where the charts go (default: out/bench)"
     )
     paper.set_defaults(run=_paper)
+
+
+def _add_limits(kinds: Any) -> None:
+    text = "what bare grpcio, raw sockets and a copy in memory can do on this machine"
+    limits = kinds.add_parser("limits", help=text, description=f"Measure {text}.")
+    _add_effort(limits, Path("out/bench"))
+    limits.set_defaults(run=measure_limits)
+
+
+def _add_effort(parser: argparse.ArgumentParser, folder: Path) -> None:
+    names = [work.name for work in works()]
+    kinds = [name.partition("-")[0] for name in names]
+    parser.add_argument(
+        "--work",
+        action="append",
+        choices=dict.fromkeys([*kinds, *names]),
+        metavar="NAME",
+        help=f"this one only, or all of a kind; may be repeated; {', '.join(names)}",
+    )
+    parser.add_argument(
+        "--seconds", type=_seconds, default=5.0, metavar="S", help="of each run in steady state (default: 5)"
+    )
+    parser.add_argument(
+        "--rounds", type=_between(1, RUNS_MAX), default=5, metavar="N", help="how often each is taken (default: 5)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=folder, metavar="DIR", help=f"where the report goes (default: {folder})"
+    )
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not SECONDS_MIN <= seconds <= SECONDS_MAX:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds from {SECONDS_MIN:g} to {SECONDS_MAX:g}")
+    return seconds
 
 
 def _between(least: int, most: int) -> Callable[[str], int]:

@@ -18,8 +18,9 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from stampede_rt_bench.measuring import Spread
 
-COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#767676")
-MARKS = ("o", "s", "^", "D", "v")
+COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#767676", "#56B4E9", "#CC79A7", "#000000")
+MARKS = ("o", "s", "^", "D", "v", "P", "X", "*", "<", ">")
+HATCHES = ("", "//", "..", "xx", "\\\\", "--", "++", "oo", "**", "||")
 INK, GRID, FAINT, CUT = "#222222", "#dddddd", "#767676", "#D55E00"
 DOTS_PER_INCH = 150
 
@@ -41,14 +42,19 @@ class Axes:
 def draw_lines(path: Path, axes: Axes, lines: Mapping[str, Points]) -> None:
     """Lines, medians with bars from the least to the most. Raises OSError."""
     with _drawn(path, axes.title, (7.5, 4.6)) as plot:
-        plot.set(xscale="log" if axes.log_x else "linear", yscale="log" if axes.log_y else "linear")
+        xs = sorted({x for points in lines.values() for x, _ in points})
+        log_x = axes.log_x and len(xs) > 1  # one place alone has no scale
+        plot.set(xscale="log" if log_x else "linear", yscale="log" if axes.log_y else "linear")
         for number, (label, points) in enumerate(lines.items()):
             _draw_line(plot, number, label, points)
         if axes.goal is not None:
             plot.axhline(axes.goal, color=FAINT, linestyle="--", linewidth=1.2, label=f"goal: {axes.goal:g}")
-        if not axes.log_y:
+        if axes.log_y:
+            values = [value for points in lines.values() for _, value in points]
+            plot.set_ylim(min(one.least for one in values) / 1.5, max(one.most for one in values) * 1.5)
+        else:
             plot.set_ylim(bottom=0)
-        _set_scales(plot, axes, sorted({x for points in lines.values() for x, _ in points}))
+        _set_scales(plot, axes, xs)
         plot.grid(color=GRID, which="major")
         if len(lines) > 1:
             plot.legend(facecolor="white", edgecolor="none", framealpha=1.0)
@@ -75,6 +81,34 @@ def _set_scales(plot: plots.Axes, axes: Axes, xs: Sequence[float]) -> None:
 def _write_medians(plot: plots.Axes, points: Points) -> None:
     for x, value in points:
         plot.annotate(f"{value.median:,.0f}", (x, value.most), (0, 7), textcoords="offset points", ha="center")
+
+
+def draw_bars(path: Path, title: str, unit: str, groups: Mapping[str, Mapping[str, Spread]]) -> None:
+    """Groups of bars below each other on a logarithmic scale, medians written beside. Raises OSError."""
+    names = list(dict.fromkeys(name for bars in groups.values() for name in bars))
+    height = 1.2 + sum(0.28 * len(bars) + 0.35 for bars in groups.values())
+    with _drawn(path, title, (9, height)) as plot:
+        place, ticks = 0.0, []
+        for bars in groups.values():
+            ticks.append(place - 0.28 * (len(bars) - 1) / 2)
+            for name, value in bars.items():
+                _draw_bar(plot, place, names.index(name), name, value)
+                place -= 0.28
+            place -= 0.35
+        plot.set(xscale="log", xlabel=unit)
+        plot.set_yticks(ticks, list(groups))
+        plot.tick_params(axis="y", length=0)
+        plot.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,g}" if x < 1e6 else f"{x:,.0f}"))
+        plot.margins(x=0.15)
+
+
+def _draw_bar(plot: plots.Axes, place: float, number: int, name: str, value: Spread) -> None:
+    colour, hatch = COLOURS[number % len(COLOURS)], HATCHES[number % len(HATCHES)]
+    reach = [[value.median - value.least], [value.most - value.median]]
+    plot.barh(place, value.median, height=0.25, facecolor=colour, hatch=hatch, edgecolor="white")
+    plot.errorbar(value.median, place, xerr=reach, color=INK, capsize=2, linestyle="none", linewidth=0.9)
+    text = f" {name}: {value.median:,.0f}"
+    plot.annotate(text, (value.most, place), (3, 0), textcoords="offset points", va="center", fontsize=8)
 
 
 class Span(NamedTuple):

@@ -23,6 +23,12 @@ class Table:
         text = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
         return "\n".join(text + self.notes)
 
+    def markdown(self) -> str:
+        """The table as Markdown, its notes below."""
+        lines = [self.columns, ["---", *["---:"] * (len(self.columns) - 1)], *self.rows]
+        text = ["| " + " | ".join(line) + " |" for line in lines]
+        return "\n".join(text + (["", *self.notes] if self.notes else []))
+
     def print(self) -> None:
         """On standard output."""
         print(self.render(), flush=True)

@@ -1,0 +1,85 @@
+"""`stampede bench limits` and `stampede bench peers`: systems do the same works, and reports say how they compare."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from stampede_rt_bench.limits.bare_grpc import BareGrpc
+from stampede_rt_bench.limits.memory_copy import copy_times_us, gigabytes_per_second
+from stampede_rt_bench.limits.sockets import RawSockets
+from stampede_rt_bench.machine import describe
+from stampede_rt_bench.tables import Table, spread
+from stampede_rt_bench.works.campaign import Results, compare
+from stampede_rt_bench.works.catalogue import Work, size, works
+from stampede_rt_bench.works.interface import System
+from stampede_rt_bench.works.report import Report
+
+LIMITS: Mapping[str, System] = {
+    "grpc": BareGrpc(),
+    "unix": RawSockets("unix"),
+    "tcp": RawSockets("tcp"),
+}
+PACKAGES = ("grpcio",)
+
+
+def measure_limits(arguments: argparse.Namespace) -> int:
+    """`limits`. Returns 1 if a run failed. Raises OSError."""
+    report = _report(arguments, "limits", "What the parts can do", PACKAGES)
+    report.tables.append(_memory(arguments.rounds))
+    report.tables[0][1].print()
+    return _run(report, list(LIMITS.values()), _chosen(works(()), arguments.work), arguments)
+
+
+def _report(arguments: argparse.Namespace, name: str, title: str, packages: Sequence[str]) -> Report:
+    options = f"--seconds {arguments.seconds:g} --rounds {arguments.rounds}"
+    command = f"stampede bench {name} {options}"
+    return Report(
+        name=name,
+        title=title,
+        command=command,
+        machine=describe(packages),
+        rounds=arguments.rounds,
+        seconds=arguments.seconds,
+    )
+
+
+def _memory(rounds: int) -> tuple[str, Table]:
+    title = "a copy in memory of"
+    table = Table([title, "us", "GB/s"])
+    for item_bytes, time_us in copy_times_us(rounds).items():
+        rate = gigabytes_per_second(item_bytes, time_us)
+        table.rows.append([size(item_bytes), spread(time_us, 2), f"{rate:,.1f}"])
+    return title, table
+
+
+def _chosen(all_works: Sequence[Work], names: Sequence[str] | None) -> list[Work]:
+    """All, or those with one of the names, or with one of them before a hyphen."""
+    return [work for work in all_works if not names or any(f"{work.name}-".startswith(f"{name}-") for name in names)]
+
+
+def _run(report: Report, systems: Sequence[System], chosen: Sequence[Work], arguments: argparse.Namespace) -> int:
+    folder: Path = arguments.out
+    folder.mkdir(parents=True, exist_ok=True)
+    report.lacks = {system.name: system.lacks for system in systems}
+
+    def done(results: Results, work: Work) -> None:
+        print(flush=True)
+        report.table(results, work).print()
+        report.write(results, folder)  # after each, so that an interrupted campaign is not lost
+
+    results = compare(
+        systems,
+        chosen,
+        rounds=arguments.rounds,
+        seconds=arguments.seconds,
+        done=done,
+        say=lambda text: print(f"stampede bench: {text}", file=sys.stderr, flush=True),
+    )
+    for _, table in report.readers(results):
+        print(flush=True)
+        table.print()
+    print(f"\nThe report is in {folder}: {report.name}.md, {report.name}.json and the charts.")
+    return 1 if results.failures else 0

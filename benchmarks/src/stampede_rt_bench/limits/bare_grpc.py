@@ -1,0 +1,127 @@
+"""Bare grpcio in its best form: an asyncio server of bytes, open streams, messages of about 1 MiB where items are many.
+
+Clients are synchronous; asyncio clients take about as long for a round trip.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import grpc
+import grpc.experimental
+
+from stampede_rt_bench.limits.framing import ONE_READER, REQUEST
+from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
+from stampede_rt_bench.works.processes import server
+
+MESSAGE_BYTES_MAX = 64 << 20
+OPTIONS = [
+    ("grpc.max_receive_message_length", MESSAGE_BYTES_MAX),
+    ("grpc.max_send_message_length", MESSAGE_BYTES_MAX),
+    (grpc.experimental.ChannelOptions.SingleThreadedUnaryStream, 1),
+]
+LOOK_SECONDS = 0.1
+
+
+@dataclass(frozen=True)
+class BareGrpc:
+    """A relay of messages in a process of its own."""
+
+    name: str = "bare gRPC"
+
+    @property
+    def lacks(self) -> Mapping[str, str]:
+        """It does everything for one reader."""
+        return {"frames": ONE_READER}
+
+    def unavailable_because(self) -> str | None:
+        """The client needs grpcio anyway."""
+        return None
+
+    @contextmanager
+    def served(self, room: Room) -> Iterator[Served]:
+        """The relay."""
+        with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
+            ready = Path(folder, "address")
+            command = [sys.executable, "-P", "-m", "stampede_rt_bench.limits.grpc_server", str(ready)]
+            with server(command, Path(folder, "log"), ready.exists) as pid:
+                yield Served(address=ready.read_text(), pids=[pid])
+
+    def connect(self, served: Served, room: Room) -> GrpcClient:
+        """A channel."""
+        return GrpcClient(served.address, room)
+
+
+class GrpcClient:
+    """Open streams of one synchronous channel."""
+
+    def __init__(self, address: str, room: Room) -> None:
+        self._room = room
+        self._channel: Any = grpc.insecure_channel(address, options=OPTIONS)
+
+    def put(self, payloads: Iterator[bytes]) -> None:
+        """A message there, a message of 24 bytes back, on one stream."""
+        exchange = self._exchange("Ack")
+        for payload in payloads:
+            exchange(payload)
+
+    def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
+        """A small message there, one item back."""
+        self.interval(turns, receiver)
+
+    def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
+        """A small message there, the items' bytes back in one."""
+        exchange = self._exchange("Fetch")
+        for items in turns:
+            receiver.take_block(items, exchange(REQUEST.pack(items, self._room.item_bytes)))
+
+    def publish(self, steps: Iterator[Step]) -> None:
+        """Each step's payloads, joined, as one message. gRPC's flow control bounds what is on its way."""
+        self._channel.stream_unary("/bare/In")(_messages(steps))
+
+    def subscribe(self, receiver: Receiver) -> None:
+        """Whole messages."""
+        out = self._channel.unary_stream("/bare/Out")(REQUEST.pack(0, 0))
+        messages = iter(out)
+        next(messages)
+        receiver.ready()
+        for message in messages:
+            if not message:  # the server says ten times a second that it lives
+                if receiver.ended():
+                    break
+                continue
+            receiver.take_block(len(message) // self._room.item_bytes, message)
+            if receiver.ended():
+                break
+        out.cancel()
+
+    def close(self) -> None:
+        """End the connection."""
+        self._channel.close()
+
+    def _exchange(self, method: str) -> Callable[[bytes], bytes]:
+        requests: SimpleQueue[bytes | None] = SimpleQueue()
+        call = self._channel.stream_stream(f"/bare/{method}")(iter(requests.get, None))
+
+        def exchange(request: bytes) -> bytes:
+            requests.put(request)
+            answer: bytes = next(call)
+            return answer
+
+        return exchange
+
+
+def _messages(steps: Iterator[Step]) -> Iterator[bytes]:
+    for step in steps:
+        if isinstance(step, float):
+            time.sleep(step)
+        else:
+            yield step[0] if len(step) == 1 else b"".join(step)

@@ -1,0 +1,39 @@
+"""What the figures were measured on."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+KIB = 1024
+
+
+def describe(packages: Sequence[str]) -> dict[str, str]:
+    """The machine and the versions of installed packages, by what each is."""
+    memory_kib = int(_first(r"^MemTotal:\s*(\d+)", Path("/proc/meminfo")) or 0)
+    described = {
+        "processor": _first(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo")) or platform.machine(),
+        "cores": str(os.cpu_count()),
+        "memory": f"{memory_kib / KIB / KIB:.0f} GiB",
+        "kernel": f"{platform.system()} {platform.release()}",
+        "Python": platform.python_version(),
+        "load before": f"{os.getloadavg()[0]:.1f}",
+    }
+    for package in packages:
+        try:
+            described[package] = version(package)
+        except PackageNotFoundError:
+            described[package] = "not installed"
+    return described
+
+
+def _first(pattern: str, file: Path) -> str:
+    try:
+        found = re.search(pattern, file.read_text(), re.MULTILINE)
+    except OSError:
+        return ""
+    return found[1].strip() if found else ""

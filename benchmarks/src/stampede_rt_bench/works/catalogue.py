@@ -1,0 +1,84 @@
+"""The works that systems are compared by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["put", "newest", "interval", "stream", "frames", "latency"]
+FRAMES_PER_SECOND = 30
+INTERVAL_ITEMS = 1000
+READERS = (8, 16, 32, 64)
+RATES = (30, 300, 3000)
+SMALL, MEDIUM, LARGE = 64, 18_000, 300_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Work:
+    """One thing to do. `rate` is items a second, 0 for as fast as it goes; `items` is what one operation moves."""
+
+    name: str
+    title: str
+    kind: Kind
+    item_bytes: int
+    readers: int = 1
+    rate: float = 0
+    items: int = 1
+
+    @property
+    def is_operation(self) -> bool:
+        """One process that asks and waits, again and again; else a producer's process and readers' processes."""
+        return self.kind in ("put", "newest", "interval")
+
+
+def size(item_bytes: int) -> str:
+    """`64 B`, `18 KB`."""
+    return f"{item_bytes} B" if item_bytes < 1000 else f"{item_bytes // 1000} KB"
+
+
+def works(readers: Sequence[int] = READERS) -> list[Work]:
+    """All of them; 30 frames a second to each of these numbers of readers."""
+    return [
+        Work(name="put", title="one acknowledged put of 64 B", kind="put", item_bytes=SMALL),
+        Work(name="newest", title="newest item of 18 KB", kind="newest", item_bytes=MEDIUM),
+        Work(
+            name="interval",
+            title=f"interval get of {INTERVAL_ITEMS} items of 64 B",
+            kind="interval",
+            item_bytes=SMALL,
+            items=INTERVAL_ITEMS,
+        ),
+        *(
+            Work(
+                name=f"stream-{size(item_bytes).replace(' ', '').lower()}",
+                title=f"put to subscriber, {size(item_bytes)}",
+                kind="stream",
+                item_bytes=item_bytes,
+            )
+            for item_bytes in (SMALL, MEDIUM, LARGE)
+        ),
+        *(
+            Work(
+                name=f"latency-{rate}",
+                title=f"put to reader, 64 B, {rate} items/s",
+                kind="latency",
+                item_bytes=SMALL,
+                rate=rate,
+            )
+            for rate in RATES
+        ),
+        *(frames(item_bytes, count) for item_bytes in (MEDIUM, LARGE) for count in readers),
+    ]
+
+
+def frames(item_bytes: int, readers: int) -> Work:
+    """A camera's frames to that many readers."""
+    return Work(
+        name=f"frames-{size(item_bytes).replace(' ', '').lower()}-{readers}",
+        title=f"{readers} readers of {size(item_bytes)} at {FRAMES_PER_SECOND} fps",
+        kind="frames",
+        item_bytes=item_bytes,
+        readers=readers,
+        rate=FRAMES_PER_SECOND,
+    )

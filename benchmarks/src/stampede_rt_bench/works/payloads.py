@@ -1,0 +1,73 @@
+"""What publishers send, and when: at full speed within a bound, or at a fixed rate."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Iterator
+
+from stampede_rt_bench.works.interface import Room, Step
+from stampede_rt_bench.works.run_counters import RunCounters
+
+SENT = struct.Struct("<Q")  # when it was sent, by the monotonic clock of this machine
+PAUSE_SECONDS = 0.0002
+STALLED_SECONDS = 1.0
+RING_BYTES_MAX = 16 << 20
+BATCH_BYTES, BATCH_ITEMS_MAX, BATCH_ITEMS_MIN = 1 << 20, 1000, 4
+WINDOW_BYTES, WINDOW_ITEMS_MAX, WINDOW_ITEMS_MIN = 8 << 20, 50_000, 32
+ROOM_FACTOR = 4
+
+
+def room_for(item_bytes: int, items_min: int = 0) -> Room:
+    """Room for four times what may be on its way, so that no system must throw anything away."""
+    window = window_items(item_bytes)
+    batch = max(BATCH_ITEMS_MIN, min(BATCH_ITEMS_MAX, BATCH_BYTES // item_bytes))
+    return Room(item_bytes=item_bytes, items_max=max(items_min, ROOM_FACTOR * window), batch_items=batch)
+
+
+def window_items(item_bytes: int) -> int:
+    """How many items may be published and not yet read."""
+    return max(WINDOW_ITEMS_MIN, min(WINDOW_ITEMS_MAX, WINDOW_BYTES // item_bytes))
+
+
+def at_full_speed(progress: RunCounters, room: Room, deadline_s: float) -> Iterator[Step]:
+    """Batches of payloads that were made before, held back while a window of them is unread.
+
+    If nothing is read for a second, because items were lost, one more batch goes out.
+    """
+    ring = _batches(room)
+    window, sent, turn = window_items(room.item_bytes), 0, 0
+    moved_s, seen = time.monotonic(), 0
+    while not progress.has_stopped(deadline_s):
+        received = progress.received_by_each()
+        if received != seen:
+            moved_s, seen = time.monotonic(), received
+        if sent - received >= window and time.monotonic() - moved_s < STALLED_SECONDS:
+            yield PAUSE_SECONDS
+            continue
+        moved_s = time.monotonic() if sent - received >= window else moved_s
+        yield ring[turn % len(ring)]
+        sent, turn = sent + room.batch_items, turn + 1
+        progress.set_published(sent)
+
+
+def _batches(room: Room) -> list[list[bytes]]:
+    count = max(2, min(64, RING_BYTES_MAX // (room.batch_items * room.item_bytes)))
+    return [
+        [bytes([number % 251]) * room.item_bytes for number in range(first, first + room.batch_items)]
+        for first in range(0, count * room.batch_items, room.batch_items)
+    ]
+
+
+def at_rate(progress: RunCounters, item_bytes: int, per_second: float, deadline_s: float) -> Iterator[Step]:
+    """One payload whenever it is due, with the time at which it was sent. A late one goes at once."""
+    filler = bytes(item_bytes - SENT.size)
+    begun_s, sent = time.monotonic(), 0
+    while not progress.has_stopped(deadline_s):
+        left_s = begun_s + sent / per_second - time.monotonic()
+        if left_s > 0:
+            yield left_s
+            continue
+        yield [SENT.pack(time.monotonic_ns()) + filler]
+        sent += 1
+        progress.set_published(sent)

@@ -1,0 +1,108 @@
+"""What a reader does with items: it touches time, seq and payload, counts, and notes how long each item took."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Iterator
+from typing import TypeVar
+
+from stampede_rt_bench.works.interface import Block
+from stampede_rt_bench.works.payloads import SENT
+from stampede_rt_bench.works.run_counters import RunCounters
+
+LATENCIES_MAX = 1 << 20
+T = TypeVar("T")
+
+
+class Counting:
+    """Counts items and adds up what it touches."""
+
+    def __init__(self, progress: RunCounters, reader: int, item_bytes: int, deadline_s: float) -> None:
+        self._progress, self._reader, self._item_bytes, self._deadline_s = progress, reader, item_bytes, deadline_s
+        self.count = 0
+        self.touched = 0
+
+    def ready(self) -> None:
+        """The subscription stands."""
+        self._progress.set_ready(self._reader)
+
+    def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
+        """One item. Raises ValueError if it is not of the size that was sent."""
+        if len(payload) != self._item_bytes:
+            raise ValueError(f"an item of {len(payload)} bytes came instead of {self._item_bytes}")
+        self.touched += time_nanos + seq + payload[0] + payload[-1]
+        self.count += 1
+        self._progress.set_received(self._reader, self.count)
+
+    def take_block(self, items: int, payload: Block) -> None:
+        """Many items at once."""
+        self.touched += payload[0] + payload[-1]
+        self.count += items
+        self._progress.set_received(self._reader, self.count)
+
+    def ended(self) -> bool:
+        """Whether the run has."""
+        return self._progress.has_ended(self._deadline_s)
+
+
+class Timing(Counting):
+    """Notes for each item how long it was on its way, up to a bound."""
+
+    def __init__(self, progress: RunCounters, reader: int, item_bytes: int, deadline_s: float) -> None:
+        super().__init__(progress, reader, item_bytes, deadline_s)
+        self.latencies_nanos = array("Q")
+
+    def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
+        """One item, with the time at which it was sent."""
+        now = time.monotonic_ns()
+        super().take(time_nanos, seq, payload)
+        if self._progress.measured() and len(self.latencies_nanos) < LATENCIES_MAX:
+            self.latencies_nanos.append(now - SENT.unpack_from(payload)[0])
+
+    def take_block(self, items: int, payload: Block) -> None:
+        """One item of a limit."""
+        self.take(0, 0, bytes(payload))
+
+
+class Answers(Counting):
+    """Takes the items of operations, which count as operations."""
+
+    def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
+        """One item of an answer."""
+        self.touched += time_nanos + seq + payload[0] + payload[-1]
+        self.count += 1
+
+    def take_block(self, items: int, payload: Block) -> None:
+        """An answer's items."""
+        self.touched += payload[0] + payload[-1]
+        self.count += items
+
+    def ended(self) -> bool:
+        """Whether the run has."""
+        return self._progress.has_stopped(self._deadline_s)
+
+
+class Operations:
+    """Turns of one operation: counts them, and notes how long each took, up to a bound."""
+
+    def __init__(self, progress: RunCounters, answers: Answers, items: int) -> None:
+        self._progress, self._answers, self._items = progress, answers, items
+        self.durations_nanos = array("Q")
+
+    def turns(self, value: T) -> Iterator[T]:
+        """The value, until the run has ended. An operation lasts from one value to the next request.
+
+        Raises ValueError if the operation before has not read `items` items.
+        """
+        count, durations, progress, answers = 0, self.durations_nanos, self._progress, self._answers
+        while not answers.ended():
+            begun_nanos = time.perf_counter_ns()
+            yield value
+            taken_nanos = time.perf_counter_ns() - begun_nanos
+            count += 1
+            if self._items and answers.count != count * self._items:
+                raise ValueError(f"{answers.count} items came in {count} gets of {self._items}")
+            if progress.measured() and len(durations) < LATENCIES_MAX:
+                durations.append(taken_nanos)
+            progress.set_received(0, count)

@@ -1,0 +1,178 @@
+"""What a comparison found, as Markdown, JSON and charts."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from stampede_rt_bench.charts import Axes, draw_bars, draw_lines
+from stampede_rt_bench.measuring import Spread
+from stampede_rt_bench.tables import Table, spread
+from stampede_rt_bench.works.campaign import FIGURES, Results
+from stampede_rt_bench.works.catalogue import FRAMES_PER_SECOND, Work, size
+
+LOST_SHARE_MAX = 0.01
+CHARTED = {
+    "put": "operations", "newest": "operations", "interval": "operations", "stream": "streams", "latency": "latency",
+}  # fmt: skip
+CHARTS = {
+    "operations": ("Median time of one operation", "microseconds"),
+    "streams": ("Items from a producer through a server to a reader", "items a second"),
+    "latency": ("Median time from put to reader", "microseconds"),
+}
+
+
+@dataclass(kw_only=True)
+class Report:
+    """One kind of benchmark: `ours` is the system that others are compared with, `limits` bound all."""
+
+    name: str
+    title: str
+    command: str
+    machine: Mapping[str, str]
+    rounds: int
+    seconds: float
+    ours: str | None = None
+    limits: Sequence[str] = ()
+    lacks: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    tables: list[tuple[str, Table]] = field(default_factory=list)
+
+    def table(self, results: Results, work: Work) -> Table:
+        """All systems that did the work: times or rates, CPU time, what was lost, and how they compare."""
+        times = [] if work.kind == "stream" else ["p50, us", "p99, us", "p99.9, us"]
+        columns = [work.title, *times, "items/s", "CPU us/item"]
+        columns += [] if work.is_operation else ["lost, %"]
+        columns += [f"{self.ours} is so many times as fast"] if self.ours else []
+        columns += ["share of the limit"] if self.limits else []
+        table = Table(columns)
+        for system in results.runs.get(work, {}):
+            table.rows.append(self._row(results, work, system))
+        table.notes = [f"{name}: {why[work.kind]}." for name, why in self.lacks.items() if work.kind in why]
+        return table
+
+    def _row(self, results: Results, work: Work, system: str) -> list[str]:
+        def figure(name: str, digits: int, factor: float = 1) -> str:
+            value = results.spread(work, system, name)
+            return spread(Spread(value.median * factor, value.least * factor, value.most * factor), digits)
+
+        cells = [system]
+        if work.kind != "stream":
+            cells += [figure("p50_us", 0), figure("p99_us", 0), figure("p999_us", 0)]
+        cells += [figure("items_per_second", 0), figure("cpu_us_per_item", 2)]
+        if not work.is_operation:
+            cells.append(figure("lost_share", 2, factor=100))
+        measured = results.runs[work]
+        if self.ours:
+            same = self.ours not in measured or system == self.ours
+            cells.append("" if same else f"{results.speed(work, self.ours, system):.2f}")
+        if self.limits:
+            cells.append(self._share_of_limit(results, work, system))
+        return cells
+
+    def _share_of_limit(self, results: Results, work: Work, system: str) -> str:
+        """`0.42 of bare gRPC, 0.10 of ...`: of each limit that was measured."""
+        measured = [limit for limit in self.limits if limit in results.runs[work] and limit != system]
+        return ", ".join(f"{results.speed(work, system, limit):.2f} of {limit}" for limit in measured)
+
+    def readers(self, results: Results) -> list[tuple[str, Table]]:
+        """For each size of frames, how many readers each system serves with under 1 % lost."""
+        works = [work for work in results.runs if work.kind == "frames"]
+        tables = []
+        for item_bytes in dict.fromkeys(work.item_bytes for work in works):
+            of_size = [work for work in works if work.item_bytes == item_bytes]
+            title = f"Most readers of {size(item_bytes)} at {FRAMES_PER_SECOND} fps with under 1 % lost"
+            table = Table([title, "readers"])
+            for system in dict.fromkeys(name for work in of_size for name in results.runs[work]):
+                most = results.most_readers(of_size, system, LOST_SHARE_MAX)
+                table.rows.append([system, f"{most} of {of_size[-1].readers} tried" if most else "none"])
+            tables.append((title, table))
+        return tables
+
+    def write(self, results: Results, folder: Path) -> None:
+        """All three forms into `folder`. Raises OSError."""
+        (folder / f"{self.name}.md").write_text(self.markdown(results))
+        (folder / f"{self.name}.json").write_text(json.dumps(self.values(results), indent=1) + "\n")
+        self._draw(results, folder)
+
+    def markdown(self, results: Results) -> str:
+        """The whole report."""
+        parts = [f"# {self.title}", f"`{self.command}`", self._conditions()]
+        parts += [table.markdown() for _, table in self.tables]
+        parts += [self.table(results, work).markdown() for work in results.runs]
+        parts += [table.markdown() for _, table in self.readers(results)]
+        parts += [f"{system} was not measured: {why}." for system, why in results.absent.items()]
+        parts += [f"Failed: {failure.strip().splitlines()[0]}" for failure in results.failures]
+        return "\n\n".join(parts) + "\n"
+
+    def _conditions(self) -> str:
+        machine = "; ".join(f"{key}: {value}" for key, value in self.machine.items())
+        return (
+            f"{self.rounds} runs of {self.seconds:g} s in steady state, the systems in turn, each with a fresh server. "
+            f"Medians, with the least and the most in parentheses. CPU time is that of all processes together.\n\n"
+            f"Measured on: {machine}."
+        )
+
+    def values(self, results: Results) -> dict[str, object]:
+        """The same as data, every run of it."""
+        return {
+            "command": self.command,
+            "machine": dict(self.machine),
+            "rounds": self.rounds,
+            "seconds": self.seconds,
+            "works": [
+                {
+                    **asdict(work),
+                    "systems": {
+                        system: {"runs": [asdict(one) for one in runs], **self._spreads(results, work, system)}
+                        for system, runs in by_system.items()
+                    },
+                }
+                for work, by_system in results.runs.items()
+            ],
+            "tables": {title: {"columns": table.columns, "rows": table.rows} for title, table in self.tables},
+            "lacks": {name: dict(why) for name, why in self.lacks.items()},
+            "absent": results.absent,
+            "failures": results.failures,
+        }
+
+    @staticmethod
+    def _spreads(results: Results, work: Work, system: str) -> dict[str, object]:
+        return {figure: asdict(results.spread(work, system, figure)) for figure in FIGURES}
+
+    def _draw(self, results: Results, folder: Path) -> None:
+        for chart, (title, unit) in CHARTS.items():
+            works = [work for work in results.runs if CHARTED.get(work.kind) == chart]
+            if works:
+                bars = {
+                    work.title: {system: results.headline(work, system) for system in results.runs[work]}
+                    for work in works
+                }
+                draw_bars(folder / f"{self.name}-{chart}.png", title, unit, bars)
+        frames = [work for work in results.runs if work.kind == "frames"]
+        for item_bytes in dict.fromkeys(work.item_bytes for work in frames):
+            self._draw_readers(results, [work for work in frames if work.item_bytes == item_bytes], folder)
+
+    def _draw_readers(self, results: Results, works: Sequence[Work], folder: Path) -> None:
+        systems = dict.fromkeys(system for work in works for system in results.runs[work])
+        lines = {
+            system: [
+                (float(work.readers), _in_ms(results.spread(work, system, "p99_us")))
+                for work in works
+                if system in results.runs[work]
+            ]
+            for system in systems
+        }
+        label = size(works[0].item_bytes)
+        axes = Axes(
+            title=f"{label} at {FRAMES_PER_SECOND} frames a second: p99 of the worst reader",
+            x="readers",
+            y="milliseconds from put to reader",
+            log_y=True,
+        )
+        draw_lines(folder / f"{self.name}-frames-{label.replace(' ', '').lower()}.png", axes, lines)
+
+
+def _in_ms(value: Spread) -> Spread:
+    return Spread(value.median / 1000, value.least / 1000, value.most / 1000)

@@ -1,0 +1,89 @@
+"""What each process of a run does: operate, publish or read."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+import traceback
+from array import array
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import NamedTuple
+
+from stampede_rt_bench.works.catalogue import Work
+from stampede_rt_bench.works.interface import Client, Room, Served, System
+from stampede_rt_bench.works.payloads import at_full_speed, at_rate
+from stampede_rt_bench.works.receiving import Answers, Counting, Operations, Timing
+from stampede_rt_bench.works.run_counters import RunCounters
+
+
+class Assignment(NamedTuple):
+    """What every process of a run is told."""
+
+    system: System
+    served: Served
+    room: Room
+    work: Work
+    progress: RunCounters
+    deadline_s: float
+
+
+class WorkerOutcome(NamedTuple):
+    """What a process tells at its end: its measured times in nanoseconds, or why it failed."""
+
+    nanos: array[int]
+    failure: str = ""
+
+
+Role = Callable[[Assignment, int, Client], "array[int]"]
+
+
+def play(role: Role, assignment: Assignment, number: int, results: Connection) -> None:
+    """The whole life of a process: connect, work, tell the outcome."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C the first process ends this one
+    os.environ.update(assignment.served.environment)
+    try:
+        client = assignment.system.connect(assignment.served, assignment.room)
+        outcome = WorkerOutcome(role(assignment, number, client))
+        results.send(outcome)
+        client.close()
+    except BaseException:  # noqa: BLE001 - the first process shows it
+        results.send(WorkerOutcome(array("Q"), traceback.format_exc()))
+
+
+def operate(assignment: Assignment, number: int, client: Client) -> array[int]:
+    """Do one operation again and again. First put what the operation reads."""
+    _, _, room, work, progress, deadline_s = assignment
+    answers = Answers(progress, number, room.item_bytes, deadline_s)
+    operations = Operations(progress, answers, 0 if work.kind == "put" else work.items)
+    payload = bytes(room.item_bytes)
+    if work.kind != "put":
+        client.publish(iter([[payload] * work.items]))
+    progress.set_ready(number)
+    if work.kind == "put":
+        client.put(operations.turns(payload))
+    elif work.kind == "newest":
+        client.newest(operations.turns(1), answers)
+    else:
+        client.interval(operations.turns(work.items), answers)
+    return operations.durations_nanos
+
+
+def publish(assignment: Assignment, number: int, client: Client) -> array[int]:
+    """Send items once all readers are ready, until the run ends."""
+    _, _, room, work, progress, deadline_s = assignment
+    while not progress.all_ready() and not progress.has_ended(deadline_s):
+        time.sleep(0.01)
+    rate = at_rate(progress, room.item_bytes, work.rate, deadline_s)
+    client.publish(rate if work.rate else at_full_speed(progress, room, deadline_s))
+    return array("Q")
+
+
+def read(assignment: Assignment, number: int, client: Client) -> array[int]:
+    """Take items until the run ends."""
+    _, _, room, work, progress, deadline_s = assignment
+    kind = Timing if work.rate else Counting
+    receiver = kind(progress, number, room.item_bytes, deadline_s)
+    client.subscribe(receiver)
+    return receiver.latencies_nanos if isinstance(receiver, Timing) else array("Q")

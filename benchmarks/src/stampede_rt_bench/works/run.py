@@ -1,0 +1,169 @@
+"""One run: a fresh server, the processes of the work, a time in steady state that is measured."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
+from multiprocessing.process import BaseProcess
+
+from stampede_rt_bench.works.catalogue import Work
+from stampede_rt_bench.works.interface import System
+from stampede_rt_bench.works.payloads import room_for
+from stampede_rt_bench.works.processes import cpu_seconds
+from stampede_rt_bench.works.roles import Assignment, Role, WorkerOutcome, operate, play, publish, read
+from stampede_rt_bench.works.run_counters import RunCounters
+
+START_SECONDS, DRAIN_SECONDS, END_SECONDS = 60.0, 1.0, 30.0
+WARM_SHARE, WARM_SECONDS_MIN = 0.2, 0.3
+LATE_NANOS = 1_000_000_000
+NANOS_PER_US, US_PER_SECOND = 1000, 1_000_000
+PRELOADED = ["stampede_rt", "grpc", "grpc.aio", "stampede_rt_bench.works.roles"]
+
+
+class RunFailed(Exception):
+    """A process of a run failed, or did not come to its end; the text says which."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """What one run showed. Times are of an operation, or from put to reader; the last three are 0 at full speed."""
+
+    seconds: float
+    items_per_second: float
+    cpu_us_per_item: float
+    lost_share: float = 0
+    p50_us: float = 0
+    p99_us: float = 0
+    p999_us: float = 0
+
+
+def share(ordered: array[int] | list[int], part: float) -> float:
+    """The value below which that part of the ordered ones is, in microseconds; 0 of none."""
+    return ordered[min(len(ordered) - 1, int(part * len(ordered)))] / NANOS_PER_US if len(ordered) else 0.0
+
+
+def measure(system: System, work: Work, seconds: float) -> Measured:
+    """Run the work on the system. Raises RunFailed, ServerFailed."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload(PRELOADED)
+    room = room_for(work.item_bytes, items_min=2 * work.items)
+    progress = RunCounters(context, work.readers)
+    with ExitStack() as stack:
+        served = stack.enter_context(system.served(room))
+        deadline_s = time.monotonic() + START_SECONDS + 2 * seconds + END_SECONDS
+        assignment = Assignment(system, served, room, work, progress, deadline_s)
+        team = stack.enter_context(_Team(context, assignment))
+        return _measure(team, assignment, seconds)
+
+
+def _measure(team: _Team, assignment: Assignment, seconds: float) -> Measured:
+    work, progress = assignment.work, assignment.progress
+    team.wait(progress.all_ready, START_SECONDS, "the readers are not ready")
+    team.wait(lambda: progress.received_by_each() > 0, START_SECONDS, "nothing arrives")
+    time.sleep(max(WARM_SECONDS_MIN, WARM_SHARE * seconds))
+    pids = [*assignment.served.pids, *team.pids]
+    progress.measure(True)
+    begun = time.monotonic(), cpu_seconds(pids), progress.received_by_all()
+    time.sleep(seconds)
+    ended = time.monotonic(), cpu_seconds(pids), progress.received_by_all()
+    progress.measure(False)
+    lasted, cpu, received = (after - before for before, after in zip(begun, ended, strict=True))
+    if not received:
+        raise RunFailed(f"{assignment.system.name}, {work.name}: nothing arrived in {seconds:g} s")
+    outcomes = team.finish()
+    items = received * work.items
+    times = Measured(seconds=lasted, items_per_second=items / lasted, cpu_us_per_item=cpu / items * US_PER_SECOND)
+    return _with_times(times, work, [outcome.nanos for outcome in outcomes if outcome.nanos], progress)
+
+
+def _with_times(measured: Measured, work: Work, by_process: list[array[int]], progress: RunCounters) -> Measured:
+    """Add the times, and how much was lost. A frame that comes after a second counts as lost."""
+    together = sorted(nanos for one in by_process for nanos in one)
+    worst = max((share(sorted(one), 0.99) for one in by_process), default=0.0)
+    expected = progress.published() * work.readers
+    late = sum(nanos > LATE_NANOS for nanos in together) if work.kind == "frames" else 0
+    lost = 0.0 if work.is_operation else max(0.0, 1 - (progress.received_by_all() - late) / expected)
+    return replace(
+        measured,
+        lost_share=lost,
+        p50_us=share(together, 0.5),
+        p99_us=worst if work.kind == "frames" else share(together, 0.99),
+        p999_us=share(together, 0.999),
+    )
+
+
+class _Team:
+    """The processes of a run. At the end of the context none is left."""
+
+    def __init__(self, context: ForkServerContext, assignment: Assignment) -> None:
+        self._assignment = assignment
+        roles: list[tuple[Role, int]] = [(operate, 0)] if assignment.work.is_operation else [(publish, 0)]
+        if not assignment.work.is_operation:
+            roles += [(read, number) for number in range(assignment.work.readers)]
+        self._members = [self._start(context, role, number) for role, number in roles]
+
+    def _start(self, context: ForkServerContext, role: Role, number: int) -> tuple[BaseProcess, Connection]:
+        results, told = context.Pipe(duplex=False)
+        process = context.Process(target=play, args=(role, self._assignment, number, told), daemon=True)
+        process.start()
+        told.close()
+        return process, results
+
+    @property
+    def pids(self) -> list[int]:
+        """Of all of them."""
+        return [process.pid for process, _ in self._members if process.pid is not None]
+
+    def wait(self, condition: Callable[[], bool], seconds: float, otherwise: str) -> None:
+        """Wait until the condition holds. Raises RunFailed after that time, and if a process has ended."""
+        until_s = time.monotonic() + seconds
+        while not condition():
+            for _, results in self._members:
+                if results.poll():
+                    self._accept(results)
+            if time.monotonic() > until_s:
+                raise RunFailed(f"{self._title}: {otherwise} after {seconds:g} s")
+            time.sleep(0.01)
+
+    def finish(self) -> list[WorkerOutcome]:
+        """End the work: first the publisher, then, once all is read or after a second, the readers."""
+        progress, work = self._assignment.progress, self._assignment.work
+        progress.stop_publishing()
+        publisher = [] if work.is_operation else [self._accept(self._members[0][1])]
+        until_s = time.monotonic() + DRAIN_SECONDS
+        while progress.received_by_all() < progress.published() * work.readers and time.monotonic() < until_s:
+            time.sleep(0.01)
+        progress.end()
+        return publisher + [self._accept(results) for _, results in self._members[len(publisher) :]]
+
+    def _accept(self, results: Connection) -> WorkerOutcome:
+        if not results.poll(END_SECONDS):
+            raise RunFailed(f"{self._title}: a process does not come to its end")
+        try:
+            outcome: WorkerOutcome = results.recv()
+        except EOFError:
+            raise RunFailed(f"{self._title}: a process died") from None
+        if outcome.failure:
+            raise RunFailed(f"{self._title}: {outcome.failure}")
+        return outcome
+
+    @property
+    def _title(self) -> str:
+        return f"{self._assignment.system.name}, {self._assignment.work.name}"
+
+    def __enter__(self) -> _Team:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._assignment.progress.end()
+        for process, _ in self._members:
+            process.join(1.0)
+            if process.is_alive():
+                process.kill()
+                process.join()

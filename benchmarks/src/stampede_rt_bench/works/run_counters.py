@@ -1,0 +1,73 @@
+"""Counters that the processes of one run share, beside the system that is measured."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from multiprocessing.context import ForkServerContext
+from typing import Any
+
+_ENDED, _STOPPED, _MEASURED, _PUBLISHED, _READERS = range(5)
+
+
+class RunCounters:
+    """Whether the run is measured and has ended, how many items the publisher sent, and how many each reader has.
+
+    Words are 8 bytes, aligned, and each has one writer. The words of readers that are ready follow their counts.
+    """
+
+    def __init__(self, context: ForkServerContext, readers: int) -> None:
+        self._words: Any = context.RawArray(ctypes.c_uint64, _READERS + 2 * readers)
+        self._readers = readers
+
+    def measure(self, on: bool) -> None:
+        """Begin or end the time whose operations and items count."""
+        self._words[_MEASURED] = on
+
+    def measured(self) -> bool:
+        """Whether what happens now counts."""
+        return bool(self._words[_MEASURED])
+
+    def stop_publishing(self) -> None:
+        """Tell the publisher, or the only process, to stop."""
+        self._words[_STOPPED] = 1
+
+    def end(self) -> None:
+        """Tell all processes of the run to stop."""
+        self._words[_STOPPED] = self._words[_ENDED] = 1
+
+    def has_stopped(self, deadline_s: float) -> bool:
+        """Whether `stop_publishing` or `end` was called, or the monotonic clock has passed the deadline."""
+        return bool(self._words[_STOPPED]) or time.monotonic() > deadline_s
+
+    def has_ended(self, deadline_s: float) -> bool:
+        """Whether `end` was called, or the monotonic clock has passed the deadline."""
+        return bool(self._words[_ENDED]) or time.monotonic() > deadline_s
+
+    def set_published(self, items: int) -> None:
+        """For the publisher."""
+        self._words[_PUBLISHED] = items
+
+    def published(self) -> int:
+        """Items that the publisher gave to its client."""
+        return int(self._words[_PUBLISHED])
+
+    def set_received(self, reader: int, items: int) -> None:
+        """For that reader."""
+        self._words[_READERS + reader] = items
+
+    def received_by_all(self) -> int:
+        """Items, or operations, of all readers."""
+        return sum(self._words[_READERS : _READERS + self._readers])
+
+    def received_by_each(self) -> int:
+        """What the slowest reader has."""
+        return int(min(self._words[_READERS : _READERS + self._readers]))
+
+    def set_ready(self, reader: int) -> None:
+        """For that reader."""
+        self._words[_READERS + self._readers + reader] = 1
+
+    def all_ready(self) -> bool:
+        """Whether all readers are."""
+        return all(self._words[_READERS + self._readers :])

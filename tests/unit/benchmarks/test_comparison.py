@@ -1,0 +1,47 @@
+"""`stampede bench limits` on a small scale: real servers and processes, no time is judged."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_bench.app import main
+from stampede_rt_bench.limits.sockets import RawSockets
+from stampede_rt_bench.works.catalogue import works
+from stampede_rt_bench.works.run import measure
+
+QUICK = ["--seconds", "0.1", "--rounds", "1"]
+
+
+def test_limits_are_measured_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["limits", "--work", "put", *QUICK, "--out", str(tmp_path)]) == 0
+    assert "bare Unix socket" in capsys.readouterr().out
+    report = json.loads((tmp_path / "limits.json").read_text())
+    (work,) = report["works"]
+    assert set(work["systems"]) == {"bare gRPC", "bare Unix socket", "bare TCP socket"}
+    assert all(system["items_per_second"]["median"] > 0 for system in work["systems"].values())
+    assert report["failures"] == []
+    assert (tmp_path / "limits-operations.png").exists()
+
+
+@pytest.mark.parametrize("name", ["newest", "interval", "stream-18kb", "latency-300"])
+def test_a_run_moves_items_and_loses_none(name: str) -> None:
+    (work,) = [work for work in works() if work.name == name]
+    measured = measure(RawSockets("unix"), work, 0.1)
+    assert measured.items_per_second > 0
+    assert measured.lost_share == 0
+    assert (measured.p50_us > 0) is (work.kind != "stream")
+
+
+def test_an_unknown_work_is_refused_with_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["limits", "--work", "shouting"])
+    assert "stream-18kb" in capsys.readouterr().err
+
+
+def test_a_time_out_of_range_is_refused_with_the_range(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["limits", "--seconds", "0"])
+    assert "from 0.1 to 600" in capsys.readouterr().err
