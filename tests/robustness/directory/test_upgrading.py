@@ -11,6 +11,7 @@ from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReleaseOutdated
 from tests.robustness.directory import upgrading
+from tests.robustness.directory.releases import CheckedReplica, UpgradedMember, UpgradeWorld
 from tests.robustness.replication.weather import Weather
 
 SEEDS_IN_SUITE, BLOCKS = 24, 2
@@ -45,20 +46,20 @@ def test_a_seed_gives_the_same_upgrade_every_time() -> None:
 
 
 def test_an_older_newcomer_is_refused_while_the_level_is_about_to_rise_and_comes_in_with_the_newer_release() -> None:
-    world = upgrading.UpgradeWorld(1, size=3, weather=Weather())
+    world = UpgradeWorld(1, size=3, weather=Weather())
     members = list(world.members.values())
     for member in members:
         member.start()
     world.run_until(5.0)
     world.level_tick_seconds = 1000.0
     for member in members:
-        member.run_release(upgrading.CheckedReplica)
+        member.run_release(CheckedReplica)
         world.run_until(world.now + 5.0)
     assert {member.machine.feature_level for member in members} == {HIGHEST_LEVEL}, "the level has not risen yet"
     [leader] = [one for one in members if one.replica is not None and one.replica.status().is_leader]
     newcomer = world.volunteer([one.member for one in members])
-    assert isinstance(newcomer, upgrading.UpgradedMember)
-    for release, answer in ((DirectoryReplica, ReleaseOutdated), (upgrading.CheckedReplica, int)):
+    assert isinstance(newcomer, UpgradedMember)
+    for release, answer in ((DirectoryReplica, ReleaseOutdated), (CheckedReplica, int)):
         newcomer.run_release(release)
         outcomes = world.change(leader, newcomer.member, is_removal=False)
         assert world.run_until(world.now + 20.0, lambda outcomes=outcomes: bool(outcomes))  # type: ignore[misc]

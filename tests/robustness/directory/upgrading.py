@@ -1,10 +1,11 @@
 """Rolling upgrades in seeded bad weather: `python -m tests.robustness.directory.upgrading --seeds 100`.
 
 Three or five supernodes of today's release are replaced by those of a newer one (tests/support/newer_release.py), one
-by one and sometimes back again, while they are killed, split and hang, and newcomers of both releases join. All the
-time somebody proposes the newer release's command straight to the log, which no supernode would do: the log must keep
-it out until all know it. No two states may come to differ, no command above the level may be in the log, and no member
-may be left behind by a level that it never told to know. In the end all run the newer release, and the command works.
+by one and sometimes back again, while they are killed, split and hang, and newcomers of both releases join. A machine
+may be off while the others are upgraded, and comes back with the release that it had. All the time somebody proposes
+the newer release's command straight to the log, which no supernode would do: the log must keep it out until all know
+it. No two states may come to differ, no command above the level may be in the log, and no member may be left behind by
+a level that it never told to know. In the end all run the newer release, and the command works.
 """
 
 from __future__ import annotations
@@ -24,114 +25,18 @@ from stampede_rt_supernode.core.commands import Command, Operation
 from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.interface import Member, ReleaseTooOld
-from stampede_rt_supernode.replication.network.refusals import Refusals
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
-from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS, LevelKeeper
-from tests.robustness.directory.world import DirectoryMember, DirectoryWorld, Submission, _Log
+from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS
+from tests.robustness.directory.releases import CheckedReplica, UpgradedMember, UpgradeWorld
 from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.simulate import settled_members, weather_of
 from tests.robustness.replication.weather import Weather
-from tests.robustness.replication.world import World
-from tests.support.newer_release import NEW_LEVEL, NewerReplica, encode_cap
+from tests.support.newer_release import NEW_LEVEL, encode_cap
 
 STORM_SECONDS, HEAL_SECONDS = 16.0, 20.0
 NEWCOMERS_MAX = 3
 HOST_ID = (1).to_bytes(16, "big")
-
-
-class CheckedReplica(NewerReplica):
-    """The newer release's directory, which says when the log holds what it should have kept out."""
-
-    def apply(self, index: int, command: bytes) -> bytes:
-        """As in production."""
-        if not self.takes(command):
-            raise PromiseBroken(f"entry {index} needs a higher feature level than {self.feature_level}")
-        return super().apply(index, command)
-
-
-class UpgradedMember(DirectoryMember):
-    """One supernode, of today's release at first."""
-
-    world: UpgradeWorld
-    software: type[DirectoryReplica] = DirectoryReplica
-    # Whether it ever ran the newer release, and may have told so.
-    was_newer = False
-
-    @property
-    def machine(self) -> Any:
-        return self._directory
-
-    @machine.setter
-    def machine(self, _: object) -> None:
-        self._directory = self.software()
-
-    def start(self) -> None:
-        """As in production; a release that is too old for its own folder does not come up."""
-        self.was_newer |= self.software is CheckedReplica
-        self._outdated = Refusals()
-        try:
-            super().start()
-        except ReleaseTooOld:
-            self._left_behind()
-            return
-        levels = LevelKeeper(_Log(self), self._directory, Submission(self))  # type: ignore[arg-type]
-
-        async def keep() -> None:
-            while True:
-                await levels.tick()
-                await self.world.sleep(self.world.level_tick_seconds)
-
-        self.run(keep)
-
-    def refuse_release(self, by: str, why: str) -> None:
-        """Another member has told it that it is too old: it ends once that is confirmed."""
-        assert self.replica is not None
-        others = {one.member_id for one in self.replica.roster.members} - {self.member.member_id}
-        if self._outdated.refused(by, why, others=others, leader_id=self.replica.status().leader_id):
-            self._left_behind()
-            self.crash()
-
-    def run_release(self, release: type[DirectoryReplica]) -> None:
-        """Somebody starts it with another release."""
-        if self.replica is not None:
-            self.crash()
-        self.software = release
-        self.world.restart(self)
-
-    def _step(self, replica: Any, at: float) -> None:
-        try:
-            super()._step(replica, at)
-        except ReleaseTooOld:
-            self._left_behind()
-            self.crash()
-
-    def _left_behind(self) -> None:
-        if not self.was_newer and self._is_in():
-            raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever told to know")
-
-    def _is_in(self) -> bool:
-        """Whether it is a member by what another one has applied, and not somebody who would like to be."""
-        name, replicas = self.member.member_id, [one.replica for one in self.world.alive() if one is not self]
-        return any(one._log.configurations.at(one._node.last_applied).find(name) is not None for one in replicas if one)
-
-
-class UpgradeWorld(DirectoryWorld):
-    """A DirectoryWorld whose members change their release."""
-
-    members: dict[str, UpgradedMember]  # type: ignore[assignment]
-    # A leader that is slow to raise the level leaves time for newcomers to come in between.
-    level_tick_seconds = TICK_SECONDS
-
-    def __init__(self, seed: int, *, size: int, weather: Weather) -> None:
-        super().__init__(seed, size=size, weather=weather)
-        self.members = {
-            name: UpgradedMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
-        }
-
-    def _newcomer(self, member: Member, seeds: Sequence[Member]) -> UpgradedMember:
-        return UpgradedMember(self, member, seeds, joining=True)
 
 
 class Upgrade:
@@ -153,8 +58,9 @@ class Upgrade:
             (weather.partitions, self._split),
             (weather.freezes, self._freeze),
             (weather.link_breaks, lambda: world.break_wire(world.random_source.choice(list(world.wires)))),
-            (0.7, self._upgrade),
+            (world.random_source.choice([0.3, 0.7]), self._upgrade),
             (0.15, self._go_back),
+            (world.random_source.choice([0.0, 0.1, 0.5]), self._switch_off),
             (0.1, self._volunteer),
             (5.0, self._join),
             (2.0, self._register),
@@ -189,16 +95,28 @@ class Upgrade:
         self.world.block(pairs)
         self.world.after(self.world.random_source.uniform(0.3, 4.0), lambda: self.world.unblock(pairs))
 
+    def _switch_off(self) -> None:
+        """One machine is off for longer than it takes to upgrade most of the others."""
+        members = list(self.world.members.values())
+        if not any(one.is_off for one in members):
+            member = self.world.random_source.choice(members)
+            member.off_until = self.world.now + self.world.random_source.uniform(4.0, 10.0)
+            if member.replica is not None:
+                member.crash()
+
     def _upgrade(self) -> None:
-        if self._waiting:
-            self._waiting.pop().run_release(CheckedReplica)
+        """The next one whose machine is on."""
+        ready = [one for one in self._waiting if not one.is_off]
+        if ready:
+            self._waiting.remove(ready[-1])
+            ready[-1].run_release(CheckedReplica)
         if not self._waiting:
             self._volunteer()  # just before the level rises
 
     def _go_back(self) -> None:
         """One is started with the older release again: that may be, until the level has risen; then it ends."""
         member = self.world.random_source.choice(list(self.world.members.values()))
-        if member not in self._waiting:
+        if member not in self._waiting and not member.is_off:
             member.run_release(DirectoryReplica)
             self._waiting.append(member)
 
@@ -269,9 +187,9 @@ class Upgrade:
             self.capped += isinstance(result, ChannelUpdated)
 
 
-def _revive(world: World) -> None:
+def _revive(world: UpgradeWorld) -> None:
     for member in world.members.values():
-        if member.replica is None and world.random_source.random() < 0.3:
+        if member.replica is None and not member.is_off and world.random_source.random() < 0.3:
             world.restart(member)
     world.after(0.4, lambda: _revive(world))
 
@@ -302,7 +220,7 @@ def _calm(storm: Upgrade) -> None:
     world.weather = Weather()
     world.unblock(list(world.wires))
     for member in world.members.values():
-        member.frozen_until = 0.0
+        member.frozen_until = member.off_until = 0.0
         if member.software is not CheckedReplica:
             member.run_release(CheckedReplica)
     members = cast(Sequence[UpgradedMember], settled_members(world, world.now + HEAL_SECONDS))

@@ -184,10 +184,14 @@ class SimMember:
         if random_source.random() < weather.disk_hangs:
             seconds += random_source.uniform(0.2, 4.0)
         if random_source.random() < weather.disk_crash:
-            lost = began + seconds * random_source.uniform(0.0, 1.1)
-            self.world.at(lost, lambda: self.crash() if self.replica and self._starts == start else None)
+            self.world.at(began + seconds * random_source.uniform(0.0, 1.1), lambda: self._lose_power(start))
         self._waited += seconds
         return began, self.now
+
+    def _lose_power(self, start: int) -> None:
+        """Unless it has ended since `start`, or all has been healed meanwhile."""
+        if self.replica and self._starts == start and self.world.weather.disk_crash:
+            self.crash()
 
     def _plan(self, delay: float) -> None:
         at = max(self.world.now + delay, self.frozen_until, self._busy_until)

@@ -1,0 +1,131 @@
+"""Simulated supernodes of today's release and of a newer one, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from stampede_rt_supernode.replica import DirectoryReplica
+from stampede_rt_supernode.replication.interface import Member, ReleaseTooOld
+from stampede_rt_supernode.replication.network.refusals import Refusals
+from stampede_rt_supernode.replication.raft_replica import RaftReplica
+from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS, LevelKeeper
+from tests.robustness.directory.world import DirectoryMember, DirectoryWorld, Submission, _Log
+from tests.robustness.replication.machine import PromiseBroken
+from tests.robustness.replication.weather import Weather
+from tests.support.newer_release import NEW_LEVEL, NewerReplica
+
+
+class CheckedReplica(NewerReplica):
+    """The newer release's directory, which says when the log holds what it should have kept out."""
+
+    def apply(self, index: int, command: bytes) -> bytes:
+        """As in production."""
+        if not self.takes(command):
+            raise PromiseBroken(f"entry {index} needs a higher feature level than {self.feature_level}")
+        return super().apply(index, command)
+
+
+class UpgradedMember(DirectoryMember):
+    """One supernode, of today's release at first."""
+
+    world: UpgradeWorld
+    software: type[DirectoryReplica] = DirectoryReplica
+    # Whether it ever ran the newer release, and may have told so.
+    was_newer = False
+    # Until when its machine is off, and nobody can start or upgrade it.
+    off_until = 0.0
+
+    @property
+    def is_off(self) -> bool:
+        return self.world.now < self.off_until
+
+    @property
+    def machine(self) -> Any:
+        return self._directory
+
+    @machine.setter
+    def machine(self, _: object) -> None:
+        self._directory = self.software()
+
+    def start(self) -> None:
+        """As in production; a release that is too old for its own folder does not come up."""
+        self.was_newer |= self.software is CheckedReplica
+        self._outdated = Refusals()
+        try:
+            super().start()
+        except ReleaseTooOld:
+            self._left_behind()
+            return
+        levels = LevelKeeper(_Log(self), self._directory, Submission(self))  # type: ignore[arg-type]
+
+        async def keep() -> None:
+            while True:
+                await levels.tick()
+                await self.world.sleep(self.world.level_tick_seconds)
+
+        self.run(keep)
+
+    def refuse_release(self, by: str, why: str) -> None:
+        """Another member has told it that it is too old: it ends once that is confirmed."""
+        assert self.replica is not None
+        others = {one.member_id for one in self.replica.roster.members} - {self.member.member_id}
+        if self._outdated.refused(by, why, others=others, leader_id=self.replica.status().leader_id):
+            self._left_behind()
+            self.crash()
+
+    def run_release(self, release: type[DirectoryReplica]) -> None:
+        """Somebody starts it with another release."""
+        if self.replica is not None:
+            self.crash()
+        self.software = release
+        self.world.restart(self)
+
+    def _step(self, replica: Any, at: float) -> None:
+        try:
+            super()._step(replica, at)
+        except ReleaseTooOld:
+            self._left_behind()
+            self.crash()
+        if self.replica is not None and self._directory.feature_level == NEW_LEVEL and not self.world.has_risen:
+            self.world.has_risen = True
+            self._judge_rise(self.replica)
+
+    def _judge_rise(self, replica: RaftReplica) -> None:
+        """The first who applies the new level sees whom it is meant for."""
+        members = [self.world.members[one.member_id] for one in _applied_members(replica)]
+        if unknown := [one.member.member_id for one in members if not one.was_newer]:
+            raise PromiseBroken(f"the level has risen above what {unknown[0]} has ever told to know")
+
+    def _left_behind(self) -> None:
+        if not self.was_newer and self._is_in():
+            raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever told to know")
+
+    def _is_in(self) -> bool:
+        """Whether it is a member by what another one has applied, and not somebody who would like to be."""
+        replicas = [one.replica for one in self.world.alive() if one is not self]
+        return any(self.member in _applied_members(one) for one in replicas if one)
+
+
+def _applied_members(replica: RaftReplica) -> Sequence[Member]:
+    """Who the members are at the last position that this replica has applied."""
+    return replica._log.configurations.at(replica._node.last_applied).members
+
+
+class UpgradeWorld(DirectoryWorld):
+    """A DirectoryWorld whose members change their release."""
+
+    members: dict[str, UpgradedMember]  # type: ignore[assignment]
+    # A leader that is slow to raise the level leaves time for newcomers to come in between.
+    level_tick_seconds = TICK_SECONDS
+    # Whether a member has applied the newer release's level.
+    has_risen = False
+
+    def __init__(self, seed: int, *, size: int, weather: Weather) -> None:
+        super().__init__(seed, size=size, weather=weather)
+        self.members = {
+            name: UpgradedMember(self, one.member, one.settings.initial_members) for name, one in self.members.items()
+        }
+
+    def _newcomer(self, member: Member, seeds: Sequence[Member]) -> UpgradedMember:
+        return UpgradedMember(self, member, seeds, joining=True)
