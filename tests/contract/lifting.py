@@ -8,7 +8,10 @@ from typing import Any
 
 import stampede_rt as st
 
-_LIFTED = (st.Channel, st.Group, st.Queue, st.Mailbox, st.Message, st.Connection)
+_LIFTED = (
+    st.Channel, st.Group, st.Queue, st.Mailbox, st.Message, st.Connection, st.Subscription, st.CutSubscription,
+    st.MatchSubscription, st.Watch, st.PeerWatch,
+)  # fmt: skip
 
 
 def lifted(value: Any, pool: ThreadPoolExecutor | None) -> Any:
@@ -33,8 +36,7 @@ class Lifted:
             return lifted(value, self._pool)
 
         async def call(*args: Any, **kwargs: Any) -> Any:
-            plain = {key: one._wrapped if isinstance(one, Lifted) else one for key, one in kwargs.items()}
-            return await self._run(value, *args, **plain)
+            return await self._run(value, *map(_plain, args), **{key: _plain(one) for key, one in kwargs.items()})
 
         return call
 
@@ -59,3 +61,10 @@ class Lifted:
         if found is None:
             raise StopAsyncIteration
         return found
+
+
+def _plain(argument: Any) -> Any:
+    """What the client knows: its own objects, not those that await them."""
+    if isinstance(argument, list):
+        return [_plain(one) for one in argument]
+    return argument._wrapped if isinstance(argument, Lifted) else argument

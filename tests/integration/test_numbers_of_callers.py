@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import grpc
@@ -28,8 +27,8 @@ OWN_NUMBER = 4711
 
 
 @pytest.fixture
-def operator(cluster: LocalCluster, tmp_path: Path) -> Iterator[Operator]:
-    with operating(cluster, tmp_path) as made:
+def operator(cluster: LocalCluster) -> Iterator[Operator]:
+    with operating(cluster) as made:
         yield made
 
 

@@ -1,17 +1,25 @@
-"""The contract's essentials over mutual TLS: the same tests as elsewhere, on a cluster with certificates."""
+"""The contract's essentials over mutual TLS: the same tests as elsewhere, on a cluster with certificates and rules."""
 
 # ruff: noqa: F401  # the tests are those of tests/contract, and take this file's fixture
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_runtime.identity import Role
 from tests.contract.surfaces import Surface
+from tests.contract.test_access import (
+    Scene,
+    prepared,
+    test_an_open_stream_ends_when_the_rule_that_allows_it_goes,
+    test_each_verb_is_denied_without_a_rule_and_done_with_it,
+)
 from tests.contract.test_puts import (
     test_a_producer_keeps_order_and_loses_nothing,
     test_a_put_behind_an_advance_is_too_old,
@@ -32,11 +40,36 @@ from tests.contract.test_waiting import (
     test_a_cancelled_get_leaves_nothing_behind,
     test_many_gets_wait_side_by_side,
 )
+from tests.support.operator import Operator, operating
 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[LocalCluster]:
     with LocalCluster(tls=True, hosts=1, supernodes=1, durable=False) as made:
+        yield made
+
+
+@pytest.fixture(scope="module", autouse=True)
+def operator(cluster: LocalCluster) -> Iterator[Operator]:
+    files = cluster.tls_files("ops", Role.OPERATOR)
+    assert files is not None
+    with pytest.MonkeyPatch.context() as patch:
+        for variable, path in (("CA", files.ca), ("CERTIFICATE", files.certificate), ("KEY", files.key)):
+            patch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
+        with operating(cluster) as made:
+            made.add("somebody", "*", "contract/*")  # what the other tests need, and no more
+            yield made
+
+
+@pytest.fixture(params=["aio", "sync"])
+async def scene(request: pytest.FixtureRequest, operator: Operator) -> AsyncIterator[Scene]:
+    """Callers with certificates: clients, and operators, whom rules do not judge."""
+
+    def proves(who: str) -> dict[str, Any]:
+        role = Role.CLIENT if who else Role.OPERATOR
+        return {"tls": operator.cluster.tls_files(who or "ops", role)}
+
+    async with prepared(request.param, operator, proves) as made:
         yield made
 
 

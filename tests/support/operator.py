@@ -2,50 +2,68 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
+from stampede_rt.administration.running_cluster import Cluster, reached
 from stampede_rt.cli.commands import run
+from stampede_rt.v1 import access_service_pb2 as pb
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_runtime.access.messages import rule_message
+from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessVerb
 
 
 class Operator:
-    """Makes rules and tokens as an operator does, and takes its rules back."""
+    """Its rules are in force when `add` and `rm` return."""
 
-    def __init__(self, cluster: LocalCluster, folder: Path) -> None:
-        self.cluster, self._folder = cluster, folder
-        self.tokens: dict[str, str] = {}
+    def __init__(self, cluster: LocalCluster, supernodes: Cluster) -> None:
+        self.cluster, self._supernodes = cluster, supernodes
+        self._tokens: dict[str, str] = {}
         self._rules: list[tuple[str, ...]] = []
 
     def run(self, *words: str) -> int:
+        """The command line."""
         return run([*words, "--url", self.cluster.address])
 
     def token(self, name: str) -> str:
-        if name not in self.tokens:
-            file = self._folder / f"{name}.token"
-            assert self.run("token", "issue", name, "--out", str(file)) == 0
-            self.tokens[name] = file.read_text().strip()
-        return self.tokens[name]
+        if name not in self._tokens:
+            self._tokens[name] = self._supernodes.issue_client_token(name, ["client"], valid_nanos=3600 * 10**9).token
+        return self._tokens[name]
 
     def add(self, *rule: str) -> None:
-        assert self.run("acl", "add", *rule) == 0
+        """As `stampede acl add`: who, verbs, names, and maybe "--kind" with a kind, or "--deny"."""
+        self._change("AddAccessRule", rule)
         self._rules.append(rule)
 
     def rm(self, *rule: str) -> None:
-        assert self.run("acl", "rm", *rule) == 0
+        self._change("RemoveAccessRule", rule)
         self._rules.remove(rule)
 
     def take_back(self) -> None:
         for rule in tuple(self._rules):
             self.rm(*rule)
 
+    def _change(self, rpc: str, rule: tuple[str, ...]) -> None:
+        who, verbs, names, *options = rule
+        made = AccessRule(
+            who=who,
+            verbs=() if verbs == "*" else tuple(sorted(map(AccessVerb, verbs.split(",")))),
+            kind=AccessKind(options[options.index("--kind") + 1]) if "--kind" in options else None,
+            names=names,
+            deny="--deny" in options,
+        )
+        request = getattr(pb, f"{rpc}Request")(request_id=secrets.token_bytes(16), rule=rule_message(made))
+        changed = self._supernodes.ask_access(rpc, request)
+        assert self._supernodes.parts_behind(changed.version, of_rules=True) == {}
+
 
 @contextmanager
-def operating(cluster: LocalCluster, folder: Path) -> Iterator[Operator]:
-    """An operator whose rules are gone afterwards. `folder`: for its tokens."""
-    made = Operator(cluster, folder)
-    try:
-        yield made
-    finally:
-        made.take_back()
+def operating(cluster: LocalCluster) -> Iterator[Operator]:
+    """An operator whose rules are gone afterwards. The cluster's secret is in the environment."""
+    with reached(cluster.address, None) as supernodes:
+        made = Operator(cluster, supernodes)
+        try:
+            yield made
+        finally:
+            made.take_back()

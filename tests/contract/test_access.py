@@ -1,0 +1,301 @@
+"""Rules of access, verb by verb and with both clients: denied without a rule, done with it, ended when it goes.
+
+The core in memory knows no callers, so these tests run over gRPC alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+import itertools
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.contract.queues.rig import Rig
+from tests.support.operator import Operator, operating
+
+numbers = itertools.count()
+Do = Callable[["Scene"], Awaitable[Any]]
+
+
+@pytest.fixture(scope="module")
+def operator(cluster: LocalCluster) -> Iterator[Operator]:
+    with operating(cluster) as made:
+        yield made
+
+
+@dataclass
+class Scene:
+    """A client whom rules judge (`rt`), one whom they do not (`own`), and the place of the things that they use.
+
+    `proves`: what a connection of a caller of that name is given; "": of one whom rules do not judge.
+    """
+
+    operator: Operator
+    rig: Rig
+    proves: Callable[[str], dict[str, Any]]
+    who: str = field(default_factory=lambda: f"contract-{next(numbers)}")
+    own: Any = None
+    rt: Any = None
+    _other: Any = None
+
+    async def connect(self, who: str = "", **named: Any) -> Any:
+        return await self.rig.connect(**await asyncio.to_thread(self.proves, who), **named)
+
+    async def prepare(self) -> None:
+        self.own, self.rt = await self.connect(), await self.connect(self.who)
+        a, b = [await self.own.channel(self.name(thing), consumers=2) for thing in ("a", "b")]
+        await self.own.group(self.name("pair"), [a, b])
+        await self.own.queue(self.name("jobs"))
+        await self.allow("list", "channel", "*")  # which gives no verb but lets a client find them
+
+    def name(self, thing: str) -> str:
+        return f"access/{self.who}/{thing}"
+
+    async def allow(self, verb: str, kind: str, thing: str) -> None:
+        await asyncio.to_thread(self.operator.add, self.who, verb, self.name(thing), "--kind", kind)
+
+    async def forbid(self, verb: str, kind: str, thing: str) -> None:
+        """Take back what was allowed."""
+        await asyncio.to_thread(self.operator.rm, self.who, verb, self.name(thing), "--kind", kind)
+
+    async def channel(self, thing: str = "a") -> Any:
+        return await self.rt.channel(self.name(thing), create=False)
+
+    async def queue(self) -> Any:
+        return await self.rt.queue(self.name("jobs"), create=False)
+
+    async def group(self) -> Any:
+        return await self.rt.group(self.name("pair"))
+
+    async def other_peer(self) -> Any:
+        """A peer of somebody else."""
+        if self._other is None:
+            self._other = await self.connect(name=self.name("other"))
+        return self._other
+
+    async def peer(self) -> Any:
+        """Another connection of the same caller, which bears the peer's name."""
+        peer = await self.connect(self.who, name=self.name("peer"))
+        await peer.mailbox.get(timeout=0)
+        return peer
+
+
+@asynccontextmanager
+async def prepared(client: str, operator: Operator, proves: Callable[[str], dict[str, Any]]) -> AsyncIterator[Scene]:
+    """A scene for the `client` "aio" or "sync"."""
+    with ThreadPoolExecutor(16) as pool:
+        rig = Rig(operator.cluster.address, pool if client == "sync" else None)
+        scene = Scene(operator, rig, proves)
+        await scene.prepare()
+        yield scene
+        for connection in rig.connections:
+            await connection.aclose()
+
+
+@pytest.fixture(params=["aio", "sync"])
+async def scene(request: pytest.FixtureRequest, operator: Operator) -> AsyncIterator[Scene]:
+    async with prepared(request.param, operator, lambda who: {"secret": operator.token(who)} if who else {}) as made:
+        yield made
+
+
+async def consume(scene: Scene) -> None:
+    item = await (await scene.own.channel(scene.name("a"))).put(b"x")
+    assert await (await scene.channel()).consume(item) == 1
+
+
+async def take(scene: Scene) -> None:
+    await (await scene.own.queue(scene.name("jobs"))).put(b"job")
+    message = await (await scene.queue()).get(timeout=10)
+    assert message.payload == b"job"
+    await message.ack()
+
+
+async def send(scene: Scene) -> None:
+    other = await scene.other_peer()
+    await scene.rt.send(scene.name("other"), b"x")
+    assert (await other.mailbox.get(timeout=10)).payload == b"x"
+
+
+async def create_group(scene: Scene) -> None:
+    await scene.rt.group(scene.name("new"), [await scene.channel()])
+
+
+async def add_member(scene: Scene) -> None:
+    await scene.own.channel(scene.name("c"))
+    await (await scene.group()).add(await scene.channel("c"))
+
+
+CASES: dict[tuple[str, str, str], Do] = {
+    ("read", "channel", "a"): lambda scene: then(scene.channel(), "newest"),
+    ("read", "group", "pair"): lambda scene: then(scene.group(), "newest"),
+    ("put", "channel", "a"): lambda scene: then(scene.channel(), "put", b"x"),
+    ("consume", "channel", "a"): consume,
+    ("advance", "channel", "a"): lambda scene: then(scene.channel(), "advance", 1),
+    ("create", "channel", "new"): lambda scene: scene.rt.channel(scene.name("new")),
+    ("create", "queue", "new"): lambda scene: scene.rt.queue(scene.name("new")),
+    ("create", "group", "new"): create_group,
+    ("configure", "channel", "a"): lambda scene: then(scene.channel(), "configure", max_items=9),
+    ("configure", "queue", "jobs"): lambda scene: then(scene.queue(), "configure", lease="9s"),
+    ("configure", "group", "pair"): add_member,
+    ("delete", "channel", "a"): lambda scene: then(scene.channel(), "delete"),
+    ("delete", "queue", "jobs"): lambda scene: then(scene.queue(), "delete"),
+    ("delete", "group", "pair"): lambda scene: then(scene.group(), "delete"),
+    ("take", "queue", "jobs"): take,
+    ("send", "queue", "jobs"): lambda scene: then(scene.queue(), "put", b"job"),
+    ("send", "peer", "other"): send,
+    ("register", "peer", "peer"): lambda scene: scene.peer(),
+}
+
+
+async def then(handle: Awaitable[Any], method: str, *args: Any, **named: Any) -> Any:
+    return await getattr(await handle, method)(*args, **named)
+
+
+@pytest.mark.parametrize("case", CASES, ids=" ".join)
+async def test_each_verb_is_denied_without_a_rule_and_done_with_it(scene: Scene, case: tuple[str, str, str]) -> None:
+    verb, kind, thing = case
+    name = scene.name(thing)
+    if kind != "channel":
+        await scene.allow("list", kind, "*")
+    if kind == "group":
+        await scene.allow("read", "channel", "*")
+    with pytest.raises(st.PermissionDenied) as caught:
+        await CASES[case](scene)
+    assert caught.value.message.removeprefix(
+        f"channel {scene.name('a')!r}: "
+    ) == (  # which a read through a group names
+        f"client {scene.who} may not {verb} {kind} {name}; an operator can allow it "
+        f"(stampede acl add {scene.who} {verb} {name})"
+    )
+    assert caught.value.reason == "PERMISSION_DENIED"
+    assert caught.value.metadata.items() >= {"verb": verb, kind: name}.items()
+    await scene.allow(verb, kind, thing)
+    await CASES[case](scene)
+
+
+# -- open streams --------------------------------------------------------------------------------------------------
+
+
+async def begun(scene: Scene, opening: Any) -> Awaitable[Any]:
+    """The next thing that a stream tells, once the stream is open."""
+    stream = await opening if inspect.isawaitable(opening) else opening
+    await stream.__aenter__()
+    return asyncio.ensure_future(anext(aiter(stream)))
+
+
+async def subscribing(scene: Scene) -> Awaitable[Any]:
+    return await begun(scene, (await scene.channel()).subscribe())
+
+
+async def waiting_get(scene: Scene) -> Awaitable[Any]:
+    channel, own = await scene.channel(), await scene.own.channel(scene.name("a"))
+    waiting = asyncio.ensure_future(channel.newest(timeout=30))
+    async with asyncio.timeout(10):
+        while not (await own.stats()).waiting_gets:
+            pass  # each look is a round trip
+    return waiting
+
+
+async def putting(scene: Scene) -> Awaitable[Any]:
+    channel = await scene.channel()
+    await channel.put(b"x")
+
+    async def on() -> None:
+        while True:
+            await channel.put(b"x")
+
+    return asyncio.ensure_future(on())
+
+
+async def taking(scene: Scene) -> Awaitable[Any]:
+    queue, own = await scene.queue(), await scene.own.queue(scene.name("jobs"))
+    waiting = asyncio.ensure_future(queue.get(timeout=30))
+    async with asyncio.timeout(10):
+        while not (await own.stats()).waiting_gets:
+            pass  # each look is a round trip
+    return waiting
+
+
+async def following_cuts(scene: Scene) -> Awaitable[Any]:
+    return await begun(scene, (await scene.group()).subscribe())
+
+
+async def matching(scene: Scene) -> Awaitable[Any]:
+    return await begun(scene, (await scene.group()).match(await scene.channel(), tolerance="1s"))
+
+
+STREAMS: dict[str, tuple[str, str, str, Callable[[Scene], Awaitable[Awaitable[Any]]]]] = {
+    "subscription": ("read", "channel", "a", subscribing),
+    "waiting get": ("read", "channel", "a", waiting_get),
+    "puts": ("put", "channel", "a", putting),
+    "taker": ("take", "queue", "jobs", taking),
+    "cuts": ("read", "group", "pair", following_cuts),
+    "matches": ("read", "group", "pair", matching),
+}
+
+
+@pytest.mark.parametrize("stream", STREAMS)
+async def test_an_open_stream_ends_when_the_rule_that_allows_it_goes(scene: Scene, stream: str) -> None:
+    verb, kind, thing, begin = STREAMS[stream]
+    await scene.allow(verb, kind, thing)
+    if kind == "group":
+        await scene.allow("read", "channel", "*")
+    waiting = await begin(scene)
+    await scene.forbid(verb, kind, thing)
+    with pytest.raises(st.PermissionDenied, match=f"client {scene.who} may (not {verb}|do nothing with) {kind}"):
+        async with asyncio.timeout(10):
+            await waiting
+
+
+# -- list ----------------------------------------------------------------------------------------------------------
+
+
+async def test_listings_tell_what_one_may_list_and_nothing_else(scene: Scene) -> None:
+    await scene.forbid("list", "channel", "*")
+    await scene.other_peer()
+    everything = {
+        "channel": scene.rt.channels,
+        "queue": scene.rt.queues,
+        "group": scene.rt.groups,
+        "peer": scene.rt.peers,
+    }
+    shown = {"channel": "b", "queue": "jobs", "group": "pair", "peer": "other"}
+    for kind, listed in everything.items():
+        assert await listed(scene.name("*")) == []
+        await scene.allow("list", kind, shown[kind])
+        assert [one.name for one in await listed(scene.name("*"))] == [scene.name(shown[kind])]
+
+
+async def test_a_watch_tells_of_what_one_may_list_by_the_rules_of_each_moment(scene: Scene) -> None:
+    await scene.forbid("list", "channel", "*")
+    await scene.allow("list", "channel", "shown-*")
+    opening = scene.rt.watch(scene.name("*"))
+    watch = await opening if inspect.isawaitable(opening) else opening
+    async with watch, asyncio.timeout(10):
+        for thing in ("hidden-1", "shown-1"):
+            await scene.own.channel(scene.name(thing))
+        assert (await anext(watch)).subject.name == scene.name("shown-1")
+        await scene.allow("list", "channel", "also-*")
+        await scene.forbid("list", "channel", "shown-*")
+        for thing in ("shown-2", "also-1"):
+            await scene.own.channel(scene.name(thing))
+        assert (await anext(watch)).subject.name == scene.name("also-1")
+
+
+async def test_a_watch_of_peers_tells_of_those_one_may_list(scene: Scene) -> None:
+    await scene.allow("list", "peer", "shown")
+    opening = scene.rt.watch_peers(scene.name("*"))
+    watch = await opening if inspect.isawaitable(opening) else opening
+    async with watch, asyncio.timeout(10):
+        for thing in ("hidden", "shown"):
+            peer = await scene.connect(name=scene.name(thing))
+            await peer.mailbox.get(timeout=0)
+        assert (await anext(watch)).peer.name == scene.name("shown")
