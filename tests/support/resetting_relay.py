@@ -37,6 +37,7 @@ class ResettingRelay:
         self._thread = threading.Thread(target=self._run, name="resetting relay", daemon=True)
         self._ready = threading.Event()
         self._stopped = asyncio.Event()
+        self._opened = asyncio.Event()
         self._connections: set[_Connection] = set()
         self.resets = 0
 
@@ -49,8 +50,17 @@ class ResettingRelay:
         self._loop.call_soon_threadsafe(self._stopped.set)
         self._thread.join(10)
 
+    def wait_for_a_stream(self) -> None:
+        """Wait until a caller has a stream open. Raises TimeoutError after 10 s. Do not call it on the relay's thread."""
+        asyncio.run_coroutine_threadsafe(self._one_is_open(), self._loop).result(10)
+
+    async def _one_is_open(self) -> None:
+        while not any(connection.streams for connection in self._connections):
+            self._opened.clear()
+            await self._opened.wait()
+
     def reset(self) -> None:
-        """Reset all streams that callers have opened, and return when that is written. Not for the relay's thread."""
+        """Reset all streams that callers have opened. Returns when that is written. Do not call it on the relay's thread."""
         asyncio.run_coroutine_threadsafe(self._reset(), self._loop).result(10)
 
     async def _reset(self) -> None:
@@ -96,6 +106,7 @@ class ResettingRelay:
                 kind, stream, frame = await _frame(reader)
                 if kind == HEADERS:
                     connection.streams.add(stream)
+                    self._opened.set()
                 elif kind == RST_STREAM:
                     connection.streams.discard(stream)
                 connection.server.write(frame)
