@@ -112,7 +112,7 @@ def test_puts_that_a_full_host_refuses_are_counted_logged_and_told(cluster: Loca
             jobs = rt.queue("big-jobs", host="small")
             channel.put(bytes(900_000))
             with ThreadPoolExecutor(2) as pool:  # each is tried again for some seconds
-                puts = [pool.submit(one.put, bytes(200_000)) for one in (channel, jobs)]
+                puts = [pool.submit(one.put, bytes(200_000), timeout=2) for one in (channel, jobs)]
                 failures = [put.exception() for put in puts]
             assert [type(failure) for failure in failures] == [st.Overloaded, st.Overloaded]
             refused = [one.stats().rejected["overloaded"] for one in (channel, jobs)]

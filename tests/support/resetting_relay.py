@@ -51,7 +51,7 @@ class ResettingRelay:
         self._thread.join(10)
 
     def wait_for_a_stream(self) -> None:
-        """Wait until a caller has a stream open. Raises TimeoutError after 10 s. Do not call it on the relay's thread."""
+        """Wait until a caller has a stream open. Not for the relay's thread. Raises TimeoutError after 10 s."""
         asyncio.run_coroutine_threadsafe(self._one_is_open(), self._loop).result(10)
 
     async def _one_is_open(self) -> None:
@@ -60,7 +60,7 @@ class ResettingRelay:
             await self._opened.wait()
 
     def reset(self) -> None:
-        """Reset all streams that callers have opened. Returns when that is written. Do not call it on the relay's thread."""
+        """Reset all streams that callers have opened, and return when that is written. Not for the relay's thread."""
         asyncio.run_coroutine_threadsafe(self._reset(), self._loop).result(10)
 
     async def _reset(self) -> None:
