@@ -73,7 +73,8 @@ async def opened(rt: Any, made: Any) -> Any:
     """A producer or subscription of either client, with methods that are awaited."""
     if not isinstance(rt, Lifted):
         return made
-    return Lifted(await made, rt._pool)
+    found = await made
+    return found if isinstance(found, Lifted) else Lifted(found, rt._pool)
 
 
 async def test_grpc_tells_of_such_a_reset_as_internal_and_the_client_as_unavailable(world: World) -> None:
