@@ -57,7 +57,7 @@ def test_an_operators_token_makes_tokens(
 
 def test_a_token_that_is_over_or_damaged_is_refused(cluster: LocalCluster, tmp_path: Path) -> None:
     over = issued(cluster, tmp_path, "short", "--ttl", "1ns")
-    with pytest.raises(PermissionDenied, match="the token of short is over"):
+    with pytest.raises(PermissionDenied, match="the token of short has ended"):
         st.connect(cluster.address, secret=over)
     with pytest.raises(PermissionDenied, match="not one of this cluster"):
         st.connect(cluster.address, secret=over[:-9])
@@ -68,5 +68,5 @@ async def test_a_stream_ends_with_its_token(cluster: LocalCluster, tmp_path: Pat
     async with await aio.connect(cluster.address, secret=token) as rt:
         channel = await rt.channel("tokens/brief")
         subscription = channel.subscribe()
-        with pytest.raises(PermissionDenied, match="the token of client brief is over"):
+        with pytest.raises(PermissionDenied, match="the token of client brief has ended"):
             await anext(subscription)

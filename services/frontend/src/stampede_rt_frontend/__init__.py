@@ -1,1 +1,1 @@
-"""Stampede RT: where clients start (paper, section 4)."""
+"""Stampede RT: the front-end, at which clients start (paper, section 4)."""

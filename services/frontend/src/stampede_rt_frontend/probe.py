@@ -24,14 +24,14 @@ logger = logging.getLogger(__name__)
 
 PROBE_DEADLINE_SECONDS = 1.0
 PROBE_PERIOD_SECONDS = 1.0
-_RETRY_SECONDS_MIN = 0.05  # a supernode that is just starting is found soon; the pause doubles up to the period
+_RETRY_SECONDS_MIN = 0.05  # for a supernode that is just starting; the pause doubles up to the period
 
 
 class Prober:
-    """Keeps a Roster fresh, with one task and one connection per supernode. Use as an async context manager.
+    """Keeps a roster up to date, with one task and one connection per supernode. Use it as an async context manager.
 
-    `explain` may know better than gRPC why a supernode cannot be talked to. `access` is told the keys of client
-    tokens, and what was revoked.
+    `explain` may give a better reason than gRPC for a failed connection to a supernode. `access` gets the keys of
+    client tokens, and the revoked serials.
     """
 
     def __init__(
@@ -47,7 +47,8 @@ class Prober:
         self._dial = naming_cluster(dial, lambda: roster.cluster_id)
         self._access = AccessFollower(access or AccessControl())
         self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._strangers: dict[str, str] = {}  # target -> the other cluster that it was last told to belong to
+        # target -> the other cluster to which the supernode belonged at its last answer
+        self._strangers: dict[str, str] = {}
         self._changed = asyncio.Condition()
         self._journal = StatusLog()
 
@@ -63,14 +64,14 @@ class Prober:
         await asyncio.gather(*tasks, return_exceptions=True)
 
     async def wait_healthy(self, timeout: float) -> bool:
-        """Wait `timeout` seconds at most until a supernode can serve; False if none can."""
+        """Wait until a supernode can serve, for `timeout` seconds at most. Returns False if none can."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout), self._changed:
                 await self._changed.wait_for(self._roster.any_healthy)
         return self._roster.any_healthy()
 
     def _match_tasks(self) -> None:
-        """One task for every target of the roster (which is bounded), none for others."""
+        """Run one task for every target of the roster, which is bounded, and none for others."""
         targets = set(self._roster.targets())
         for target in targets - self._tasks.keys():
             task = asyncio.create_task(self._watch(target), name=f"probe {target}")
@@ -95,7 +96,7 @@ class Prober:
     async def _probe(
         self, target: str, channel: grpc.aio.Channel, stub: directory_service_pb2_grpc.DirectoryServiceAsyncStub
     ) -> bool:
-        """Probe once; True if the supernode can serve."""
+        """Probe once. Returns True if the supernode can serve."""
         try:
             answer = await _ping(channel, stub)
             accepted = self._roster.answered(target, answer)
@@ -114,9 +115,9 @@ class Prober:
         return answer.ready and accepted
 
     def _tell(self) -> None:
-        """Log, once each, what has changed since the last probe: who can serve, and whether anybody can.
+        """Log the changes since the last probe, each once: which supernodes can serve, and whether any can.
 
-        What takes a warning back is as loud as the warning was.
+        The end of a warned-about state has the level of the warning.
         """
         for change in self._journal.changes(self._roster, asyncio.get_running_loop().time()):
             is_quiet = change.is_well and not change.is_return

@@ -1,4 +1,4 @@
-"""Which supernode a caller should try first (paper, section 4: clients take the nearest by latency). Pure."""
+"""The order in which a caller should try supernodes (paper, section 4: clients take the nearest by latency). Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _SMOOTHING = 8  # a new measurement counts for one eighth, as in TCP's round-tri
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Supernode:
-    """The known facts of one supernode. `answered`: its last probe came back; `healthy`: it said that it can serve.
+    """The known facts of one supernode. `answered`: its last probe had an answer. `healthy`: it said that it can serve.
 
     `round_trip_nanos` is smoothed; None: never measured.
     """
@@ -25,9 +25,10 @@ class Supernode:
 
 
 def rank(supernodes: Iterable[Supernode], zone: str) -> list[Supernode]:
-    """The best first: healthy, then in the caller's zone (if it has one), then near, then by id.
+    """The supernodes, best first: healthy ones, then those in the caller's zone (if it has one), then near ones, then
+    by id.
 
-    A round trip that was never measured counts as the longest. Equal ones keep their order.
+    A round trip that was never measured counts as the longest.
     """
 
     def order(node: Supernode) -> tuple[bool, bool, bool, int, str]:
@@ -39,7 +40,7 @@ def rank(supernodes: Iterable[Supernode], zone: str) -> list[Supernode]:
 
 
 def smooth(previous_nanos: int | None, sample_nanos: int) -> int:
-    """The smoothed round trip after one more measurement; the first one is taken as it is."""
+    """The smoothed round trip after one more measurement. The first measurement counts whole."""
     if previous_nanos is None:
         return sample_nanos
     return previous_nanos + (sample_nanos - previous_nanos) // _SMOOTHING

@@ -1,6 +1,7 @@
-"""Which supernodes there are: static seeds first, then the directory's own member list. Pure.
+"""The supernodes of a front-end: first the configured seeds, then the directory's own member list. Pure.
 
-Values come in (what a probe said), values go out (whom to probe, what to tell callers). Nothing here is durable.
+Values come in (the answers to probes), values go out (the supernodes to probe, and those to name to callers). Nothing
+here is durable.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ from dataclasses import dataclass, field, replace
 from stampede_rt.cluster.cluster_ids import may_go_over
 from stampede_rt_frontend.ranking import Supernode, smooth
 
-SUPERNODES_MAX = 64  # probed at once; a consensus group has 3 to 7 members
+SUPERNODES_MAX = 64  # probed at the same time; a consensus group has 3 to 7 members
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeAnswer:
-    """The answer of one supernode to a probe. `round_trip_nanos` is None if the connection was only being made."""
+    """The answer of one supernode to a probe.
+
+    `round_trip_nanos` is None if the probe had to make the connection first.
+    """
 
     supernode_id: str
     cluster_id: str
@@ -28,7 +32,9 @@ class ProbeAnswer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MemberList:
-    """The members as one supernode lists them, at a position in the replicated log that orders such lists."""
+    """The members as one supernode lists them, and the position of the list in the replicated log, by which lists are
+    ordered.
+    """
 
     term: int
     applied_index: int
@@ -44,10 +50,10 @@ class SupernodeRoster:
 
     seeds: tuple[str, ...]
     cluster_id: str = ""
-    former_cluster_ids: tuple[str, ...] = ()  # of the clusters whose place this one has taken
+    former_cluster_ids: tuple[str, ...] = ()  # of the clusters that this cluster has replaced
     _nodes: dict[str, Supernode] = field(init=False)
     _failures: dict[str, str] = field(init=False, default_factory=dict)
-    _listed: dict[str, str] = field(init=False, default_factory=dict)  # the members by the last list, target -> id
+    _listed: dict[str, str] = field(init=False, default_factory=dict)  # the members of the last list: target -> id
     _position: tuple[int, int] = field(init=False, default=(0, 0))
 
     def __post_init__(self) -> None:
@@ -60,10 +66,10 @@ class SupernodeRoster:
         return tuple(self._nodes)
 
     def answered(self, target: str, answer: ProbeAnswer) -> bool:
-        """Take in that `target` answered. False: it belongs to another cluster and is left out."""
+        """Take in an answer of `target`. Returns False if the supernode belongs to another cluster and is left out."""
         node = self._nodes.get(target)
         if node is None:
-            return True  # removed from the member list while its answer was on the way
+            return True  # it left the member list while its answer was on the way
         if not self._same_cluster(answer):
             self._fail(
                 node,
@@ -80,12 +86,12 @@ class SupernodeRoster:
         return True
 
     def failed(self, target: str, why: str) -> None:
-        """Take in that `target` did not answer, and why."""
+        """Note that `target` did not answer, and the reason."""
         if target in self._nodes:
             self._fail(self._nodes[target], why)
 
     def listed(self, members: MemberList) -> None:
-        """Take in a member list, unless a later one is known: seeds stay, other targets come and go with the list."""
+        """Take in a member list, unless a later one is known. Seeds stay. Other targets come and go with the list."""
         self._note_zones(members)
         position = (members.term, members.applied_index)
         if position < self._position or not members.members:
@@ -97,15 +103,19 @@ class SupernodeRoster:
         self._nodes = {target: self._merged(target, told.get(target)) for target in wanted}
 
     def _note_zones(self, members: MemberList) -> None:
-        """A supernode tells its own zone alone, and knows it best, even if its list is an old one."""
+        """Take over the zone of each listed supernode that tells one.
+
+        A supernode tells only its own, which is always right.
+        """
         for one in members.members:
             if one.zone and one.target in self._nodes:
                 self._nodes[one.target] = replace(self._nodes[one.target], zone=one.zone)
 
     def known(self) -> list[Supernode]:
-        """The supernodes to tell callers of, each id once: a listed address wins over a seed that leads to the same.
+        """The supernodes to name to callers, each id once. A listed address has precedence over a seed with the same
+        id.
 
-        A seed that is no member any more, or not yet, is not among them.
+        Leaves out seeds that are no members.
         """
         best: dict[str, Supernode] = {}
         members = set(self._listed.values())
@@ -115,7 +125,10 @@ class SupernodeRoster:
         return list(best.values())
 
     def states(self) -> dict[str, str | None]:
-        """For each target why it cannot serve, or None if it can; those that were not heard of yet are left out."""
+        """For each target the reason why it cannot serve, or None if it can.
+
+        Leaves out targets that never answered or failed.
+        """
         states: dict[str, str | None] = {}
         for target, node in self._nodes.items():
             if node.answered or target in self._failures:
@@ -124,15 +137,15 @@ class SupernodeRoster:
         return states
 
     def any_healthy(self) -> bool:
-        """At least one supernode says that it can serve."""
+        """Whether at least one supernode says that it can serve."""
         return any(node.healthy for node in self._nodes.values())
 
     def any_answered(self) -> bool:
-        """At least one supernode answered its last probe."""
+        """Whether at least one supernode answered its last probe."""
         return any(node.answered for node in self._nodes.values())
 
     def failures(self) -> Sequence[str]:
-        """For people: who failed last time, and why."""
+        """The failed targets of the last probes and the reasons, for error texts."""
         return [why if target in why else f"{target}: {why}" for target, why in self._failures.items()]
 
     def _same_cluster(self, answer: ProbeAnswer) -> bool:
@@ -144,8 +157,8 @@ class SupernodeRoster:
         if self.cluster_id and self.any_healthy():
             return False
         if not may_go_over(self.cluster_id, answer.cluster_id, answer.former_cluster_ids):
-            return False  # ours may come back
-        # The first cluster seen, or one that takes the place of ours, which is gone.
+            return False  # our cluster may come back
+        # The first cluster seen, or one that replaces ours, which is gone.
         self.cluster_id, self._position = answer.cluster_id, (0, 0)
         self.former_cluster_ids = answer.former_cluster_ids
         self._listed = {}
@@ -156,7 +169,7 @@ class SupernodeRoster:
         self._nodes[node.target] = replace(node, answered=False, healthy=False, is_leader=False)
 
     def _merged(self, target: str, told: Supernode | None) -> Supernode:
-        """The results of probes of `target` stay, and its zone if the list has none; the rest comes from the list."""
+        """`target` with the data of the list. Keeps the results of probes, and the zone if the list has none."""
         node = self._nodes.get(target) or Supernode(supernode_id="", target=target)
         if told is None:
             return replace(node, is_leader=False)

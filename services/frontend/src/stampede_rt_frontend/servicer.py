@@ -1,4 +1,4 @@
-"""FrontendService on the wire: checks, asks the roster, encodes."""
+"""FrontendService on the wire: checks requests, asks the roster, encodes responses."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from stampede_rt_runtime.routes import is_of_another_machine
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 
-WAIT_SECONDS_MAX = 2.0  # a caller that comes while the cluster starts waits so long rather than being sent away
+WAIT_SECONDS_MAX = 2.0  # how long a caller waits while the cluster starts, before it is refused
 
 
 class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
-    """Tells callers which supernodes there are."""
+    """Tells callers the addresses of the supernodes."""
 
     def __init__(
         self,
@@ -75,7 +75,9 @@ def _check_version(request: frontend_service_pb2.BindRequest) -> None:
 
 
 def _check_callable(response: frontend_service_pb2.BindResponse, peer: str) -> None:
-    """Raises Unavailable if the caller is on another machine, and every supernode can be called from its own alone."""
+    """Raises Unavailable if the caller is on another machine and every supernode has an address for its own machine
+    only.
+    """
     targets = [record.endpoint.target for record in response.supernodes]
     if targets and all(map(is_loopback, targets)) and is_of_another_machine(peer):
         raise Unavailable(

@@ -1,8 +1,9 @@
-"""Lets go of what a refused call held.
+"""Frees the objects of a refused call at once.
 
 gRPC keeps the error of an aborted call in the call's state. The error's traceback refers to the frames of all functions
-that were left, these to the call's context, and this one to the state. So the requests and all else in those frames
-would wait for Python's garbage collector, which looks at older objects seldom (decision 0119).
+that it passed. These frames refer to the call's context, and the context to the state. Without this module the requests
+and everything else in those frames would stay until a run of Python's garbage collector, which looks at older objects
+seldom (decision 0119).
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from stampede_rt_runtime.rpc import Context
 
 
 class AbortInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Must be the outermost interceptor: the error of a call that was aborted leaves with no frame but its own."""
+    """Must be the outermost interceptor. It removes all frames but its own from the error of an aborted call."""
 
     async def intercept_service(
         self,
         continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Any:
-        """The method's handler, around which this is put."""
+        """The method's handler, wrapped."""
         handler = await continuation(handler_call_details)
         if handler is None:
             return None

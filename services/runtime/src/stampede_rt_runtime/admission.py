@@ -1,4 +1,4 @@
-"""Lets a call in by what its caller brings: a certificate, a token, a secret; and by the roles that these give."""
+"""Admits a call by the proof that its caller brings (a certificate, token or secret) and by the caller's roles."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from stampede_rt_runtime.roles import why_refused
 from stampede_rt_runtime.rpc import Context
 
 CERTIFICATES_KEPT_MAX = 4096
-_WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and containers ask it
+_WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and container runtimes call it
 
 
 def caller_identity(context: Context) -> Identity | None:
-    """The caller that the call's certificate names; None without certificates, or if it names nobody."""
+    """The identity in the call's certificate; None without certificates, or if the certificate names none."""
     found = context.auth_context().get("peer_uri", ())
     return identity_among(uri.decode(errors="replace") for uri in found)
 
 
 class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Refuses every call whose caller brings no proof that the service accepts, or may not make that call."""
+    """Refuses every call whose caller brings no accepted proof, or may not make the call."""
 
     def __init__(self, accepted: Accepted, control: AccessControl) -> None:
         self._accepted = accepted
@@ -41,7 +41,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Any:
-        """The method's handler, which looks at the caller first."""
+        """The method's handler, which checks the caller first."""
         method = handler_call_details.method
         handler = await continuation(handler_call_details)
         if handler is None:
@@ -59,9 +59,10 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         return guarded(handler, admitted)
 
     def _unknown(self, method: str) -> Any:
-        """Stream-stream on purpose: on the wire it serves every kind of call, and it answers before any request comes.
+        """A handler for unknown methods, which tells only callers with a proof that the method is unknown.
 
-        Who brings no proof is told nothing of what there is.
+        It is a stream-stream handler, because that serves every kind of call on the wire. It answers before any request
+        comes.
         """
 
         async def refuse(_requests: Any, context: Context) -> None:
@@ -74,7 +75,10 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         return grpc.stream_stream_rpc_method_handler(refuse)
 
     def _admit(self, method: str, context: Context) -> Caller:
-        """Who calls, if that one may. Raises PermissionDenied, of which the audit log hears, and Unavailable."""
+        """The caller, if it may make the call.
+
+        Raises PermissionDenied, which the audit log gets, too, and Unavailable.
+        """
         caller: Caller | None = None
         try:
             caller = self._caller(method, context)
@@ -101,7 +105,7 @@ def _certified(context: Context) -> Certified | None:
 
 @lru_cache(CERTIFICATES_KEPT_MAX)
 def _serial_and_end(pem: bytes) -> tuple[str, int]:
-    from stampede_rt_runtime.certificates import serial_and_end  # not at the top: for clusters with certificates alone
+    from stampede_rt_runtime.certificates import serial_and_end  # not at the top: needed only with certificates
 
     return serial_and_end(pem)
 

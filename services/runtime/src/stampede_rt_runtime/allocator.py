@@ -1,4 +1,4 @@
-"""How this process gives memory back to the system. glibc: mallopt(3); elsewhere nothing is set."""
+"""Makes this process return freed memory to the system. With glibc by mallopt(3); elsewhere it does nothing."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 
 OWN_MAPPING_BYTES = 2**20
-"""A block from this size on has a mapping of its own, which ends with it. By default the bound rises to 32 MiB with the
-first large blocks that are freed; from then on the large ones lie between the small ones, and what is freed stays."""
+"""A block of this size or more has a mapping of its own, which ends with the block.
+
+By default the threshold rises to 32 MiB when the first large blocks are freed. From then on large blocks lie among
+small ones, and freed memory stays in the process.
+"""
 ARENAS_MAX = 2
-"""Otherwise each thread that allocates beside others gets an arena of its own, which keeps what was freed in it."""
+"""The limit of arenas. Without it each allocating thread gets an arena of its own, which keeps its freed memory."""
 
 
 TRIM_SECONDS = 1.0
@@ -24,7 +27,7 @@ UNUSED_BYTES_MAX = 64 * 2**20
 
 
 def give_back_memory() -> None:
-    """Keep what this process holds of the system's memory near to what it uses. Before other threads start."""
+    """Keep the memory of this process near to the memory that it uses. Call it before other threads start."""
     with contextlib.suppress(AttributeError, OSError):  # another C library
         library = ctypes.CDLL(None)
         library.mallinfo2.restype = _Mallinfo2
@@ -43,7 +46,7 @@ class _Mallinfo2(ctypes.Structure):
 
 
 def _trim_now_and_then(library: ctypes.CDLL) -> None:
-    """Small blocks that were freed between others go back once they are many. Others wait only if they allocate."""
+    """Return the memory of freed small blocks to the system when there is much of it. Runs without end, on a thread."""
     least_bytes = _unused_bytes(library)
     wait = threading.Event().wait
     while not wait(TRIM_SECONDS):

@@ -1,8 +1,7 @@
 """Connections for an event loop on a thread of its own.
 
-grpc.aio brings the events of all event loops of a process through one queue, so that a loop which is held up holds up
-the others, too. Here gRPC's blocking channel is underneath, which has threads of its own, and a call can be awaited on
-whatever loop it is made.
+grpc.aio sends the events of all event loops of a process through one queue, so a blocked loop blocks the others, too.
+This module uses gRPC's blocking channel instead, which has threads of its own. Any event loop can await a call.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ Connect = Callable[[TlsMaterial | None], grpc.Channel]
 
 
 class AnyLoopChannel(grpc.aio.Channel):
-    """Unary calls that can be awaited on any event loop; each goes over a connection with the certificate of now.
+    """Unary calls that any event loop can await. Each call uses a connection with the present certificate.
 
-    `metadata` goes with every call. Streams are not offered. One caller at a time: a renewed certificate ends the calls
-    that are under way on the former connection.
+    `metadata` goes with every call. There are no streams. Only one caller at a time: a renewed certificate ends the
+    calls under way on the former connection.
     """
 
     def __init__(self, connect: Connect, metadata: tuple[tuple[str, str], ...], reader: TlsReader | None) -> None:
@@ -39,7 +38,7 @@ class AnyLoopChannel(grpc.aio.Channel):
         await self.close()
 
     async def close(self, grace: float | None = None) -> None:
-        """Close the connection; calls under way fail."""
+        """Close the connection. Calls under way fail."""
         self._channel.close()
 
     def get_state(self, try_to_connect: bool = False) -> grpc.ChannelConnectivity:
@@ -67,7 +66,7 @@ class AnyLoopChannel(grpc.aio.Channel):
         return call
 
     def unary_stream(self, *args: Any, **kwargs: Any) -> Any:
-        """Bound by every stub, and not to be called."""
+        """A callable that always fails: stubs need one, but this channel has no streams."""
         return _no_streams
 
     stream_unary = stream_stream = unary_stream
@@ -88,7 +87,7 @@ def _no_streams(*args: Any, **kwargs: Any) -> Any:
 
 
 async def _awaited(call: Any) -> Any:
-    """The call's response. Raises grpc.RpcError; cancelled, it cancels the call."""
+    """The call's response. Raises grpc.RpcError. A cancellation cancels the call."""
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
 

@@ -1,4 +1,4 @@
-"""The secrets of a cluster without certificates: making the cluster's file, and reading it and that of the clients."""
+"""The secrets of a cluster without certificates: makes the cluster's file, and reads it and the clients' file."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from stampede_rt_runtime.written import naming
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Secret:
-    """The secret and where it lies. Never logged: `repr` leaves the text out.
+    """A secret and its file. Never logged: `repr` leaves the text out.
 
-    `other`: a second value that is accepted besides, while one takes the place of the other; empty: none.
+    `other`: a second accepted value, while the secret is being replaced; empty: there is none.
     """
 
     text: str = field(repr=False)
@@ -30,7 +30,7 @@ class Secret:
 
 
 def load_secret(path: Path | None) -> Secret | None:
-    """The secret in `path`, which must exist, or else in the user's default file, which may be absent (None).
+    """The secret in `path`, which must exist, or in the user's default file, which may be absent (None).
 
     Raises PermissionDenied if the file is missing, empty, or may be read by others.
     """
@@ -48,9 +48,9 @@ def load_secret(path: Path | None) -> Secret | None:
 
 
 def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | None:
-    """The clients' secret in `path`; None: they have none of their own. `secret`: the cluster's.
+    """The clients' secret in `path`; None: they have no secret of their own. `secret`: the cluster's.
 
-    Raises PermissionDenied as `load_secret`, and if the two do not tell clients from members.
+    Raises PermissionDenied as `load_secret` does, and if the two secrets are equal or the cluster has none.
     """
     if path is None:
         return None
@@ -72,8 +72,9 @@ def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | Non
 def make_secret_file(path: Path | None = None) -> Secret:
     """The secret in `path` (default: the user's file), made first if there is none.
 
-    The file appears whole, with mode 0600, or not at all; of several makers at once one wins and all return its
-    secret. Raises PermissionDenied if the file is empty or may be read by others, OSError if it cannot be written.
+    The file appears whole, with mode 0600, or not at all. If several processes make it at once, one succeeds and all
+    return its secret. Raises PermissionDenied if the file is empty or may be read by others, OSError if it cannot be
+    written.
     """
     secret_path = path or secret_file()
     if not secret_path.exists():
@@ -90,8 +91,8 @@ def _create(secret_path: Path) -> None:
     try:
         with naming(secret_path), os.fdopen(descriptor, "w") as file:
             file.write(secrets.token_urlsafe(32) + "\n")
-        os.link(draft, secret_path)  # unlike rename, refuses to replace: the first maker wins
+        os.link(draft, secret_path)  # unlike rename, link never replaces a file: the first maker wins
     except FileExistsError:
-        pass  # another process made it meanwhile; its secret is the one
+        pass  # another process has made the file meanwhile, and its secret counts
     finally:
         draft.unlink()

@@ -1,4 +1,4 @@
-"""Refuses calls that name another cluster than this server's, before anything is done for them."""
+"""Refuses calls that name another cluster than this server's, before their methods run."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from stampede_rt.cluster.cluster_ids import told_cluster
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 
-# Why a caller of that cluster is not served; None: it is. Asked at each call that names a cluster.
+# Returns the error for a caller of that cluster; None: the server serves it. Called for each call that names a cluster.
 JudgeCluster = Callable[[str], StampedeError | None]
-# Whoever looks for its cluster must hear which one is here.
+# Callers use these to find out which cluster a server belongs to.
 _OPEN_METHODS = frozenset({"/stampede_rt.v1.DirectoryService/Ping", "/grpc.health.v1.Health/Check"})
 
 
 class ClusterInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """A call that names no cluster passes, and so does one of the RPCs that tell who is here."""
+    """Lets calls pass that name no cluster, and the methods that tell the server's cluster."""
 
     def __init__(self, judge: JudgeCluster) -> None:
         self._judge = judge
@@ -28,7 +28,7 @@ class ClusterInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unus
         continuation: Callable[[grpc.HandlerCallDetails], Awaitable[Any]],
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Any:
-        """The method's handler, or one that refuses."""
+        """The method's handler, or a handler that refuses the call."""
         told = told_cluster(handler_call_details.invocation_metadata)
         if told and handler_call_details.method not in _OPEN_METHODS:
             refusal = self._judge(told)
@@ -38,7 +38,11 @@ class ClusterInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unus
 
 
 def _refusing(refusal: StampedeError) -> Any:
-    """Stream-stream on purpose: on the wire it serves every kind of call, and it answers before any request comes."""
+    """A handler that refuses the call.
+
+    It is a stream-stream handler, because that serves every kind of call on the wire. It answers before any request
+    comes.
+    """
 
     async def refuse(_requests: Any, context: grpc.aio.ServicerContext[Any, Any]) -> None:
         await abort(context, refusal)

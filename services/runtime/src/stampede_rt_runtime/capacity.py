@@ -1,5 +1,7 @@
-"""How many calls a port serves at a time, of one caller and of all, and that callers' streams leave room for the
-cluster's own calls."""
+"""Limits the calls that a port serves at a time, of one caller and of all.
+
+Streams of callers leave room for other calls, and all callers leave room for the cluster's own calls.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,9 @@ from stampede_rt_runtime.rpc import Context
 
 
 class Slots:
-    """Slots for `calls_max` calls of anybody, of which `streams_max` may be streams, and `reserved_max` beside them.
+    """`calls_max` slots for calls of anybody, of which `streams_max` may be streams, and `reserved_max` more slots.
 
-    The reserved ones are for what clients never call: Raft, leases, membership, the links between hosts.
+    The reserved slots are for methods that clients never call: Raft, leases, membership, the links between hosts.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -34,7 +36,7 @@ class Slots:
         self.streams = self.singles = self.reserved = 0
 
     def take(self, *, is_stream: bool, for_members: bool) -> Callable[[], None]:
-        """Take a slot; returns what gives it back, once. Raises Overloaded if there is none."""
+        """Take a slot. Returns a function that gives it back, once. Raises Overloaded if there is none."""
         limits = self._limits
         if for_members and self.reserved < limits.reserved_rpcs_max:
             kind = "reserved"
@@ -54,7 +56,7 @@ class Slots:
         return lambda: setattr(self, kind, getattr(self, kind) - 1)
 
 
-# A host counts by items what it refuses on these streams.
+# The host counts the refused items of these streams.
 COUNTED_BY_ITEMS = frozenset({"/stampede_rt.v1.ChannelService/Put", "/stampede_rt.v1.QueueService/Enqueue"})
 
 SUBSCRIPTIONS = frozenset(
@@ -67,7 +69,7 @@ SUBSCRIPTIONS = frozenset(
 
 
 def quotas_of(method: str, *, is_stream: bool, for_members: bool) -> tuple[Quota, ...]:
-    """The quotas that each call of a method counts towards."""
+    """The quotas towards which each call of a method counts."""
     if for_members:
         return ()
     if method in SUBSCRIPTIONS:
@@ -76,15 +78,14 @@ def quotas_of(method: str, *, is_stream: bool, for_members: bool) -> tuple[Quota
 
 
 class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Lets a call in if its caller has room in its quotas and the port has a slot, and refuses it otherwise.
+    """Admits a call if its caller's quotas have room and the port has a slot. Refuses it otherwise.
 
-    The call's requests are read and parsed after that.
-
-    It must be the innermost interceptor: those around it look at the caller first.
+    The requests of the call are read and parsed after that. Must be the innermost interceptor: the others check the
+    caller first.
     """
 
     def __init__(self, limits: Limits, refused: RefusedCalls) -> None:
-        """`refused` counts what is refused here, and whatever else ends as Overloaded."""
+        """`refused` counts the calls refused here, and all other calls that end with Overloaded."""
         self._slots = Slots(limits)
         self._refused = refused
 
@@ -126,7 +127,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
         return guarded(reading_late(method, handler), slot)
 
     def _note(self, context: Context) -> None:
-        """The method has ended its call with an error."""
+        """Count the call if it ended with Overloaded."""
         error = error_in(context.trailing_metadata())
         if isinstance(error, Overloaded):
             self._refused.note(error)

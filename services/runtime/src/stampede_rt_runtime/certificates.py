@@ -1,6 +1,6 @@
-"""Makes and reads the certificates of one cluster. Nothing here touches a file or a clock.
+"""Makes and reads the certificates of one cluster. Touches no file and no clock.
 
-Keys are ECDSA over P-256: every TLS library has it, and signing costs a tenth of RSA's.
+Keys are ECDSA over P-256. Every TLS library has it, and a signature costs a tenth of an RSA signature.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from stampede_rt_runtime.identity import SERVICES, Identity, identity_among
 
-BACKDATED = timedelta(minutes=5)  # clocks of two machines seldom agree to the second
+BACKDATED = timedelta(minutes=5)  # the clocks of two machines seldom agree to the second
 _COMMON_NAME_CHARS_MAX = 64
 _HOST_NAME = re.compile(r"(?=.{1,253}$)[a-z0-9_-]{1,63}(\.[a-z0-9_-]{1,63})*", re.IGNORECASE)
-# What the library raises for a file that is none, has an impossible field, or holds what it does not know.
+# The errors of the library for a file without a certificate, an impossible field, or unknown contents.
 _UNREADABLE = (
     ValueError,
     TypeError,
@@ -35,7 +35,7 @@ _UNREADABLE = (
 
 
 class CertificateError(Exception):
-    """A certificate or key cannot be used; the text says why."""
+    """A certificate or key cannot be used. The text says why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +46,12 @@ class Issued:
     key: bytes
 
     def __repr__(self) -> str:
-        return "Issued(...)"  # never the key
+        return "Issued(...)"  # never show the key
 
 
 @dataclass(frozen=True, slots=True)
 class Described:
-    """The contents of a certificate. `identity` is None for an authority and for a certificate that is not ours."""
+    """The contents of a certificate. `identity` is None for an authority and for certificates of others."""
 
     subject: str
     issuer: str
@@ -65,9 +65,9 @@ class Described:
 
 
 def make_authority(cluster: str, *, now: datetime, lifetime: timedelta) -> Issued:
-    """A new authority for `cluster`, which signs itself. It may sign certificates, but no further authorities."""
+    """A new authority for `cluster`, signed by itself. It may sign certificates, but no further authorities."""
     key = ec.generate_private_key(ec.SECP256R1())
-    # Two authorities of a cluster, while one takes over from the other, must not have the same name.
+    # A cluster may have two authorities while one replaces the other. They need different names.
     name = _name(f"Stampede RT authority {secrets.token_hex(4)}", cluster)
     builder = _builder(name, name, key.public_key(), now, lifetime).add_extension(
         x509.BasicConstraints(ca=True, path_length=0), critical=True
@@ -80,7 +80,8 @@ def make_authority(cluster: str, *, now: datetime, lifetime: timedelta) -> Issue
 def issue(
     authority: Issued, identity: Identity, addresses: tuple[str, ...], *, now: datetime, lifetime: timedelta
 ) -> Issued:
-    """A certificate for `identity`; a service's is also good for serving at `addresses` (names or IPs, no ports).
+    """A certificate for `identity`. That of a service also names the `addresses` at which it serves (names or IPs, no
+    ports).
 
     It ends with its authority at the latest. Raises CertificateError.
     """
@@ -109,7 +110,7 @@ def issue(
 
 
 def describe(pem: bytes) -> list[Described]:
-    """The contents of the certificates in `pem`, in their order. Raises CertificateError."""
+    """The contents of the certificates in `pem`, in order. Raises CertificateError."""
     try:
         return [_described(one) for one in x509.load_pem_x509_certificates(pem)]
     except _UNREADABLE as error:
@@ -126,12 +127,12 @@ def serial_and_end(pem: bytes) -> tuple[str, int]:
 
 
 def serial_text(serial: int) -> str:
-    """A serial number as people write it."""
+    """A serial number in hexadecimal digits, as people write it."""
     return f"{serial:x}"
 
 
 def cluster_of(authority: bytes) -> str:
-    """The cluster whose authority this is. Raises CertificateError."""
+    """The cluster of an authority's certificate. Raises CertificateError."""
     try:
         subject = x509.load_pem_x509_certificate(authority).subject
         found = subject.get_attributes_for_oid(NameOID.ORGANIZATION_NAME)
@@ -144,7 +145,7 @@ def cluster_of(authority: bytes) -> str:
 
 def _described(certificate: x509.Certificate) -> Described:
     names, is_authority = _alternative_names(certificate), False
-    with contextlib.suppress(x509.ExtensionNotFound):  # an old kind of certificate: no authority
+    with contextlib.suppress(x509.ExtensionNotFound):  # a certificate without this extension is no authority
         is_authority = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
     addresses = [*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))]
     return Described(
@@ -178,7 +179,7 @@ def _load_authority(authority: Issued) -> tuple[x509.Certificate, ec.EllipticCur
     try:
         certificate = x509.load_pem_x509_certificate(authority.certificate)
         key = serialization.load_pem_private_key(authority.key, password=None)
-        # The library reads these only now, and the rest relies on them.
+        # The library parses these fields only on access. The rest of the code relies on them.
         public_key, _, _ = certificate.public_key(), certificate.subject, certificate.not_valid_after_utc
     except _UNREADABLE as error:
         raise CertificateError(f"the authority cannot be read ({error})") from error

@@ -1,4 +1,4 @@
-"""`stampede certs`: makes the authority of a cluster and the certificates of its parts, and shows what is in them."""
+"""`stampede certs`: makes the authority of a cluster and the certificates of its parts, and shows their contents."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _SOON = timedelta(days=30)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `stampede certs`; returns the exit code: 0 done, 1 failed, 2 used wrongly."""
+    """Run `stampede certs`. Returns the exit code: 0 done, 1 failed, 2 wrong usage."""
     try:
         arguments = _parser().parse_args(argv)
-    except SystemExit as end:  # argparse has said why
+    except SystemExit as end:  # argparse has printed the reason
         return int(end.code or 0)
     try:
         for line in arguments.run(arguments):
@@ -110,7 +110,7 @@ def _days(text: str) -> int:
 
 def _init(arguments: argparse.Namespace) -> list[str]:
     folder: Path = arguments.folder
-    Identity(arguments.cluster, Role.CLIENT, "any")  # the cluster's name, checked
+    Identity(arguments.cluster, Role.CLIENT, "any")  # checks the cluster's name
     made = make_authority(arguments.cluster, now=datetime.now(UTC), lifetime=timedelta(days=arguments.days))
     if (folder / "ca.key").exists():
         raise CertificateError(
@@ -183,7 +183,7 @@ def _show(arguments: argparse.Namespace) -> list[str]:
 
 
 def _revoke(arguments: argparse.Namespace) -> list[str]:
-    """Operators may: with a certificate or token of that role, or the cluster's secret."""
+    """Revoke certificates, as an operator: with a certificate or token of that role, or with the cluster's secret."""
     from stampede_rt.administration.running_cluster import reached  # not at the top: the other verbs need no gRPC
 
     serials = [_serial_of(text) for text in arguments.credentials]
@@ -221,7 +221,10 @@ def _validity(one: Described, now: datetime) -> str:
 
 
 def write_pair(made: Issued, folder: Path, name: str) -> tuple[Path, Path]:
-    """Write `name`.pem and `name`.key (mode 0600), each appearing whole, and replace former files. Gives both."""
+    """Write `name`.pem and `name`.key (mode 0600), each whole or not at all, and replace former files.
+
+    Returns both paths.
+    """
     certificate, key = folder / f"{name}.pem", folder / f"{name}.key"
     _replace(key, made.key, 0o600)
     _replace(certificate, made.certificate, 0o644)

@@ -1,4 +1,4 @@
-"""The two clocks of a host. Everything below a servicer takes values of them and never reads a clock itself."""
+"""The two clocks of a host. The code below a servicer gets values of them and never reads a clock itself."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ class HostClock(Protocol):
     """The clocks from which a service reads the time."""
 
     def time_unix_nano(self) -> int:
-        """Wall-clock time, nanoseconds since the Unix epoch; it can jump when the machine's clock is set."""
+        """Wall-clock time in nanoseconds since the Unix epoch. It can jump when the machine's clock is set."""
 
     def boottime_nanos(self) -> int:
-        """Nanoseconds since some fixed moment; never jumps, and counts the time that the machine was suspended."""
+        """Nanoseconds since some fixed moment. Never jumps, and counts the time in which the machine was suspended."""
 
 
-# macOS has no CLOCK_BOOTTIME; there CLOCK_MONOTONIC goes on while the machine sleeps.
+# macOS has no CLOCK_BOOTTIME; its CLOCK_MONOTONIC goes on while the machine sleeps.
 _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 
 
@@ -28,5 +28,5 @@ class SystemClock:
         return time.time_ns()
 
     def boottime_nanos(self) -> int:
-        """Nanoseconds since the machine started, suspension included: leases are measured by it."""
+        """Nanoseconds since the machine started, suspension included. Leases use this clock."""
         return time.clock_gettime_ns(_BOOTTIME)

@@ -1,4 +1,4 @@
-"""How clusters get their ids."""
+"""Makes the ids of clusters."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ LISTED = "listed-"
 
 
 def new_cluster_id(*, in_memory: bool) -> str:
-    """A random id. `in_memory`: of a cluster that ends with its processes."""
+    """A random id. `in_memory`: for a cluster that ends with its processes."""
     return (IN_MEMORY if in_memory else "") + secrets.token_hex(ID_BYTES)
 
 
 def listed_cluster_id(members: Mapping[str, str]) -> str:
-    """The id that all founders agree on who are given the same list, address by member id, and no others."""
+    """The id of a cluster whose founders got a list of members, address by member id. Equal lists give equal ids."""
     listed = "\n".join(f"{member_id}={address}" for member_id, address in sorted(members.items()))
     return LISTED + hashlib.sha256(listed.encode()).hexdigest()[: 2 * ID_BYTES]
 
 
 def cluster_id_of(log_cluster_id: str) -> str:
-    """The cluster's own id, by what its members call it among each other; empty if that does not say."""
+    """The cluster's public id, from the id that its members use among each other; empty if the latter is made from a
+    list.
+    """
     return "" if log_cluster_id.startswith(LISTED) else log_cluster_id

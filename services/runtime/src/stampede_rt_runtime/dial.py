@@ -1,4 +1,4 @@
-"""Outgoing connections of services: the same limits as incoming ones, the secret with every call, certificates."""
+"""Outgoing connections of services: with the limits of incoming ones, the secret in every call, and certificates."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ Metadata = tuple[tuple[str, str], ...]
 def dial(
     target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
 ) -> grpc.aio.Channel:
-    """A channel to `target` that brings `secret` with every call. Connects lazily; the caller closes it.
+    """A channel to `target` that brings `secret` with every call. Connects at the first call. The caller closes it.
 
-    With `tls` both sides prove themselves by certificates, and calls after a renewal go over a new connection.
-
-    gRPC's call credentials need TLS, and its interceptors cost a task per call; so the channel itself adds the secret.
+    With `tls` both sides prove themselves by certificates. Calls after a renewal use a new connection. The channel
+    itself adds the secret, because gRPC's call credentials need TLS, and its interceptors cost a task per call.
     """
     options = (limits or Limits()).channel_options()
     channel = _open(target, options, tls)
@@ -43,7 +42,7 @@ def dial(
 def dial_from_any_loop(
     target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
 ) -> grpc.aio.Channel:
-    """As `dial`, for single calls that any event loop may make. No other loop can hold them up."""
+    """As `dial`, for unary calls that any event loop may make. No other loop can block them."""
     options = (limits or Limits()).channel_options()
 
     def connect(material: TlsMaterial | None) -> grpc.Channel:
@@ -55,7 +54,7 @@ def dial_from_any_loop(
 
 
 def naming_cluster(dial: Dial, cluster_id: Callable[[], str]) -> Dial:
-    """Opens channels as `dial` does. Each of their calls names the cluster that `cluster_id` gives then, if any."""
+    """Wraps `dial` so that each call of a channel names the cluster that `cluster_id` returns at that time, if any."""
 
     def open_channel(target: str) -> grpc.aio.Channel:
         return _AnnotatedChannel(dial(target), lambda: cluster_metadata(cluster_id()))
@@ -75,9 +74,9 @@ def _open(target: str, options: list[Option], tls: TlsReader | None) -> grpc.aio
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Dialer:
-    """Opens a service's connections, all with the same credentials; callable in the place of `dial`.
+    """Opens a service's connections, all with the same credentials. Callable like `dial`.
 
-    `client_secret` is what its own callers may bring; it is brought to nobody.
+    `client_secret` is the one that clients may bring to this service. The service never sends it.
     """
 
     secret: Secret | None
@@ -85,15 +84,15 @@ class Dialer:
     tls: ServiceTls | None = None
 
     def __call__(self, target: str) -> grpc.aio.Channel:
-        """A channel to `target`; the caller closes it."""
+        """A channel to `target`. The caller closes it."""
         return dial(target, secret=self.secret, tls=self._reader())
 
     def dial_from_any_loop(self, target: str) -> grpc.aio.Channel:
-        """As `dial_from_any_loop` does."""
+        """See `dial_from_any_loop`."""
         return dial_from_any_loop(target, secret=self.secret, tls=self._reader())
 
     async def explain(self, target: str) -> StampedeError | None:
-        """Why `target` cannot be talked to, if that is for certificates. Takes 3 s at most."""
+        """The reason why `target` cannot be called, if it lies in the certificates. Takes 3 s at most."""
         return await asyncio.to_thread(explain_refusal, target, self._reader())
 
     def _reader(self) -> TlsReader | None:
@@ -101,7 +100,7 @@ class Dialer:
 
 
 class _AnnotatedChannel(grpc.aio.Channel):
-    """A channel that adds metadata to every call, and is otherwise the one it was given."""
+    """A channel that adds metadata to every call of another channel."""
 
     def __init__(self, inner: grpc.aio.Channel, metadata: Callable[[], Metadata]) -> None:
         self._inner = inner
@@ -115,7 +114,7 @@ class _AnnotatedChannel(grpc.aio.Channel):
         await self._inner.__aexit__(*exc_info)
 
     async def close(self, grace: float | None = None) -> None:
-        """Close the connection; calls under way have `grace` seconds."""
+        """Close the connection. Calls under way have `grace` seconds."""
         await self._inner.close(grace)
 
     def get_state(self, try_to_connect: bool = False) -> grpc.ChannelConnectivity:
@@ -123,11 +122,11 @@ class _AnnotatedChannel(grpc.aio.Channel):
         return self._inner.get_state(try_to_connect)
 
     async def wait_for_state_change(self, last_observed_state: grpc.ChannelConnectivity) -> None:
-        """Return when the state is another one."""
+        """Wait until the connection has another state."""
         await self._inner.wait_for_state_change(last_observed_state)
 
     async def channel_ready(self) -> None:
-        """Return when the connection stands."""
+        """Wait until the connection is made."""
         await self._inner.channel_ready()
 
     def unary_unary(self, *args: Any, **kwargs: Any) -> Any:

@@ -84,7 +84,7 @@ def test_a_port_takes_tokens_until_they_are_over_and_only_with_the_keys_it_was_t
     control.tell(AccessState(version=1, cluster_id="c", token_keys=(KEY,)))
     assert str(control.read_token(token)) == "client cam/1"
     clock.advance(5)
-    with pytest.raises(PermissionDenied, match="the token of cam/1 is over"):
+    with pytest.raises(PermissionDenied, match="the token of cam/1 has ended"):
         control.read_token(token)
     clock.advance(-5)
     control.tell(AccessState(version=2, cluster_id="c", token_keys=(public_key(OTHER),)))

@@ -1,4 +1,4 @@
-"""One stream of a taker: credit and settlements come in, leased items and results go out."""
+"""Serves one stream of a taker: credit and settlements come in, leased messages and results go out."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from stampede_rt_channel_host.queues.requests import (
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.rpc import Context
 
-SIGN_OF_LIFE_SECONDS = 4.0  # the contract says after 5 s
+SIGN_OF_LIFE_SECONDS = 4.0  # the contract promises one every 5 s
 WRITE_SECONDS_MAX = 30.0
 
 
 class TakeStream:
-    """Serves one stream. A `TakerStream` of its queue: everything happens on the event loop.
+    """Serves one stream, as a `TakerStream` of its queue. All of it runs on the event loop.
 
-    When the caller has closed its side, the stream goes on until its credit is used up: to take once, give credit,
-    close, and read to the end.
+    After the caller has closed its side, the stream goes on until its credit is used up. So a caller can take once:
+    give credit, close, and read to the end.
     """
 
     def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
@@ -49,21 +49,21 @@ class TakeStream:
         self._room = asyncio.Event()
 
     def deliver(self, batch: Batch) -> None:
-        """The queue deals one at a time."""
+        """Send a batch. The queue deals one at a time."""
         self._batch = batch
         self._news.set()
 
     def ask(self) -> None:
-        """The queue wants to know whether the taker lives."""
+        """Ask the taker whether it lives."""
         self._asks = True
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
-        """The queue is not served any more."""
+        """The host does not serve the queue any more."""
         self._stream.end(error)
 
     async def run(self) -> None:
-        """Until the stream ends. Raises StaleBinding, QueueNotFound, InvalidArgument, Overloaded."""
+        """Serve until the stream ends. Raises StaleBinding, QueueNotFound, InvalidArgument, Overloaded."""
         raw = await self._context.read()
         if raw is EOF:
             raise InvalidArgument("the stream ended without a request; begin with `open`")
@@ -103,12 +103,12 @@ class TakeStream:
             hosted.queue.drain(taker)
         self._grant(hosted, taker, request.credit)
         self._news.set()
-        while len(self._results) >= SETTLEMENTS_MAX:  # who does not read its results is held back
+        while len(self._results) >= SETTLEMENTS_MAX:  # a taker that does not read its results must wait
             self._room.clear()
             await self._room.wait()
 
     def _grant(self, hosted: HostedQueue, taker: TakerState, credit: int) -> None:
-        """Also without credit the taker lives; one that drains is given none."""
+        """Give the taker credit. A request without credit is a sign of life. A draining taker gets no credit."""
         credit = 0 if self._drains else credit
         if taker.credit + credit > CREDIT_MAX:
             raise InvalidArgument(
@@ -117,7 +117,7 @@ class TakeStream:
         hosted.grant(taker, credit)
 
     async def _write_all(self, hosted: HostedQueue, taker: TakerState) -> None:
-        """Results that gathered during the last write go out together. After a silence, a sign of life goes out."""
+        """Send batches, results and signs of life. Results that came during the last write go out together."""
         await self._write(hosted, take_response(None, (), 0, incarnation=hosted.queue.incarnation))
         while not self._is_over(taker):
             if await self._wait_for_news():
@@ -138,7 +138,7 @@ class TakeStream:
         if batch is not None:
             hosted.queue.sending(taker)
         if results and batch is not None and len(results) > SETTLEMENTS_MAX // 8:
-            await self._write(hosted, take_response(None, results, 0))  # together they might exceed 1 MiB
+            await self._write(hosted, take_response(None, results, 0))  # batch and results together might exceed 1 MiB
             results = []
         if batch is not None or results or drained:
             await self._write(hosted, take_response(batch, results, self._store.now(), drained=drained))
@@ -148,7 +148,7 @@ class TakeStream:
             hosted.sent(taker)
 
     async def _wait_for_news(self) -> bool:
-        """False: nothing came for SIGN_OF_LIFE_SECONDS."""
+        """Wait for news. Returns False if there were none for SIGN_OF_LIFE_SECONDS."""
         try:
             async with asyncio.timeout(SIGN_OF_LIFE_SECONDS):
                 await self._news.wait()
@@ -164,6 +164,6 @@ class TakeStream:
         except TimeoutError:
             raise Overloaded(
                 f"the taker of queue {display_name(hosted.record)} read nothing for {WRITE_SECONDS_MAX:g} s, and its "
-                "stream is ended; give less credit, or read faster, and open it again: what was sent can still be "
+                "stream is ended; give less credit, or read faster, and open it again: sent messages can still be "
                 "settled"
             ) from None

@@ -1,6 +1,6 @@
-"""The audit log: who was denied what, and who changed who may do what. One line for each event, on the service's log.
+"""The audit log: denied calls, and changes of rights. One line for each event, on the service's log.
 
-A caller that is denied again and again gets a line a second at most; the next line tells how many were left out.
+A caller that is denied again and again gets at most one line a second. The next line tells how many were left out.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ SUBJECTS_MAX = 1024
 
 
 class AuditLog:
-    """The lines of one port. `denials` counts all, also those that were left out."""
+    """The lines of one port. `denials` counts all denials, those without a line included."""
 
     def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s
-        self._last: OrderedDict[str, tuple[float, int]] = OrderedDict()  # when a line was written, and left out since
+        # by caller: the time of the last line, and the denials left out since
+        self._last: OrderedDict[str, tuple[float, int]] = OrderedDict()
         self.denials = 0
         self._denied_s: float | None = None
 
     def denied_ago_nanos(self) -> int | None:
-        """How long ago the last denial was; None: there was none."""
+        """The time since the last denial, in nanoseconds; None: there was none."""
         return None if self._denied_s is None else round((self._clock_s() - self._denied_s) * 1e9)
 
     def denied(self, caller: Caller | None, address: str, verb: str, name: str) -> None:
-        """`caller` None: it brought no proof that is accepted. `verb`: of the rules, or the method's name."""
+        """Log a denial. `caller` None: it brought no accepted proof. `verb`: an access verb, or the method's name."""
         self.denials += 1
         self._denied_s = self._clock_s()
         left_out = self._turn(address.rpartition(":")[0] if caller is None else caller.name)
@@ -40,11 +41,11 @@ class AuditLog:
             logger.warning("denied", extra=_facts(caller, address, verb, name, "denied") | {"left_out": left_out})
 
     def changed(self, caller: Caller | None, address: str, verb: str, name: str) -> None:
-        """Rules, tokens, members, owners: what few may change is always told."""
+        """Log a change of rules, tokens, members or owners. These changes are always logged."""
         logger.info("changed", extra=_facts(caller, address, verb, name, "done"))
 
     def _turn(self, subject: str) -> int | None:
-        """How many lines were left out since the last one; None: it is too early for the next."""
+        """The number of denials left out since the last line; None: it is too early for the next line."""
         now = self._clock_s()
         written, left_out = self._last.get(subject, (-LINE_SECONDS_MIN, 0))
         if now - written < LINE_SECONDS_MIN:

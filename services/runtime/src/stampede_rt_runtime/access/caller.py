@@ -9,7 +9,7 @@ from stampede_rt_runtime.identity import SERVICES, Identity, Role
 
 
 class CallerKind(StrEnum):
-    """The proof of the caller's identity."""
+    """The kind of proof of the caller's identity."""
 
     CERTIFICATE = "certificate"
     TOKEN = "token"
@@ -29,10 +29,10 @@ _NAMELESS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Caller:
-    """One caller. `name` is what rules know it by; no certificate or token bears one that begins with "@".
+    """One caller. Rules know it by `name`. Names that begin with "@" occur in no certificate or token.
 
-    `serial` tells a certificate or token from others of the same name; empty: it has none. `ends_unix_nano`: when that
-    is over; 0: never.
+    `serial` identifies the certificate or token among others of the same name; empty: there is none. `ends_unix_nano`:
+    the end of its validity; 0: it has no end.
     """
 
     kind: CallerKind
@@ -48,7 +48,7 @@ class Caller:
 
     @property
     def is_judged(self) -> bool:
-        """Whether rules say what it may do. Members of the cluster, and operators, may do everything."""
+        """Whether rules decide what the caller may do. Members of the cluster, and operators, may do everything."""
         return not self.roles & UNJUDGED
 
 
@@ -64,7 +64,10 @@ def by_secret(*, of_cluster: bool) -> Caller:
 
 @dataclass(frozen=True, slots=True)
 class Certified:
-    """What a caller's certificate says: who, and until when. `serial`: its number, in hexadecimal digits."""
+    """The contents of a caller's certificate: the identity, and the end.
+
+    `serial`: its number, in hexadecimal digits.
+    """
 
     identity: Identity
     serial: str = ""
@@ -72,7 +75,7 @@ class Certified:
 
 
 def by_certificate(certified: Certified) -> Caller:
-    """Who brings that certificate."""
+    """The caller that brings that certificate."""
     identity = certified.identity
     return Caller(
         kind=CallerKind.CERTIFICATE,

@@ -1,4 +1,4 @@
-"""The access of one port: its rules and keys as they are now, and the streams that rest on them."""
+"""The access control of one port: the present rules and keys, and the calls that depend on them."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ Grant = tuple[AccessVerb, AccessKind, str]
 
 
 class AccessControl:
-    """Judges the callers of one port. On the event loop that serves it.
+    """Judges the callers of one port, on the event loop that serves the port.
 
-    `source` gives the state whenever it is asked; without one, `tell` does. Until it is told, nobody who is judged is
-    served.
+    The state comes from `source`, or else from `tell`. As long as there is none, the port refuses all callers whom
+    rules judge.
     """
 
     def __init__(
@@ -48,27 +48,29 @@ class AccessControl:
         self._time_unix_nano = time_unix_nano
         self._tokens: OrderedDict[str, TokenClaims] = OrderedDict()
         self._open: set[OpenCall] = set()
-        self._judging: asyncio.Task[None] | None = None  # kept here, since the loop holds its tasks weakly
+        # kept here, because the loop keeps only weak references to its tasks
+        self._judging: asyncio.Task[None] | None = None
         self._sweep: asyncio.TimerHandle | None = None
         self.audit = AuditLog()
         self.accounts = Accounts()
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
-        """From now on `source` gives the state."""
+        """From now on get the state from `source`."""
         self._source = source
 
     def tell(self, state: AccessState) -> None:
-        """The state from now on. Open streams of those who lost what they were granted end."""
+        """Set the state. Ends the open streams of callers that have lost their rights."""
         former, self._state = self._state, state
         if former is None or former.quotas is not state.quotas:
             self.accounts.tell(state.quotas)
         if former is not None and former.token_keys != state.token_keys:
             self._tokens.clear()
         if self._open and (former is None or former.version != state.version):
-            self._judging = asyncio.create_task(self._judge_again(state))  # one of an earlier state gives up
+            # the task of an earlier state stops by itself
+            self._judging = asyncio.create_task(self._judge_again(state))
 
     async def _judge_again(self, state: AccessState) -> None:
-        """Look at a few calls in a turn: there may be thousands, of as many callers, and a thousand rules."""
+        """Judge the open calls again, a few in each turn of the loop: there may be thousands, and a thousand rules."""
         for number, call in enumerate(tuple(self._open), start=1):
             if state is not self._state:
                 return
@@ -81,12 +83,12 @@ class AccessControl:
 
     @property
     def version(self) -> int:
-        """The log position of the last change that callers are judged by; 0: none is known."""
+        """The log position of the last change of the state; 0: there is no state."""
         state = self.refresh()
         return 0 if state is None else state.version
 
     def refresh(self) -> AccessState | None:
-        """The state as it is now; None: it is not known yet."""
+        """The present state; None: there is none yet."""
         if self._source is not None:
             state = self._source()
             if state != self._state:
@@ -94,11 +96,11 @@ class AccessControl:
         return self._state
 
     def rules(self) -> AccessRules:
-        """Raises Unavailable."""
+        """The present rules. Raises Unavailable."""
         return self._known().rules
 
     def read_token(self, text: str) -> Caller | None:
-        """The caller that brings `text`; None if it is no token. Raises PermissionDenied, Unavailable."""
+        """The caller of the token `text`; None if it is no token. Raises PermissionDenied, Unavailable."""
         if not is_token(text):
             return None
         state = self._known()
@@ -114,7 +116,7 @@ class AccessControl:
         return claims.caller()
 
     def check_not_revoked(self, caller: Caller) -> None:
-        """Raises PermissionDenied with reason UNAUTHENTICATED."""
+        """Raises PermissionDenied with reason UNAUTHENTICATED if the caller's certificate or token was revoked."""
         if caller.serial:
             state = self.refresh()
             if state is not None and caller.serial in state.revoked_serials:
@@ -128,7 +130,7 @@ class AccessControl:
 
     @contextlib.asynccontextmanager
     async def serving(self, caller: Caller, context: Any) -> AsyncIterator[None]:
-        """Run a call of `caller`. It ends when what it rests on does."""
+        """Inside, a call of `caller` runs. The call is ended if the caller's credential or rights end."""
         account = self.accounts.of(subject_of(caller, context.peer()))
         call = OpenCall(self, caller, context, account)
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
@@ -141,7 +143,7 @@ class AccessControl:
 
     @contextlib.asynccontextmanager
     async def _resting_on(self, call: OpenCall) -> AsyncIterator[None]:
-        """What the call rests on, its credential and its rights, may end before it does."""
+        """Inside, an end of the call's credential or rights ends the call."""
         caller = call.caller
         if not (caller.is_judged or caller.serial or caller.ends_unix_nano):
             yield
@@ -163,7 +165,7 @@ class AccessControl:
             self._sweep = asyncio.get_running_loop().call_later(SWEEP_SECONDS, self._end_what_is_over)
 
     def _end_what_is_over(self) -> None:
-        """One timer for all calls: most of them end long before their credential does."""
+        """Set one timer for all calls, and end those whose credential has ended. Most calls end long before that."""
         self._sweep, now = None, self._time_unix_nano()
         for call in self._open:
             if 0 < call.caller.ends_unix_nano <= now:
@@ -173,7 +175,7 @@ class AccessControl:
 
 
 class OpenCall:
-    """One call that is being served, and what it was granted."""
+    """One call under way, and the rights that it has used."""
 
     def __init__(self, control: AccessControl, caller: Caller, context: Any, account: Account) -> None:
         task = asyncio.current_task()
@@ -188,17 +190,20 @@ class OpenCall:
         self._granted: dict[Grant, None] = {}
 
     def end(self, error: StampedeError) -> None:
-        """Interrupt it, wherever it waits, and end the RPC with `error`. The first error stands."""
+        """Interrupt the call, wherever it waits, and end the RPC with `error`. Only the first error counts."""
         if self.error is None:
             self.error = error
             self.task.cancel()
 
     def rules(self) -> AccessRules:
-        """Those that judge it now. Raises Unavailable."""
+        """The present rules for this call. Raises Unavailable."""
         return self._control.rules() if self._is_judged else NO_RULES
 
     def check(self, grant: Grant) -> None:
-        """Raises PermissionDenied. What was granted is remembered, until the rules change."""
+        """Raises PermissionDenied if the caller has no such right.
+
+        The call remembers each right until the rules change.
+        """
         if not self._is_judged or grant in self._granted:
             return
         if not self.rules().judge(self.caller, *grant).allowed:
@@ -208,19 +213,19 @@ class OpenCall:
         self._granted[grant] = None
 
     def judge_again(self, rules: AccessRules) -> None:
-        """The rules have changed."""
+        """Check the used rights against new rules, and end the call if one is lost."""
         for grant in self._granted:
             if not rules.judge(self.caller, *grant).allowed:
                 self.end(self.denied(denied(self.caller, *grant), *grant))
                 return
 
     def denied(self, error: PermissionDenied, verb: str, kind: AccessKind, name: str) -> PermissionDenied:
-        """`error`, which the audit log has heard of."""
+        """Write `error` to the audit log, and return it."""
         self._control.audit.denied(self.caller, self.context.peer(), verb, f"{kind} {name}")
         return error
 
     def changed(self, what: str, name: str) -> None:
-        """The audit log is to hear of what the call has changed."""
+        """Write a change by the call to the audit log."""
         self._control.audit.changed(self.caller, self.context.peer(), what, name)
 
 
@@ -228,26 +233,26 @@ _CURRENT: ContextVar[OpenCall | None] = ContextVar("call", default=None)
 
 
 def current_caller() -> Caller | None:
-    """The caller of the call that is being served; None outside of a server, as in tests of single methods."""
+    """The caller of the present call; None outside a server, as in tests of single methods."""
     call = _CURRENT.get()
     return None if call is None else call.caller
 
 
 def current_account() -> Account:
-    """What the caller of the call that is being served uses; outside of a server, one without limits."""
+    """The account of the present call's caller, with its quotas; outside a server, an account without limits."""
     call = _CURRENT.get()
     return unlimited() if call is None else call.account
 
 
 def check_access(verb: AccessVerb, kind: AccessKind, name: str) -> None:
-    """Whether the caller of the call that is being served may do that. Raises PermissionDenied, Unavailable."""
+    """Check that the present call's caller may do `verb` with the thing. Raises PermissionDenied, Unavailable."""
     call = _CURRENT.get()
     if call is not None:
         call.check((verb, kind, name))
 
 
 def check_known(kind: AccessKind, name: str) -> None:
-    """Whether the caller may know of that thing: do anything at all to it. Raises PermissionDenied, Unavailable."""
+    """Check that the present call's caller may do anything with the thing. Raises PermissionDenied, Unavailable."""
     call = _CURRENT.get()
     if call is not None and not call.rules().knows_of(call.caller, kind, name):
         error = PermissionDenied(
@@ -258,8 +263,10 @@ def check_known(kind: AccessKind, name: str) -> None:
 
 
 def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:
-    """Whether the caller of the call that is being served may do that with the thing of a name, by the rules as they
-    are at each question. Raises Unavailable."""
+    """A function that tells whether the present call's caller may do `verb` with the thing of a name.
+
+    It applies the present rules at each call. Raises Unavailable.
+    """
     call = _CURRENT.get()
     if call is None or not call.caller.is_judged:
         return lambda name: True
@@ -267,14 +274,17 @@ def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:
 
 
 def check_not_judged(what: str) -> None:
-    """Raises PermissionDenied for a caller whom rules judge: `what` is for members, and no rule can give it."""
+    """Raises PermissionDenied for a caller whom rules judge.
+
+    `what` is for members of the cluster, and no rule allows it.
+    """
     caller = current_caller()
     if caller is not None and caller.is_judged:
         raise PermissionDenied(f"{caller} may not {what}, which is for members of the cluster; leave it to them")
 
 
 def audit_change(what: str, name: str) -> None:
-    """Have the audit log tell what the call that is being served has changed."""
+    """Write a change by the present call to the audit log."""
     call = _CURRENT.get()
     if call is not None:
         call.changed(what, name)
@@ -287,13 +297,13 @@ def caller_name() -> str:
 
 
 def owner_name() -> str:
-    """The name under which the current caller owns things; empty for one whom rules do not judge."""
+    """The name under which the present caller owns things; empty for a caller whom rules do not judge."""
     caller = current_caller()
     return caller.name if caller is not None and caller.is_judged else ""
 
 
 def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> PermissionDenied:
-    """The refusal for a caller that may not."""
+    """The error for a caller without that right."""
     return PermissionDenied(
         f"{caller} may not {verb} {kind} {name}; an operator can allow it (stampede acl add {caller.name} {verb} "
         f"{name})",
@@ -302,7 +312,7 @@ def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> Per
 
 
 def _over(caller: Caller) -> PermissionDenied:
-    text = f"the {caller.kind} of {caller} is over; connect again with a new one"
+    text = f"the {caller.kind} of {caller} has ended; connect again with a new one"
     return PermissionDenied(text, reason="UNAUTHENTICATED")
 
 

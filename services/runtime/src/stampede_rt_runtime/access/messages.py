@@ -1,4 +1,4 @@
-"""Rules of access, to and from the messages that carry them. Thin: no decision is made here."""
+"""Converts rules of access from and to protobuf. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _KINDS_FROM: Mapping[int, AccessKind] = {int(number): kind for kind, number in K
 
 
 def rule_message(rule: AccessRule) -> pb.AccessRule:
-    """The rule as it travels."""
+    """The message of a rule."""
     return pb.AccessRule(
         who=rule.who,
         verbs=[VERBS[verb] for verb in rule.verbs],
@@ -31,7 +31,7 @@ def rule_message(rule: AccessRule) -> pb.AccessRule:
 
 
 def rule_from(message: pb.AccessRule) -> AccessRule:
-    """Raises InvalidArgument for a verb or kind that is not known."""
+    """The rule of a message. Raises InvalidArgument for an unknown verb or kind."""
     return AccessRule(
         message.who,
         tuple(sorted(set(map(verb_from, message.verbs)))),
@@ -42,21 +42,21 @@ def rule_from(message: pb.AccessRule) -> AccessRule:
 
 
 def verb_from(number: int) -> AccessVerb:
-    """Raises InvalidArgument."""
+    """The verb of a number. Raises InvalidArgument."""
     if number not in _VERBS_FROM:
         raise InvalidArgument(f"this service knows no verb {number} of access; name one of AccessVerb")
     return _VERBS_FROM[number]
 
 
 def kind_from(number: int) -> AccessKind:
-    """Raises InvalidArgument."""
+    """The kind of a number. Raises InvalidArgument."""
     if number not in _KINDS_FROM:
         raise InvalidArgument(f"this service knows no kind {number} of access; name one of AccessKind")
     return _KINDS_FROM[number]
 
 
 def state_message(state: AccessState) -> access_service_pb2.GetAccessStateResponse:
-    """The state as supernodes tell it to other ports."""
+    """The state as supernodes send it to other services."""
     return access_service_pb2.GetAccessStateResponse(
         version=state.version,
         cluster_id=state.cluster_id,
@@ -68,7 +68,7 @@ def state_message(state: AccessState) -> access_service_pb2.GetAccessStateRespon
 
 
 def state_from(message: access_service_pb2.GetAccessStateResponse) -> AccessState:
-    """Raises InvalidArgument for a rule of a verb or kind that is not known."""
+    """The state of a message. Raises InvalidArgument for a rule with an unknown verb or kind."""
     return AccessState(
         version=message.version,
         cluster_id=message.cluster_id,
@@ -80,7 +80,7 @@ def state_from(message: access_service_pb2.GetAccessStateResponse) -> AccessStat
 
 
 def status_message(control: AccessControl) -> pb.AccessStatus:
-    """What a port tells of itself."""
+    """The access status of a port."""
     return pb.AccessStatus(
         version=control.version, denials=control.audit.denials, denied_ago_nanos=control.audit.denied_ago_nanos()
     )

@@ -1,4 +1,4 @@
-"""From what a call brings to who makes it. Pure."""
+"""Derives the caller from the proofs that a call brings. Pure."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _SEARCHED_FILES = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Accepted:
-    """The proofs that a service accepts. Without any it asks for none.
+    """The proofs that a service accepts. If there are none, the service asks for none.
 
-    `cluster`: the cluster of its own certificate, without which callers need none. `read_token`: the caller that a
-    token names, None for a text that is no token; raises PermissionDenied or Unavailable.
+    `cluster`: the cluster of the service's own certificate; empty if callers need no certificates. `read_token`:
+    returns the caller of a token, or None for a text that is no token; raises PermissionDenied or Unavailable.
     """
 
     secrets: tuple[str, ...] = field(default=(), repr=False)
@@ -31,24 +31,23 @@ class Accepted:
 
 
 def identify(accepted: Accepted, authorization: bytes | None, certificate: Certified | None) -> Caller:
-    """The caller that brings this metadata and this certificate. Raises PermissionDenied, and the errors of
-    `read_token`."""
+    """The caller with this metadata and this certificate. Raises PermissionDenied, and the errors of `read_token`."""
     certified = _certified(accepted, certificate) if accepted.cluster else None
     brought = _brought(authorization)
     token = _token(accepted, brought)
     if token is not None:
-        return token  # beside a certificate, too, which many clients may share: the cluster has signed the token
+        return token  # before the certificate, which many clients may share: the token names one
     secret = _by_secret(accepted, brought) if accepted.secrets else None
     return certified or secret or ANYONE
 
 
 def of_certificate_alone(accepted: Accepted, certificate: Certified | None) -> Caller:
-    """For calls that need no secret: who the certificate says, if certificates are asked for."""
+    """The caller of a method that needs no secret: the one that the certificate names, if certificates are in use."""
     return _certified(accepted, certificate) if accepted.cluster else ANYONE
 
 
 def _brought(authorization: bytes | None) -> bytes | None:
-    """Empty: something that is none of ours."""
+    """The secret or token in the metadata; None: there is none. Empty: the metadata has another scheme."""
     if authorization is None:
         return None
     return authorization[len(SCHEME) :] if authorization.startswith(SCHEME) else b""

@@ -1,7 +1,7 @@
-"""The rules of access, and how they judge. Pure.
+"""The rules of access and their evaluation. Pure.
 
-A rule that denies beats all that allow. Without any rule everything is allowed; with one or more, all that no rule
-allows is denied.
+A rule that denies overrides all rules that allow. Without any rule everything is allowed. With one or more rules,
+everything that no rule allows is denied.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from stampede_rt_runtime.globs import matcher
 RULES_MAX = 1000
 GLOB_CHARACTERS_MAX = 256
 _NAMES = re.compile(r"[A-Za-z0-9._/*?-]+", re.ASCII)
-_WHO = re.compile(r"@?[A-Za-z0-9._/*?-]+", re.ASCII)  # "@" begins the names of those who have none of their own
+# "@" begins the names that stand for groups of callers without names of their own
+_WHO = re.compile(r"@?[A-Za-z0-9._/*?-]+", re.ASCII)
 _CALLERS_KEPT_MAX = _JUDGEMENTS_KEPT_MAX = 8192
 
 
 class AccessVerb(StrEnum):
-    """The action on a thing."""
+    """The kinds of actions on a thing."""
 
     READ = "read"
     PUT = "put"
@@ -39,7 +40,7 @@ class AccessVerb(StrEnum):
 
 
 class AccessKind(StrEnum):
-    """The kind of thing; a mailbox goes by its peer."""
+    """The kinds of things. A mailbox counts as its peer."""
 
     CHANNEL = "channel"
     GROUP = "group"
@@ -60,7 +61,7 @@ VERBS_OF: Mapping[AccessKind, frozenset[AccessVerb]] = {
 
 @dataclass(frozen=True, slots=True)
 class AccessRule:
-    """One rule. `who`: a pattern over the names of callers; `names`: one over those of things.
+    """One rule. `who`: a pattern over the names of callers. `names`: a pattern over the names of things.
 
     `verbs`: ascending, each once; empty: all. `kind` None: every kind.
     """
@@ -95,14 +96,17 @@ def check_rule(rule: AccessRule) -> None:
 
 @dataclass(frozen=True, slots=True)
 class AccessRuling:
-    """Whether it is allowed, and the rule that says so. `rule` None: there are no rules, or none allows it."""
+    """Whether the action is allowed, and the deciding rule. `rule` None: there are no rules, or none allows it."""
 
     allowed: bool
     rule: AccessRule | None = None
 
 
 class AccessRules:
-    """All rules of a cluster, prepared for judging. What it remembers has a bound; its answers never change."""
+    """All rules of a cluster, prepared for evaluation.
+
+    They never change. The memory for remembered answers has a bound.
+    """
 
     def __init__(self, rules: Iterable[AccessRule] = ()) -> None:
         self.rules = tuple(rules)
@@ -110,7 +114,7 @@ class AccessRules:
         self._judged: dict[tuple[str, AccessVerb, AccessKind, str], AccessRuling] = {}
 
     def judge(self, caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> AccessRuling:
-        """Whether `caller` may do that to the thing of that name."""
+        """Whether `caller` may do `verb` with the thing of that kind and name."""
         if not caller.is_judged or not self.rules:
             return AccessRuling(True)
         key = (caller.name, verb, kind, name)
@@ -122,7 +126,7 @@ class AccessRules:
         return found
 
     def knows_of(self, caller: Caller, kind: AccessKind, name: str) -> bool:
-        """Whether `caller` may do anything at all to the thing, and so may find it by its name."""
+        """Whether `caller` may do anything with the thing, and so may learn of it."""
         return any(self.judge(caller, verb, kind, name).allowed for verb in VERBS_OF[kind])
 
     def _decide(self, who: str, verb: AccessVerb, kind: AccessKind, name: str) -> AccessRuling:

@@ -1,4 +1,4 @@
-"""The facts that a port needs to judge callers, as the directory tells them. Pure."""
+"""The facts by which a port judges callers, as the directory tells them. Pure."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from stampede_rt_runtime.quotas.limits import NO_SETTINGS, QuotaTable
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessState:
-    """As of `version`, the log position of its last change; 0: nothing was ever set.
+    """The state as of `version`, the log position of its last change; 0: nothing was ever set.
 
-    `token_keys`: the public keys that tokens of this cluster are signed with.
+    `token_keys`: the public keys for the signatures of this cluster's tokens.
     """
 
     version: int = 0

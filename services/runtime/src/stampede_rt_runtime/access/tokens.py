@@ -1,7 +1,7 @@
 """Client tokens: signed by the cluster, for callers that cannot hold a certificate. Pure.
 
-A token tells the cluster, a name, roles, its end and a serial number, and bears an Ed25519 signature (RFC 8032). The
-supernodes hold the private key in the directory; hosts and front-ends are told the public one, and can make no tokens.
+A token contains the cluster, a name, roles, its end and a serial number, and has an Ed25519 signature (RFC 8032). The
+supernodes hold the private key in the directory. Hosts and front-ends get only the public key, and can make no tokens.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class TokenClaims:
     ends_unix_nano: int
 
     def caller(self) -> Caller:
-        """The bearer of the token."""
+        """The caller that brings the token."""
         return Caller(
             kind=CallerKind.TOKEN,
             roles=frozenset(self.roles),
@@ -48,7 +48,7 @@ class TokenClaims:
 
 
 def check_claims(name: str, roles: Sequence[str], valid_nanos: int) -> tuple[Role, ...]:
-    """The roles, ascending. Raises InvalidArgument for a token that is not to be made."""
+    """The roles, ascending. Raises InvalidArgument for values that a token must not have."""
     if re.fullmatch(NAME_GRAMMAR, name) is None:
         raise InvalidArgument(f"the token's name is {name[:64]!r}; allowed: {NAME_GRAMMAR}")
     if not roles or not set(roles) <= set(ROLES):
@@ -59,15 +59,15 @@ def check_claims(name: str, roles: Sequence[str], valid_nanos: int) -> tuple[Rol
 
 
 def public_key(private_key: bytes) -> bytes:
-    """The public key that checks tokens signed with it."""
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # see below
+    """The public key for the signatures of `private_key`."""
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey  # see the comment in `make_token`
 
     return Ed25519PrivateKey.from_private_bytes(private_key).public_key().public_bytes_raw()
 
 
 def make_token(private_key: bytes, claims: TokenClaims) -> str:
-    """The token. The same for the same arguments."""
-    # Not at the top: a tenth of a service's start, and most services never see a token.
+    """The token. Equal arguments give equal tokens."""
+    # Not at the top: the import takes a tenth of a service's start, and most services never see a token.
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
     told = {
@@ -83,18 +83,18 @@ def make_token(private_key: bytes, claims: TokenClaims) -> str:
 
 
 def is_token(text: str) -> bool:
-    """Whether it is meant as one."""
+    """Whether the text looks like a token."""
     return text.startswith(_PREFIX)
 
 
 def read_token(text: str, *, keys: Sequence[bytes], cluster_id: str) -> TokenClaims:
-    """The contents of a token whose signature holds. Raises PermissionDenied with reason UNAUTHENTICATED."""
+    """The contents of a token with a valid signature. Raises PermissionDenied with reason UNAUTHENTICATED."""
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
     body, _, signature = text.rpartition(".")
     if len(text) > TOKEN_CHARACTERS_MAX:
-        raise _refused(f"the token has {len(text)} characters, and none that is issued has more than 2048")
+        raise _refused(f"the token has {len(text)} characters; issued tokens have 2048 at most")
     for key in keys:
         try:
             Ed25519PublicKey.from_public_bytes(key).verify(_decoded(signature), body.encode())
@@ -107,13 +107,13 @@ def read_token(text: str, *, keys: Sequence[bytes], cluster_id: str) -> TokenCla
 
 
 def check_not_over(claims: TokenClaims, *, now_unix_nano: int) -> None:
-    """Raises PermissionDenied with reason UNAUTHENTICATED."""
+    """Raises PermissionDenied with reason UNAUTHENTICATED if the token's time has ended."""
     if claims.ends_unix_nano <= now_unix_nano:
-        raise _refused(f"the token of {claims.name} is over")
+        raise _refused(f"the token of {claims.name} has ended")
 
 
 def _claims(encoded: bytes) -> TokenClaims:
-    """Only this cluster signs, so the form is right."""
+    """The decoded claims. Their form needs no check, because only this cluster signs tokens."""
     told = json.loads(encoded)
     return TokenClaims(
         cluster_id=told["cluster"],
@@ -129,7 +129,7 @@ def _encoded(raw: bytes) -> str:
 
 
 def _decoded(text: str) -> bytes:
-    """Raises ValueError."""
+    """The decoded bytes. Raises ValueError."""
     try:
         return base64.b64decode(text + "=" * (-len(text) % 4), altchars=b"-_", validate=True)
     except binascii.Error as error:
