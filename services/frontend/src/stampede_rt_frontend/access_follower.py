@@ -18,14 +18,17 @@ _REQUEST = access_service_pb2.GetAccessStateRequest(stale_ok=True)
 
 
 class AccessFollower:
-    """Asks a supernode for the state when its answer to a probe tells a later version."""
+    """Asks a supernode for the state when its answer to a probe has a later version."""
 
     def __init__(self, control: AccessControl) -> None:
         self._control = control
         self._known: AccessState | None = None
 
     async def heard(self, cluster_id: str, version: int, channel: grpc.aio.Channel) -> None:
-        """The supernode behind `channel` has answered a probe. If it does not tell the state, the next probe asks."""
+        """Take in the version in a supernode's answer.
+
+        If the request for the state fails, the next probe asks again.
+        """
         if not self._is_news(cluster_id, version):
             return
         state = AccessState(cluster_id=cluster_id)
@@ -36,7 +39,7 @@ class AccessFollower:
             except grpc.aio.AioRpcError as error:
                 logger.info("a supernode did not tell the state of access", extra={"why": error.details()})
                 return
-        if self._is_news(state.cluster_id, state.version):  # another supernode may have told more meanwhile
+        if self._is_news(state.cluster_id, state.version):  # another supernode may have sent a later state meanwhile
             self._known = state
             self._control.tell(state)
 

@@ -1,7 +1,7 @@
-"""Puts something around a method of a gRPC server, whatever kind of method it is.
+"""Wraps the method of a gRPC server, whatever its kind.
 
-gRPC tells an interceptor nothing of the caller's certificate, nor when a call ends, only a running call: so the handler
-is wrapped.
+gRPC gives an interceptor neither the caller's certificate nor the end of a call. Only a running call has them, so this
+module wraps the handler.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import grpc
 
 from stampede_rt_runtime.rpc import Context
 
-# Entered with the call's context before the method runs, and left when it has ended. It may end the call.
+# Entered with the call's context before the method runs, and left when the method has ended. It may end the call.
 Guard = Callable[[Any], contextlib.AbstractAsyncContextManager[None]]
 
 
 def is_stream(handler: Any) -> bool:
-    """Whether a handler's calls may stay open: in one direction or the other, any number of messages come."""
+    """Whether a handler's calls may stay open, because either side sends a stream of messages."""
     return bool(handler.request_streaming or handler.response_streaming)
 
 
 def guarded(handler: Any, guard: Guard) -> Any:
-    """A handler of the same kind, each call of which runs inside `guard`."""
+    """A handler of the same kind. Each of its calls runs inside `guard`."""
     behavior = behavior_of(handler)
     around = _around_iterator if inspect.isasyncgenfunction(behavior) else _around_call
     return with_behavior(handler, around(behavior, guard))
@@ -67,7 +67,7 @@ def _around_iterator(behavior: Callable[..., AsyncIterator[Any]], guard: Guard) 
 
 
 def _kind(handler: Any) -> tuple[Callable[..., Any], Any]:
-    """The constructor of handlers of this kind, and the function that this one runs."""
+    """The constructor of handlers of this kind, and the function of this handler."""
     if handler.request_streaming:
         if handler.response_streaming:
             return grpc.stream_stream_rpc_method_handler, handler.stream_stream

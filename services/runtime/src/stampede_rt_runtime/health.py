@@ -1,4 +1,4 @@
-"""The standard health service (grpc.health.v1), safe for callers who bring no credential."""
+"""The standard health service (grpc.health.v1), which also serves callers without a credential."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ STATUS = health_pb2.HealthCheckResponse
 
 
 class Health:
-    """The health service for load balancers. `Check` is open to everybody, so it reads no request: nobody can make it
-    wait or buffer.
+    """The health service for load balancers.
 
-    It therefore tells the state of the whole server, whichever service its caller names.
+    `Check` is open to everybody, so it reads no request. So no caller can make it wait or buffer. It tells the state of
+    the whole server, whichever service the caller names.
     """
 
     def __init__(self) -> None:
@@ -39,13 +39,13 @@ class Health:
         server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
 
     async def set_serving(self, serving: bool) -> None:
-        """The answer from now on. After `end` nothing changes any more."""
+        """Set the answer. After `end` it does not change any more."""
         if not self._is_ending:
             self._status = STATUS.SERVING if serving else STATUS.NOT_SERVING
             await self._known.set(health.OVERALL_HEALTH, self._status)
 
     async def end(self) -> None:
-        """NOT_SERVING from now on, for good."""
+        """Answer NOT_SERVING from now on."""
         self._is_ending, self._status = True, STATUS.NOT_SERVING
         await self._known.enter_graceful_shutdown()
 

@@ -1,8 +1,8 @@
 """Asks a service on this machine whether it serves: `python -m stampede_rt_runtime.health_check [HOST:PORT]`.
 
-For the health checks of containers, which have no other client of the standard gRPC health service at hand. That
-service answers without a secret, so none is needed here; with certificates, it uses those of the service beside it,
-which $STAMPEDE_HOST_TLS_CA, ..._CERTIFICATE and ..._KEY name, or those of FRONTEND or SUPERNODE in its place.
+Used by the health checks of containers, which have no other client of the standard gRPC health service. That service
+needs no secret. With certificates, this program uses those of the service beside it: $STAMPEDE_HOST_TLS_CA,
+..._CERTIFICATE and ..._KEY name them, or the same variables with FRONTEND or SUPERNODE for HOST.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from stampede_rt_runtime.values import Address, parse_address
 
 EXIT_SERVING, EXIT_NOT_SERVING, EXIT_BAD_ADDRESS = 0, 1, 2
 TIMEOUT_SECONDS = 3.0
-_LOOPBACK_OF_WILDCARD = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # a wildcard can be listened at, not called
+# a service can listen at a wildcard address, but nobody can call one
+_LOOPBACK_OF_WILDCARD = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
 
 def own_address(argv: Sequence[str], environ: Mapping[str, str]) -> str:
-    """The address in `argv`, or else the one that the service beside us was told to listen at ($STAMPEDE_LISTEN).
+    """The address in `argv`, or else the one at which the service beside this program listens ($STAMPEDE_LISTEN).
 
-    Raises ValueError if there is neither, or if it cannot be called.
+    Raises ValueError if there is no address, or if nobody can call it.
     """
     named = [*argv, environ.get("STAMPEDE_LISTEN", "")][0]
     if len(argv) > 1 or not named:
@@ -44,9 +45,10 @@ def own_address(argv: Sequence[str], environ: Mapping[str, str]) -> str:
 
 
 def open_channel(target: str, files: TlsFiles | None) -> grpc.Channel:
-    """A channel to the service beside us. Raises PermissionDenied or CertificateError if `files` cannot be used.
+    """A channel to the service beside this program. Raises PermissionDenied or CertificateError if `files` are
+    unusable.
 
-    The address that is called here need not be one of those in the certificate, which is our own all the same.
+    The called address need not be in the certificate, because the certificate is this machine's own.
     """
     options = Limits().channel_options()
     if files is None:
@@ -59,10 +61,10 @@ def open_channel(target: str, files: TlsFiles | None) -> grpc.Channel:
 
 
 def status_of(target: str, timeout_seconds: float = TIMEOUT_SECONDS, files: TlsFiles | None = None) -> str:
-    """The answer of the service at `target`: `SERVING`, `NOT_SERVING`, or why it could not be asked.
+    """The answer of the service at `target`: `SERVING`, `NOT_SERVING`, or the reason why there is none.
 
-    Blocks for `timeout_seconds` at most. A service that cannot be asked is not healthy, and nothing is raised; see
-    `open_channel` for what `files` may raise.
+    Blocks for `timeout_seconds` at most. A failed call raises nothing: such a service is not healthy. For the errors of
+    unusable `files` see `open_channel`.
     """
     with open_channel(target, files) as channel:
         stub = health_pb2_grpc.HealthStub(channel)
@@ -83,7 +85,10 @@ def _files_of_service(environ: Mapping[str, str]) -> TlsFiles | None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Exit code 0: it serves; 1: it does not; 2: the address cannot be used. One line on stdout or stderr says why."""
+    """Exit code 0: it serves; 1: it does not; 2: the address is unusable.
+
+    Prints the reason in a line on stdout or stderr.
+    """
     try:
         target = own_address(sys.argv[1:] if argv is None else argv, os.environ)
     except ValueError as error:

@@ -11,19 +11,19 @@ from enum import StrEnum
 from stampede_rt.values.policy import NAME_GRAMMAR
 
 SCHEME = "stampede://"
-_CLUSTER = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")  # the host part of a URI, where case does not count
+_CLUSTER = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")  # the host part of a URI, which is not case-sensitive
 
 _FILE_NAME = re.compile(r"[a-z0-9][a-z0-9._-]*")
 
 
 class Role(StrEnum):
-    """The purpose of a certificate's bearer."""
+    """The purpose of a certificate's owner."""
 
     SUPERNODE = "supernode"
     FRONTEND = "frontend"
     HOST = "host"
     CLIENT = "client"
-    OPERATOR = "operator"  # a client that may also change who the supernodes are
+    OPERATOR = "operator"  # a client that may also add and remove supernodes
 
 
 SERVICES = frozenset({Role.SUPERNODE, Role.FRONTEND, Role.HOST})
@@ -48,14 +48,16 @@ class Identity:
 
     @property
     def uri(self) -> str:
-        """As it stands in the certificate."""
+        """The URI in the certificate."""
         return f"{SCHEME}{self.cluster}/{self.role}/{self.name}"
 
     @property
     def file_stem(self) -> str:
-        """The name of its files, without their endings: no two names share one, also where case does not count.
+        """The name of its files, without their endings. Different names have different stems, even if case does not
+        count.
 
-        A name with upper-case letters or "/" is no file name: it is spelled otherwise, with a digest of it behind.
+        A name with upper-case letters or "/" is no valid file name. Its stem has another spelling, with a digest of the
+        name.
         """
         if _FILE_NAME.fullmatch(self.name):
             return f"{self.role}-{self.name}"
@@ -64,7 +66,7 @@ class Identity:
 
 
 def parse_identity(uri: str) -> Identity:
-    """Raises ValueError with what is allowed."""
+    """The identity of a URI. Raises ValueError with the allowed form."""
     cluster, _, rest = uri.removeprefix(SCHEME).partition("/")
     role, _, name = rest.partition("/")
     if not uri.startswith(SCHEME) or role not in set(Role):
@@ -73,7 +75,7 @@ def parse_identity(uri: str) -> Identity:
 
 
 def identity_among(uris: Iterable[str]) -> Identity | None:
-    """The one identity among a certificate's URIs; None if there is none, or more than one, or a broken one."""
+    """The one identity among a certificate's URIs; None if there is none, an invalid one, or more than one."""
     ours = [uri for uri in uris if uri.startswith(SCHEME)]
     if len(ours) != 1:
         return None

@@ -1,6 +1,6 @@
-"""The bounds of every gRPC connection, the same on both sides (a server that allows less than a client sends hangs up).
+"""The limits of every gRPC connection, the same on both sides: a server closes connections whose client sends too much.
 
-Names and meanings of the options: grpc_types.h of gRPC core.
+The names and meanings of the options are in gRPC core's grpc_types.h.
 """
 
 from __future__ import annotations
@@ -15,16 +15,19 @@ Option = tuple[str, int | str]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Limits:
-    """`concurrent_rpcs_max` calls of anybody are served at a time, `streams_max` of them streams, which may stay open;
-    beside them `reserved_rpcs_max` that only parts of the cluster make. A call beyond gets RESOURCE_EXHAUSTED, by gRPC
-    itself if more than `refusals_max` are just being refused.
+    """The limits of a server and its connections.
 
-    A server takes messages of `request_bytes_max` at most, and `calls_per_connection_max` calls on one connection;
-    callers open further connections for further calls. It closes one that is not set up within `handshake_millis_max`.
+    A server serves `concurrent_rpcs_max` calls of anybody at a time. `streams_max` of them may be streams, which may
+    stay open. Beside them it serves `reserved_rpcs_max` calls that only parts of the cluster make. Further calls get
+    RESOURCE_EXHAUSTED, from gRPC itself if more than `refusals_max` are being refused at the time.
 
-    A server hangs up on a peer that pings more often than each `ping_interval_millis_min` while nothing else is sent;
-    it must lie well below every caller's keepalive time, or an idle subscription is cut after three pings. The shortest
-    keepalive time that a gRPC library takes is 1 s (C core and all on top of it; Go and Java: 10 s).
+    A server accepts messages of `request_bytes_max` at most, and `calls_per_connection_max` calls on one connection.
+    Callers open further connections for further calls. The server closes a connection whose set-up takes longer than
+    `handshake_millis_max`.
+
+    A server closes a connection whose peer pings more often than every `ping_interval_millis_min` while nothing else is
+    sent. This value must be well below every caller's keepalive time. Otherwise an idle subscription breaks after three
+    pings. The shortest keepalive time of a gRPC library is 1 s (C core and libraries on it; Go and Java: 10 s).
     """
 
     message_bytes_max: int = 20 * 2**20
@@ -42,11 +45,11 @@ class Limits:
     reconnect_millis_max: int = 1_000
 
     def rpcs_max(self) -> int:
-        """The limits that gRPC gets: for the calls that are served, and for those that are just being refused."""
+        """gRPC's own limit: the served calls, and those that are being refused."""
         return self.concurrent_rpcs_max + self.reserved_rpcs_max + self.refusals_max
 
     def server_options(self) -> list[Option]:
-        """For `grpc.aio.server`. Without so_reuseport=0 a second server would share the port in silence."""
+        """The options of `grpc.aio.server`. Without so_reuseport=0 a second server would silently share the port."""
         return [
             *self._shared(self.request_bytes_max),
             ("grpc.so_reuseport", 0),
@@ -57,12 +60,13 @@ class Limits:
         ]
 
     def channel_options(self) -> list[Option]:
-        """For channels. Reconnects soon: a service that was restarted is found again within about a second."""
+        """The options of channels. A channel reconnects soon: within about a second after a service was restarted."""
         return [
             *self._shared(self.message_bytes_max),
             *MORE_CONNECTIONS,
             ("grpc.initial_reconnect_backoff_ms", 100),
-            # How long an attempt may take, whatever the name says: a busy server needs a while to greet many.
+            # The time limit of a connection attempt, in spite of its name: a busy server takes a while to greet many
+            # clients.
             ("grpc.min_reconnect_backoff_ms", self.reconnect_millis_max),
             ("grpc.max_reconnect_backoff_ms", self.reconnect_millis_max),
             ("grpc.use_local_subchannel_pool", 1),
@@ -77,12 +81,13 @@ class Limits:
             ("grpc.absolute_max_metadata_size", 2 * self.metadata_bytes_max),
             ("grpc.keepalive_time_ms", self.keepalive_millis),
             ("grpc.keepalive_timeout_ms", self.keepalive_timeout_millis),
-            ("grpc.http2.ping_timeout_ms", self.keepalive_timeout_millis),  # what ends the connection: see the client's
+            # the option that ends a silent connection; see the client's
+            ("grpc.http2.ping_timeout_ms", self.keepalive_timeout_millis),
             ("grpc.keepalive_permit_without_calls", 1),
             ("grpc.http2.max_pings_without_data", 0),
         ]
 
 
-# For servers that take neither items nor messages: no request of theirs is larger than a piece of a snapshot (1 MiB) or
-# a batch of the replicated log.
+# For servers that accept neither items nor messages. Their largest requests are a piece of a snapshot (1 MiB) and a
+# batch of the replicated log.
 CONTROL_LIMITS = Limits(request_bytes_max=4 * 2**20)

@@ -1,7 +1,7 @@
-"""Where a service may listen, and whether the port is free. Checked before gRPC is asked.
+"""Checks whether a service may listen at an address, and whether the port is free. Runs before gRPC binds the port.
 
-gRPC binds what it can of the addresses that a name has and says nothing of the others; a port that another process
-holds on 127.0.0.1 would be served on ::1 alone. So all of them are tried first.
+gRPC binds those of a name's addresses that it can, and reports no failure of the others. If another process held a port
+on 127.0.0.1, gRPC would serve on ::1 alone. So this module tries all addresses first.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from stampede_rt_runtime.values import Address, parse_address
 
 
 class CannotListen(Exception):
-    """The address cannot be listened at; the text is one line that says why."""
+    """The service cannot listen at the address. The text is one line with the reason."""
 
 
 class NotAllowed(CannotListen):
-    """The address is reachable from other machines, and nobody said that this is wanted."""
+    """Other machines can reach the address, and no setting allows that."""
 
 
 def check_listen(text: str, *, allow_insecure_anywhere: bool) -> Address:
-    """The address, if it is loopback or allowed, and free. Resolving a name may block for a moment.
+    """The address, if it is loopback or allowed, and free. To resolve a name may block for a moment.
 
     Raises NotAllowed or CannotListen.
     """
@@ -54,13 +54,14 @@ def _is_loopback(socket_address: tuple[str, int]) -> bool:
 def _try_bind(address: Address, family: socket.AddressFamily, socket_address: tuple[str, int]) -> None:
     try:
         with socket.socket(family, socket.SOCK_STREAM) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as gRPC does: old connections do not count
+            # as gRPC does: old connections do not block the port
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             if family == socket.AF_INET6:
                 probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
             probe.bind(socket_address)
     except OSError as error:
         if error.errno in (errno.EAFNOSUPPORT, errno.EADDRNOTAVAIL) and family == socket.AF_INET6:
-            return  # a machine without IPv6 whose names still have IPv6 addresses: gRPC passes over these, too
+            return  # a machine without IPv6 whose names still have IPv6 addresses; gRPC ignores these, too
         raise CannotListen(_why(address, error)) from error
 
 

@@ -1,6 +1,6 @@
-"""One line per event on standard error, in `key=value` form, through the standard library's logging.
+"""Writes one line per event on standard error, in `key=value` form, through the standard library's logging.
 
-Write `logger.info("lease renewed", extra={"host": name, "ttl_nanos": ttl})`: extras follow the message.
+Write `logger.info("lease renewed", extra={"host": name, "ttl_nanos": ttl})`: the extras follow the message.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _STANDARD = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", 
 
 
 class LineFormatter(logging.Formatter):
-    """Formats a record as one line; a traceback follows as one quoted value, so that lines stay records."""
+    """Formats a record as one line. A traceback becomes one quoted value, so that each record stays one line."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The line, without its end."""
@@ -36,8 +36,8 @@ def _quoted(value: object) -> str:
 
 
 def set_up_logging(level: str) -> None:
-    """Send everything from `level` (one of LEVELS) on to standard error. Replaces what was set up before."""
+    """Send records of `level` (one of LEVELS) and above to standard error. Replaces an earlier set-up."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(LineFormatter())
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
-    logging.getLogger("grpc").setLevel(logging.WARNING)  # its debug lines, one per call, would bury ours
+    logging.getLogger("grpc").setLevel(logging.WARNING)  # its debug lines, one per call, would hide ours

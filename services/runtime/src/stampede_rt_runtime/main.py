@@ -1,4 +1,4 @@
-"""The beginning and the end of every service process: settings in, exit code out, never a traceback for a mistake."""
+"""The start and end of every service process: settings in, exit code out, no traceback for a user's mistake."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ EXIT_FAILED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class ServiceSettings:
-    """The settings that all services share; each has its own `listen` beside them."""
+    """The settings that all services share. Each service also has its own `listen`."""
 
     secret_file: Path | None = field(
         default=None,
@@ -71,16 +71,16 @@ class ServiceSettings:
     )
 
     def load_secret(self) -> Secret | None:
-        """The secret, or None if none is set up. Reads a file. Raises PermissionDenied.
+        """The secret, or None if there is none. Reads a file. Raises PermissionDenied.
 
-        With certificates the secret is asked for only if its file is named: they suffice alone.
+        With certificates the secret is read only if a setting names its file, because certificates alone suffice.
         """
         if self.tls_ca is not None and self.secret_file is None and "STAMPEDE_SECRET_FILE" not in os.environ:
             return None
         return load_secret(self.secret_file)
 
     def load_tls(self, role: Role) -> ServiceTls | None:
-        """The certificates, or None if none are named. Reads files. Raises SettingsError or PermissionDenied."""
+        """The certificates, or None if no setting names them. Reads files. Raises SettingsError or PermissionDenied."""
         named = {"--tls-ca": self.tls_ca, "--tls-certificate": self.tls_certificate, "--tls-key": self.tls_key}
         missing = [flag for flag, path in named.items() if path is None]
         if len(missing) == len(named):
@@ -90,7 +90,7 @@ class ServiceSettings:
         return load_tls(TlsFiles(ca=self.tls_ca, certificate=self.tls_certificate, key=self.tls_key), role)
 
     def load_credentials(self, role: Role) -> Dialer:
-        """Secrets and certificates together, as its server and its outgoing connections need them."""
+        """The secrets and certificates, as the service's server and its outgoing connections need them."""
         secret = self.load_secret()
         clients = load_client_secret(self.client_secret_file, secret)
         return Dialer(secret=secret, client_secret=clients, tls=self.load_tls(role))
@@ -104,8 +104,8 @@ def run_service(
 ) -> int:
     """Load the settings, run `serve` to its end on a new event loop, and return the process's exit code.
 
-    `argv` is without the program's name; None: that of the process. `serve` returns an exit code, None being 0.
-    Exit code 2: the settings cannot be used; 1: the service could not start or go on. Both with one line on stderr.
+    `argv` is without the program's name; None: that of the process. `serve` returns an exit code; None means 0. Exit
+    code 2: the settings are unusable; 1: the service failed to start or to go on. Both with one line on stderr.
     """
     try:
         words = sys.argv[1:] if argv is None else argv
@@ -127,14 +127,16 @@ def run_service(
         return _complain(service, error, EXIT_FAILED)
     except OSError as error:
         if error.filename is None:
-            raise  # a defect of ours; what concerns a file is for the user to put right
+            raise  # a defect; but errors with a file name are for the user to correct
         return _complain(service, f"{error.filename} cannot be used: {error.strerror}", EXIT_FAILED)
-    except KeyboardInterrupt:  # before the service had its own way to stop
+    except KeyboardInterrupt:  # before the service handled signals itself
         return 130
 
 
 def _tell_of_clients_certificates(settings: ServiceSettings, service: str) -> None:
-    """A service in plain text where a client's certificates are named: somebody may have meant them for it."""
+    """Warn about a service without certificates if the environment names a client's: the user may have meant the
+    service.
+    """
     named = [f"${name}" for name in CLIENT_VARIABLES if os.environ.get(name)]
     if named and settings.tls_ca is None:
         logger.warning(
@@ -154,7 +156,7 @@ R = TypeVar("R")
 
 
 def run_loop(work: Awaitable[R]) -> R:
-    """Run `work` to its end on a new event loop, uvloop's if it is installed."""
+    """Run `work` to its end on a new event loop, of uvloop if it is installed."""
 
     async def whole() -> R:
         return await work
@@ -170,6 +172,6 @@ def run_loop(work: Awaitable[R]) -> R:
 
 
 def announce(line: str) -> None:
-    """Print the ready line on stdout, at once: whoever started the process waits for it."""
+    """Print the ready line on stdout at once, because the process's starter waits for it."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""Refusals because of a service's own bounds: counted, and logged now and then."""
+"""Counts the refusals at a service's own limits, and logs some of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LOG_PERIOD_NANOS = 10 * 10**9
 
 
 class Overload:
-    """Items, or calls, that were refused as Overloaded, over all channels and queues of a host.
+    """Items or calls that were refused as Overloaded, over all channels and queues of a host.
 
     `now`: nanoseconds of a clock that never goes back.
     """
@@ -26,7 +26,7 @@ class Overload:
         self._logged_nanos: int | None = None
 
     def note(self, count: int, now: int) -> int | None:
-        """So many items were refused. Gives how many were since the last line of the log, if it is time for one."""
+        """Count refusals. If a log line is due, returns the number of refusals since the last line; else None."""
         self.refused += count
         self._last_nanos = now
         if self._logged_nanos is not None and now - self._logged_nanos < LOG_PERIOD_NANOS:
@@ -36,28 +36,28 @@ class Overload:
         return untold
 
     def ago_nanos(self, now: int) -> int | None:
-        """How long ago the last one was refused; None: there was none."""
+        """The time since the last refusal, in nanoseconds; None: there was none."""
         return None if self._last_nanos is None else now - self._last_nanos
 
 
 class RefusedCalls:
-    """Calls, reads in streams among them, that were refused or ended as Overloaded. `steady_nanos` never goes back."""
+    """Calls, and reads in streams, that were refused or ended as Overloaded. `steady_nanos` never goes back."""
 
     def __init__(self, steady_nanos: Callable[[], int] = time.monotonic_ns) -> None:
         self._overload = Overload()
         self._steady_nanos = steady_nanos
 
     def note(self, error: Overloaded) -> None:
-        """One was: counted, and logged every few seconds at most."""
+        """Count a refusal. Writes a log line every few seconds at most."""
         untold = self._overload.note(1, self._steady_nanos())
         if untold is not None:
             logger.warning("calls are refused", extra={"calls": untold, "why": error.message})
 
     @property
     def count(self) -> int:
-        """How many were so far."""
+        """The number of refusals so far."""
         return self._overload.refused
 
     def ago_nanos(self) -> int | None:
-        """How long ago the last one was; None: none were."""
+        """The time since the last refusal, in nanoseconds; None: there was none."""
         return self._overload.ago_nanos(self._steady_nanos())

@@ -1,4 +1,4 @@
-"""A channel that outlives its certificate: calls that begin after a renewal go over a new connection."""
+"""A channel that outlives its certificate. Calls that begin after a renewal use a new connection."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stampede_rt.security.tls import TlsMaterial, TlsReader
 
 
 class _Connection:
-    """One connection and how many calls are under way on it."""
+    """One connection, and the number of its calls under way."""
 
     def __init__(self, channel: grpc.aio.Channel) -> None:
         self.channel = channel
@@ -20,9 +20,9 @@ class _Connection:
 
 
 class RenewingChannel(grpc.aio.Channel):
-    """Looks at the certificate files at each call. Calls under way stay where they are, however long they last.
+    """Checks the certificate files at each call. Calls under way stay on their connection, however long they last.
 
-    A former connection is closed when its last call has ended: it would go on connecting for ever.
+    The channel closes a former connection when its last call has ended. An open connection would reconnect for ever.
     """
 
     def __init__(self, connect: Callable[[TlsMaterial], grpc.aio.Channel], reader: TlsReader) -> None:
@@ -31,7 +31,7 @@ class RenewingChannel(grpc.aio.Channel):
         self._material = reader.current()
         self._newest = _Connection(connect(self._material))
         self._former: set[_Connection] = set()
-        self._closing: set[asyncio.Future[None]] = set()  # held, so that none is collected before it is done
+        self._closing: set[asyncio.Future[None]] = set()  # references, so that no task is collected before its end
         self._closed = False
 
     @property
@@ -69,7 +69,7 @@ class RenewingChannel(grpc.aio.Channel):
         await self.close()
 
     async def close(self, grace: float | None = None) -> None:
-        """Close the connections; calls under way have `grace` seconds. Later calls fail; nothing connects again."""
+        """Close the connections. Calls under way have `grace` seconds. Later calls fail, and nothing reconnects."""
         self._closed = True
         former, self._former = self._former, set()
         for connection in (*former, self._newest):
@@ -80,11 +80,11 @@ class RenewingChannel(grpc.aio.Channel):
         return self._channel.get_state(try_to_connect)
 
     async def wait_for_state_change(self, last_observed_state: grpc.ChannelConnectivity) -> None:
-        """Return when that state is another one."""
+        """Wait until the newest connection has another state."""
         await self._channel.wait_for_state_change(last_observed_state)
 
     async def channel_ready(self) -> None:
-        """Return when the newest connection stands."""
+        """Wait until the newest connection is made."""
         await self._channel.channel_ready()
 
     def unary_unary(self, *args: Any, **kwargs: Any) -> Any:

@@ -1,8 +1,8 @@
-"""Reads the requests of a call once the caller is let in, within a time, and refuses those that cannot be parsed.
+"""Reads the requests of a call after the caller is admitted, within a time limit, and refuses invalid ones.
 
-gRPC itself reads and parses the one request of a unary call before it asks anybody whether the caller may call. So a
-caller without a credential could make it buffer large requests, hold its calls open by never finishing one, and fill
-its log with failed parses.
+gRPC itself reads and parses the request of a unary call before any interceptor sees the call. So a caller without a
+credential could make the service buffer large requests, keep calls open with unfinished requests, and fill the log with
+failed parses.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Parse = Callable[[bytes], Any]
 
 
 def reading_late(method: str, handler: Any) -> Any:
-    """A handler for the same `method`, entered before a request is read. On the wire it is of the same kind."""
+    """A handler for the same `method` that runs before a request is read. On the wire it is of the same kind."""
     parse = _parser(method, handler.request_deserializer)
     make = grpc.stream_stream_rpc_method_handler if handler.response_streaming else grpc.stream_unary_rpc_method_handler
     behavior = behavior_of(handler)
@@ -36,14 +36,14 @@ def reading_late(method: str, handler: Any) -> Any:
 
 
 def _parser(method: str, deserializer: Parse | None) -> Parse | None:
-    """`deserializer`, which raises InvalidArgument for bytes that are no request of the method."""
+    """Wraps `deserializer` so that it raises InvalidArgument for bytes that are no request of the method."""
     if deserializer is None:
         return None
 
     def parse(raw: bytes) -> Any:
         try:
             return deserializer(raw)
-        except Exception as error:  # whatever a generated parser raises, the bytes are the caller's
+        except Exception as error:  # any error of a generated parser is due to the caller's bytes
             raise InvalidArgument(
                 f"the {len(raw)} bytes that were sent are no request of {method}; generate the caller's stubs from the "
                 "same proto/ files"
@@ -53,7 +53,7 @@ def _parser(method: str, deserializer: Parse | None) -> Parse | None:
 
 
 def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | None) -> Callable[..., Any]:
-    """`behavior`, which takes one request, for a call whose requests come as a stream."""
+    """Wraps `behavior`, which takes one request, for a call whose requests come as a stream."""
 
     async def read(context: Context) -> Any:
         try:
@@ -83,7 +83,7 @@ def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | 
 
 
 def _refusing(behavior: Callable[..., Any]) -> Callable[..., Any]:
-    """`behavior`; an error of the product's that rises out of it ends the call with that error."""
+    """Wraps `behavior` so that a StampedeError from it ends the call with that error."""
     if inspect.isasyncgenfunction(behavior):
 
         async def stream(requests: Any, context: Context) -> AsyncIterator[Any]:
@@ -106,7 +106,7 @@ async def _told(context: Context) -> AsyncIterator[None]:
         yield
     except StampedeError as error:
         await abort(context, error)
-    except BaseExceptionGroup as group:  # of the tasks in which a stream is served
+    except BaseExceptionGroup as group:  # of the tasks that serve a stream
         errors = group.subgroup(StampedeError)
         if errors is None:
             raise

@@ -1,7 +1,7 @@
-"""Which role may call which RPC. Pure.
+"""The roles that may call each RPC. Pure.
 
-One row for each service of the contract, and one for each RPC that differs from its service. What has no row is
-refused: whoever adds a service decides here who it is for.
+The table has one row for each service of the contract, and one for each RPC that differs from its service. A service
+without a row is refused. So the author of a new service decides here who may call it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ PACKAGE = "stampede_rt.v1"
 _ALL = frozenset(Role)
 _SUPERNODES = frozenset({Role.SUPERNODE})
 _HOSTS = frozenset({Role.HOST})
-# A host may live inside a participant's process, and hosts feed each other; so a host may do what a client may.
+# A host may live inside a participant's process, and hosts call each other, so a host may do what a client may.
 _CALLERS = frozenset({Role.CLIENT, Role.OPERATOR, Role.HOST})
 _OPERATORS = frozenset({Role.OPERATOR})
 
@@ -78,7 +78,7 @@ def roles_for(method: str) -> frozenset[Role]:
 
 
 def why_refused(method: str, caller: Caller) -> str:
-    """Why `caller` may not call `method`, as one sentence; empty if it may."""
+    """The reason why `caller` may not call `method`, as one sentence; empty if it may."""
     allowed = roles_for(method)
     if caller.roles == ALL_ROLES or caller.roles & allowed:
         return ""

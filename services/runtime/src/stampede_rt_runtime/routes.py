@@ -1,4 +1,4 @@
-"""Which of this machine's addresses leads where: what others can call is not what a service of this machine can."""
+"""This machine's addresses: which of them other machines can call, and which only this machine can."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from stampede_rt_runtime.values import parse_address
 
 
 def address_towards(targets: Iterable[str]) -> str:
-    """The address of this machine from which the first of `targets` that is elsewhere is called.
+    """The address of this machine that the first target on another machine can call.
 
-    "localhost" if all are here. Nothing is sent: a datagram socket is connected, and its own address read. Resolving a
-    name may block for a moment. Raises CannotListen if no way leads there.
+    "localhost" if all targets are on this machine. Sends nothing: connects a datagram socket and reads its own address.
+    To resolve a name may block for a moment. Raises CannotListen if there is no route.
     """
     for target in targets:
         if not is_loopback(target):
@@ -40,14 +40,14 @@ def _own_address_towards(target: str) -> str:
 
 
 def is_of_another_machine(peer: str) -> bool:
-    """Whether a caller, as gRPC names it ("ipv4:10.0.0.3:5", "ipv6:%5B::1%5D:5"), has no address of this machine's."""
+    """Whether a caller, as gRPC names it ("ipv4:10.0.0.3:5", "ipv6:%5B::1%5D:5"), is on another machine."""
     kind, _, rest = peer.partition(":")
     if kind not in ("ipv4", "ipv6"):
         return False
     address = unquote(rest).rpartition(":")[0].strip("[]")
     try:
         with socket.socket(socket.AF_INET6 if kind == "ipv6" else socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind((address, 0))  # which is allowed for one's own addresses alone
+            probe.bind((address, 0))  # the system allows it only for the machine's own addresses
     except OSError:
         return True
     return False

@@ -1,5 +1,7 @@
-"""The parts that the servicers of all services share: the type of contexts, errors as statuses, and handlers of single
-calls."""
+"""The code that the servicers of all services share.
+
+It holds the type of contexts, the conversion of errors to statuses, and handlers of unary calls.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,17 @@ from google.protobuf.message import Message
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 
-# What a method knows of its call. The types of requests and responses are those of the method.
+# A method's view of its call. The types of requests and responses are those of the method.
 Context: TypeAlias = "grpc.aio.ServicerContext[Any, Any]"
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def errors_as_status(method: Method) -> Method:
-    """Ends the RPC with the status of a StampedeError that `method` raises. Any other exception is a defect, and gRPC
-    reports it as one. `method` takes (self, request, context), and returns a response or yields responses."""
+    """Wraps `method` so that a StampedeError ends the RPC with its status.
+
+    Any other exception is a defect, and gRPC reports it as one. `method` takes (self, request, context), and returns a
+    response or yields responses.
+    """
     call = _stream_of(method) if inspect.isasyncgenfunction(method) else _call_of(method)
     return functools.wraps(method)(call)  # type: ignore[return-value]
 

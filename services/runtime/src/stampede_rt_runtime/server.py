@@ -1,4 +1,4 @@
-"""A gRPC server as every service runs it: bounded, asking who calls, with health, and stopping in order."""
+"""The gRPC server of every service: limited, with checks of callers, with health, and with an orderly stop."""
 
 from __future__ import annotations
 
@@ -34,12 +34,13 @@ _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 class ServiceServer:
-    """One listening server. Order of use: make, `bind`, register servicers on `.grpc`, `start`, then `run` or `stop`.
+    """One listening server. Order of use: make it, `bind`, register servicers on `.grpc`, `start`, then `run` or
+    `stop`.
 
-    Must be made on the event loop that serves. With `tls` every caller must bring a certificate whose role may call
-    what it calls. With `secret` every caller brings that one, and may call everything, or `client_secret`, and may call
-    what clients do. With neither `secret` nor `tls` every caller is let in.
-    `judge_cluster` says whether callers of another cluster are served; without it they are.
+    Make it on the event loop that serves. With `tls` every caller must bring a certificate whose role may make the
+    call. With `secret` every caller must bring that secret, and may make every call, or `client_secret`, and may make
+    the calls of clients. Without `secret` and `tls` the server admits every caller. `judge_cluster` decides about
+    callers of another cluster; without it the server serves them.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class ServiceServer:
         judge_cluster: JudgeCluster | None = None,
     ) -> None:
         limits = limits or Limits()
-        self.access = AccessControl()  # to be told by the directory
+        self.access = AccessControl()  # the directory's state goes in here
         self.refused_calls = RefusedCalls()
         accepted = Accepted(
             secrets=secret.accepted if secret else (),
@@ -62,7 +63,7 @@ class ServiceServer:
         )
         self._tls = tls
         self.grpc: grpc.aio.Server = grpc.aio.server(
-            # The first is the outermost: who may not call takes no slot, and is told of no cluster.
+            # The first one is the outermost: a refused caller takes no slot, and learns of no cluster.
             interceptors=[
                 AbortInterceptor(),
                 AdmissionInterceptor(accepted, self.access),
@@ -80,14 +81,14 @@ class ServiceServer:
         quota_use_service_pb2_grpc.add_QuotaUseServiceServicer_to_server(uses, self.grpc)
 
     def bind(self, listen: str, *, allow_insecure_anywhere: bool = False) -> str:
-        """Take the port at `listen`, once, and return the address with the port that was bound. Raises CannotListen.
+        """Take the port at `listen`, once, and return the address with the bound port. Raises CannotListen.
 
-        From here on the port is this process's, and its address can be told to others: callers wait until `start`.
+        From now on the port belongs to this process, and others may learn its address: their calls wait until `start`.
         """
         checked = check_listen(listen, allow_insecure_anywhere=allow_insecure_anywhere or self._tls is not None)
         try:
             port = self._add_port(str(checked))
-        except RuntimeError as error:  # another process was faster than the check before
+        except RuntimeError as error:  # another process took the port after the check
             raise CannotListen(f"{checked} cannot be listened at: {error}") from error
         if port == 0:
             raise CannotListen(f"{checked} cannot be listened at")
@@ -95,7 +96,10 @@ class ServiceServer:
         return self.address
 
     async def start(self) -> None:
-        """Serve what is registered at the bound address. Health answers NOT_SERVING until `set_serving` is called."""
+        """Serve the registered services at the bound address.
+
+        Health answers NOT_SERVING until `set_serving` is called.
+        """
         await self.set_serving(False)
         await self.grpc.start()
 
@@ -105,11 +109,14 @@ class ServiceServer:
         return self.grpc.add_secure_port(address, self._tls.server_credentials())
 
     async def set_serving(self, serving: bool) -> None:
-        """The answer of the standard health service from now on."""
+        """Set the answer of the standard health service."""
         await self._health.set_serving(serving)
 
     async def run(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
-        """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`. A second signal cuts it short."""
+        """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`.
+
+        A second signal ends it at once.
+        """
         with _signals_set(self.stopping):
             await self.stopping.wait()
         logger.info("stopping", extra={"address": self.address})
@@ -124,7 +131,8 @@ class ServiceServer:
             await drain
 
     async def stop(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
-        """Health NOT_SERVING; `end_streams` tells open streams to finish; calls may end; then everything is closed.
+        """Stop in order: health answers NOT_SERVING, `end_streams` ends open streams, calls may finish, the server
+        closes.
 
         Takes 2 * DRAIN_SECONDS at most. Idempotent.
         """
@@ -144,7 +152,7 @@ async def _bounded(work: Awaitable[Any]) -> None:
 
 @contextlib.contextmanager
 def _signals_set(event: asyncio.Event) -> Any:
-    """While entered, the stop signals set `event`."""
+    """While entered, stop signals set `event`."""
     loop = asyncio.get_running_loop()
     for number in _STOP_SIGNALS:
         loop.add_signal_handler(number, event.set)
@@ -166,7 +174,7 @@ async def serving(
     tls: ServiceTls | None = None,
     judge_cluster: JudgeCluster | None = None,
 ) -> AsyncIterator[ServiceServer]:
-    """A started server for as long as the block lasts, loopback only; for tests and for servers inside a client."""
+    """A started server on loopback for the duration of the block. For tests and for servers inside a client."""
     server = ServiceServer(
         secret=secret, client_secret=client_secret, limits=limits, tls=tls, judge_cluster=judge_cluster
     )

@@ -1,9 +1,11 @@
-"""Settings of a service: one frozen dataclass, filled from flags, then the environment, then a file, then defaults.
+"""The settings of a service: a frozen dataclass, filled from flags, the environment, a file and defaults, in that
+order.
 
 A field `lease_ttl_nanos: int = field(default=5 * 10**9, metadata=setting(help="...", parse=parse_duration))` of the
-service `supernode` is the flag `--lease-ttl 5s`, the variable `STAMPEDE_SUPERNODE_LEASE_TTL` or `STAMPEDE_LEASE_TTL`,
-and `lease-ttl = "5s"` in the TOML file that `--config` (or `STAMPEDE_SUPERNODE_CONFIG`, `STAMPEDE_CONFIG`) names, in
-its table `[supernode]` or, for what all services that read the file know, at its top.
+service `supernode` can be given in three ways: as the flag `--lease-ttl 5s`, as the variable
+`STAMPEDE_SUPERNODE_LEASE_TTL` or `STAMPEDE_LEASE_TTL`, and as `lease-ttl = "5s"` in a TOML file. `--config` (or
+`STAMPEDE_SUPERNODE_CONFIG`, `STAMPEDE_CONFIG`) names the file. The setting stands in its table `[supernode]`, or at its
+top if all services that read the file have that setting.
 """
 
 from __future__ import annotations
@@ -21,16 +23,16 @@ from stampede_rt.values.timeline import format_duration
 from stampede_rt_runtime.values import format_size, parse_bool, parse_duration, parse_int, parse_size
 
 EXIT_BAD_SETTINGS = 2
-# One file serves a whole deployment: tables of the others are passed over, a misspelt one is not.
+# One file serves a whole deployment. A service ignores the tables of others, but refuses a misspelt table.
 TABLES = ("frontend", "supernode", "host", "dev")
 
 
 class SettingsError(Exception):
-    """A setting cannot be used; the text names it, where it came from, its value, and what is allowed."""
+    """A setting is unusable. The text names the setting, its source, its value, and the allowed values."""
 
 
 class HelpRequested(Exception):
-    """`--help` was given; the text is the help."""
+    """The user gave `--help`. The text is the help."""
 
 
 class _Dataclass(Protocol):
@@ -50,11 +52,11 @@ def setting(
     maximum: int | None = None,
     shared: bool = True,
 ) -> dict[str, Any]:
-    """The metadata of a field of a settings dataclass. A field without a default must be given.
+    """The metadata of a field of a settings dataclass. A field without a default is required.
 
-    `parse` takes the text and raises ValueError with what is allowed; left out, the field's type decides among str,
-    int, bool and Path. `minimum` and `maximum`, both allowed, are checked after parsing. Not `shared`: only
-    the service's own variable is read, since the one that all read means something else (to clients, for one).
+    `parse` takes the text and raises ValueError with the allowed values. Without it the field's type decides among str,
+    int, bool and Path. `minimum` and `maximum`, both inclusive, are checked after parsing. If not `shared`, only the
+    service's own variable is read, because the common variable means something else (for example to clients).
     """
     return {
         "help": help,
@@ -85,7 +87,7 @@ class _Setting:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """The environment variables, the one that wins first."""
+        """The environment variables, in the order of precedence."""
         upper = self.name.replace("-", "_").upper()
         own = f"STAMPEDE_{self.service.replace('-', '_').upper()}_{upper}"
         return (own, f"STAMPEDE_{upper}") if self.field.metadata.get("shared", True) else (own,)
@@ -95,11 +97,11 @@ class _Setting:
         return self.field.default is MISSING
 
     def takes(self, kind: type) -> bool:
-        """Whether the field is a `kind`, or a `kind | None`."""
+        """Whether the field's type is `kind` or `kind | None`."""
         return self.hint is kind or kind in get_args(self.hint)
 
     def read(self, text: str, source: str) -> Any:
-        """The value that `text` stands for. Raises SettingsError."""
+        """The value of `text`. Raises SettingsError."""
         try:
             value = self._parse(text)
             self._check(value)
@@ -137,7 +139,7 @@ class _Setting:
         return ",".join(value) if isinstance(value, tuple) else str(value)
 
     def help(self) -> str:
-        """The help text with what is allowed and the default, for argparse."""
+        """The help text with the allowed values and the default, for argparse."""
         default, choices = self.field.default, self.field.metadata["choices"]
         allowed = f" ({', '.join(choices)})" if choices else ""
         shown = "required" if self.required else f"default: {self._shown(default)}"
@@ -147,7 +149,7 @@ class _Setting:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Raises instead of printing and exiting."""
+    """Raises errors instead of printing them and exiting."""
 
     def error(self, message: str) -> NoReturn:
         raise SettingsError(message)
@@ -156,10 +158,10 @@ class _Parser(argparse.ArgumentParser):
 def load_settings(cls: type[S], *, service: str, argv: Sequence[str], environ: Mapping[str, str]) -> S:
     """The settings of `service`. Raises SettingsError, or HelpRequested if `argv` asks for help.
 
-    ValueErrors of `cls.__post_init__` become SettingsErrors: it checks what concerns several settings at once.
+    `cls.__post_init__` checks rules about several settings. Its ValueErrors become SettingsErrors.
     """
     hints = get_type_hints(cls)
-    own = vars(cls).get("__annotations__", {})  # shown first, then what all services have
+    own = vars(cls).get("__annotations__", {})  # the help shows these first, then the settings of all services
     fields = sorted(dataclasses.fields(cls), key=lambda one: one.name not in own)
     known = [_Setting(field, hints[field.name], service) for field in fields]
     flags = _read_flags(cls, known, service, argv)
@@ -217,7 +219,7 @@ def _unknown(word: str, known: list[str], what: str) -> str:
 def _read_file(
     known: list[_Setting], service: str, flag: str | None, environ: Mapping[str, str]
 ) -> Mapping[str, tuple[str, str]]:
-    """The file's settings: name -> (text, where it stands)."""
+    """The file's settings: name -> (text, place in the file)."""
     variables = (f"STAMPEDE_{service.replace('-', '_').upper()}_CONFIG", "STAMPEDE_CONFIG")
     path = flag or next((environ[name] for name in variables if environ.get(name)), None)
     if path is None:
@@ -249,7 +251,7 @@ def _toml_text(value: object) -> str:
 
 
 def _pick(one: _Setting, flags: dict[str, str], environ: Mapping[str, str], file: Mapping[str, tuple[str, str]]) -> Any:
-    """The value from the first source that has one; MISSING leaves the default in place."""
+    """The value from the first source that has one; MISSING keeps the default."""
     key = one.name.replace("-", "_")
     if key in flags:
         return one.read(flags[key], one.flag)

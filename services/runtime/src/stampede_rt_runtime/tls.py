@@ -1,4 +1,4 @@
-"""A service's certificates: loaded and judged at the start, given to its server, read again when the files change."""
+"""A service's certificates: loaded and checked at the start, used by its server, read again when the files change."""
 
 from __future__ import annotations
 
@@ -16,26 +16,29 @@ from stampede_rt_runtime.identity import Identity, Role
 logger = logging.getLogger(__name__)
 
 SOON = timedelta(days=14)
-_ANYWHERE = ("0.0.0.0", "::")  # where it listens is then not where it is called
+_ANYWHERE = ("0.0.0.0", "::")  # wildcard addresses, at which nobody can call the service
 
 
 @dataclass(frozen=True, slots=True)
 class ServiceTls:
-    """The certificates with which a service listens and calls, and the identity in its own."""
+    """The certificates with which a service listens and calls, and the identity in its own certificate."""
 
     reader: TlsReader
     identity: Identity
     addresses: tuple[str, ...]
 
     def server_credentials(self) -> grpc.ServerCredentials:
-        """Every caller must bring a certificate. New connections get what the files hold then."""
+        """Credentials with which every caller must bring a certificate.
+
+        New connections use the files' present contents.
+        """
         given = self.reader.current()
 
         def newest() -> grpc.ServerCertificateConfiguration | None:
             nonlocal given
             found = self.reader.current()
             if found is given:
-                return None  # as before
+                return None  # keeps the former contents
             given = found
             return _configuration(found)
 
@@ -46,7 +49,7 @@ class ServiceTls:
         )
 
     def require_name(self, name: str, flag: str) -> None:
-        """Raises PermissionDenied if the service is told to bear another name than its certificate."""
+        """Raises PermissionDenied if the service's configured name differs from that in its certificate."""
         if name != self.identity.name:
             raise PermissionDenied(
                 f"{flag} is {name!r}, but the certificate {self.reader.files.certificate} is one of "
@@ -54,7 +57,7 @@ class ServiceTls:
             )
 
     def require_address(self, target: str) -> None:
-        """Raises PermissionDenied if who calls the service at `target`, as others are told to, would refuse it."""
+        """Raises PermissionDenied if callers of `target`, the advertised address, would refuse the certificate."""
         host = target.rpartition(":")[0].strip("[]")
         if target.startswith("unix:") or host.lower() in (*_ANYWHERE, *map(str.lower, self.addresses)):
             return
@@ -73,7 +76,8 @@ def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
 
     Raises PermissionDenied if they are missing, expired, of another authority or role, or do not belong together.
     """
-    from stampede_rt_runtime.certificates import describe  # not at the top: a tenth of a service's start without it
+    # not at the top: the import takes a tenth of a service's start
+    from stampede_rt_runtime.certificates import describe
 
     reader = TlsReader(files)
     check_own_certificate(reader)

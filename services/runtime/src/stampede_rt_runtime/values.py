@@ -1,7 +1,7 @@
-"""Values in flags, environment variables and settings files: how they are written, and what they mean. Pure.
+"""The form and meaning of values in flags, environment variables and settings files. Pure.
 
-Every parser takes the text and gives the value, or raises ValueError with what is allowed (never with the text itself:
-the caller names the setting and its value).
+Every parser takes the text and returns the value. It raises ValueError with the allowed form, and without the text
+itself, because the caller names the setting and its value.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _FALSE = frozenset({"0", "false", "no", "off"})
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An address to listen at or to call. `host` has no brackets. `port` is 0..65535; 0 listens at any free port."""
+    """An address to listen at or to call. `host` has no brackets. `port` is 0..65535; 0 means any free port."""
 
     host: str
     port: int
@@ -31,7 +31,7 @@ class Address:
 
 
 def parse_address(text: str) -> Address:
-    """`HOST:PORT`, with an IPv6 host in brackets. Raises ValueError."""
+    """The address of `HOST:PORT`, with an IPv6 host in brackets. Raises ValueError."""
     host, colon, port = text.strip().rpartition(":")
     bracketed = host.startswith("[") and host.endswith("]")
     host = host[1:-1] if bracketed else host
@@ -42,12 +42,12 @@ def parse_address(text: str) -> Address:
 
 
 def parse_address_text(text: str) -> str:
-    """Like `parse_address`, but gives the text in its plain form, as gRPC takes it."""
+    """Like `parse_address`, but returns the normalised text, which gRPC accepts."""
     return str(parse_address(text))
 
 
 def parse_target(text: str) -> str:
-    """An address to call: `HOST:PORT` with a port that is not 0. Raises ValueError."""
+    """An address to call: `HOST:PORT` with a port above 0. Raises ValueError."""
     address = parse_address(text)
     if address.port == 0:
         raise ValueError("HOST:PORT with a port from 1 to 65535; port 0 can only be listened at")
@@ -75,7 +75,7 @@ def parse_size(text: str) -> int:
 
 
 def format_size(count: int) -> str:
-    """A number of bytes as `parse_size` takes it, in the largest unit that leaves it whole."""
+    """A number of bytes in the form of `parse_size`, in the largest unit that gives a whole number."""
     for unit in ("GiB", "MiB", "KiB"):
         if count and count % _BYTES[unit] == 0:
             return f"{count // _BYTES[unit]} {unit}"
@@ -99,7 +99,7 @@ def parse_int(text: str) -> int:
 
 
 def parse_list(parse_one: Callable[[str], str]) -> Callable[[str], tuple[str, ...]]:
-    """A parser of comma-separated things; empty text gives an empty tuple."""
+    """A parser of a comma-separated list. Empty text gives an empty tuple."""
 
     def parse(text: str) -> tuple[str, ...]:
         return tuple(parse_one(part) for part in (piece.strip() for piece in text.split(",")) if part)

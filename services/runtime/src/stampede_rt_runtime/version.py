@@ -1,4 +1,4 @@
-"""Which software and which wire contract this is; exchanged when a caller binds."""
+"""The versions of this software and of its wire contract. Callers and services exchange them at bind."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ __all__ = ["PROTOCOL_VERSION", "software_version"]
 
 
 def software_version() -> str:
-    """The version of this software, the same for client and services: the workspace has one."""
+    """The version of this software. Client and services have the same version."""
     return VERSION

@@ -1,4 +1,4 @@
-"""Errors of files name the file: one that is open says only that there is no room."""
+"""Adds file names to errors of files: the error of an open file has no name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
-    """While entered, an OSError that names no file names `path`."""
+    """While entered, an OSError without a file name gets the name `path`."""
     try:
         yield
     except OSError as error:

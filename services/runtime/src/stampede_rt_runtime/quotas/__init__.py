@@ -1,1 +1,1 @@
-"""Quotas: how much of each port and host one caller may use, and the use of it."""
+"""Quotas: how much of each port and host one caller may use, and how much it uses."""

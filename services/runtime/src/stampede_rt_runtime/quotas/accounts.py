@@ -1,4 +1,4 @@
-"""What each caller uses of one port, and its limits. Pure."""
+"""The use that each caller makes of one port, and its limits. Pure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TEXTS: Mapping[Quota, tuple[str, str]] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QuotaUse:
-    """The use that one caller makes of one quota, and how often it was refused more."""
+    """The use that one caller makes of one quota, and the number of refusals."""
 
     subject: str
     quota: Quota
@@ -32,7 +32,7 @@ class QuotaUse:
 
 
 class Account:
-    """The use of one caller. `calls`: its calls that are being served."""
+    """The use of one caller. `calls`: the number of its calls under way."""
 
     __slots__ = ("_limits", "_refused", "_used", "calls", "subject")
 
@@ -44,35 +44,35 @@ class Account:
         self._refused = dict.fromkeys(Quota, 0)
 
     def tell(self, limits: Mapping[Quota, int]) -> None:
-        """The limits from now on. What is in use stays."""
+        """Set the limits. Present use stays, even beyond them."""
         self._limits = limits
 
     def has_room(self, quota: Quota, more: int = 1) -> bool:
-        """Whether so much more may be used."""
+        """Whether the caller may use `more` of the quota."""
         return self._used[quota] + more <= self._limits[quota]
 
     def check(self, quota: Quota, more: int = 1) -> None:
-        """Before so much more is used. Raises Overloaded."""
+        """Raises Overloaded if the caller may not use `more` of the quota."""
         if self._used[quota] + more > self._limits[quota]:
             raise self.exceeded(quota, more)
 
     def take(self, quotas: Iterable[Quota]) -> None:
-        """One of each is used, until it is given back."""
+        """Use one of each quota until `give_back`."""
         for quota in quotas:
             self._used[quota] += 1
 
     def give_back(self, quotas: Iterable[Quota]) -> None:
-        """One of each is used no more."""
+        """Give back one of each quota."""
         for quota in quotas:
             self._used[quota] -= 1
 
     def hold(self, quota: Quota) -> Hold:
-        """A part of the use, nothing at first."""
+        """A part of the use of one quota, at first 0."""
         return Hold(self._used, quota)
 
     @contextmanager
     def using(self, quota: Quota, amount: int = 1) -> Iterator[None]:
-        """Use so much for as long as the block lasts. Raises Overloaded."""
+        """Use `amount` of the quota for the duration of the block. Raises Overloaded."""
         self.check(quota, amount)
         self._used[quota] += amount
         try:
@@ -82,17 +82,17 @@ class Account:
 
     @contextmanager
     def waiting(self, kept_bytes: int) -> Iterator[None]:
-        """A call waits for as long as the block lasts, and keeps so many bytes. Raises Overloaded."""
+        """Count a waiting call that keeps `kept_bytes`, for the duration of the block. Raises Overloaded."""
         with self.using(Quota.WAITING_CALLS), self.using(Quota.BYTES_IN_FLIGHT, kept_bytes):
             yield
 
     @property
     def is_idle(self) -> bool:
-        """Nothing is used."""
+        """Whether the caller uses nothing."""
         return not self.calls and not any(self._used.values())
 
     def uses(self) -> Iterator[QuotaUse]:
-        """Of each quota."""
+        """The use of each quota."""
         for quota, used in self._used.items():
             yield QuotaUse(
                 subject=self.subject,
@@ -103,7 +103,7 @@ class Account:
             )
 
     def exceeded(self, quota: Quota, more: int) -> Overloaded:
-        """The refusal of so much more, which counts."""
+        """Count a refusal, and return its error."""
         self._refused[quota] += 1
         used, limit = self._used[quota], self._limits[quota]
         what, way_out = _TEXTS[quota]
@@ -116,7 +116,7 @@ class Account:
 
 
 class Hold:
-    """A part of what a caller uses of one quota. `set` never refuses: `Account.check` does, before."""
+    """A part of a caller's use of one quota. `set` never refuses. Call `Account.check` before it."""
 
     __slots__ = ("_amount", "_quota", "_used")
 
@@ -126,7 +126,7 @@ class Hold:
         self._amount = 0
 
     def set(self, amount: int) -> None:
-        """So much is in use now."""
+        """Set the amount in use."""
         if amount != self._amount:
             self._used[self._quota] += amount - self._amount
             self._amount = amount
@@ -136,12 +136,12 @@ WITHOUT_LIMIT: Mapping[Quota, int] = dict.fromkeys(Quota, LIMIT_MAX)
 
 
 def unlimited() -> Account:
-    """For callers whom no quota binds."""
+    """An account for callers without quotas."""
     return Account("", WITHOUT_LIMIT)
 
 
 class Accounts:
-    """The accounts of one port. It remembers all that use something, and the last IDLE_KEPT_MAX others."""
+    """The accounts of one port. Keeps all accounts in use, and the last IDLE_KEPT_MAX others."""
 
     def __init__(self, defaults: Mapping[Quota, int] = DEFAULTS) -> None:
         self._defaults = dict(defaults)
@@ -154,18 +154,18 @@ class Accounts:
         return len(self._accounts)
 
     def set_default(self, quota: Quota, limit: int) -> None:
-        """The limit of those without a setting; it hangs on this process's own settings."""
+        """Set the limit of callers without a setting. It depends on this process's own settings."""
         self._defaults[quota] = limit
         self.tell(self._table)
 
     def tell(self, table: QuotaTable) -> None:
-        """The settings from now on."""
+        """Set the operator's settings."""
         self._table = table
         for account in self._accounts.values():
             account.tell(table.limits_of(account.subject, self._defaults))
 
     def of(self, subject: str | None) -> Account:
-        """The account of a caller, as `subjects.subject_of` names it."""
+        """The account of a caller. `subjects.subject_of` gives its subject."""
         if subject is None:
             return self._unlimited
         account = self._accounts.get(subject)
@@ -175,22 +175,22 @@ class Accounts:
         return account
 
     def enter(self, account: Account) -> None:
-        """A call of it begins."""
+        """Note that a call of the caller begins."""
         account.calls += 1
         self._idle.pop(account.subject, None)
 
     def leave(self, account: Account) -> None:
-        """A call of it has ended."""
+        """Note that a call of the caller has ended."""
         account.calls -= 1
         if not account.calls and account is not self._unlimited:
             self._rest(account)
 
     def uses(self) -> list[QuotaUse]:
-        """What is used or was refused, of all callers."""
+        """The use of all callers that use quotas or were refused."""
         return [use for one in self._accounts.values() for use in one.uses() if use.used or use.refused]
 
     def _rest(self, account: Account) -> None:
-        """It may be forgotten once others have come. One that still holds something is asked again then."""
+        """Let the account be forgotten later, if it is idle then."""
         self._idle[account.subject] = None
         for _ in range(2):
             if len(self._idle) <= IDLE_KEPT_MAX:

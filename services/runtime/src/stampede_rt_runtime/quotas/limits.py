@@ -1,4 +1,4 @@
-"""The quotas of callers: their kinds, their defaults, and the settings that an operator makes. Pure."""
+"""The quotas of callers: the kinds, the defaults, and the settings of an operator. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WHO = re.compile(r"@?[A-Za-z0-9._/:*?-]+", re.ASCII)
 
 
 class Quota(StrEnum):
-    """One kind of quota. Each host and each supernode counts for itself."""
+    """One kind of quota. Each host and each supernode counts separately."""
 
     STREAMS = "streams"
     SUBSCRIPTIONS = "subscriptions"
@@ -35,7 +35,7 @@ DEFAULTS: Mapping[Quota, int] = {
 
 @dataclass(frozen=True, slots=True)
 class QuotaSetting:
-    """The limit of one quota, for the callers that `who`, a pattern, matches."""
+    """The limit of one quota, for callers that match the pattern `who`."""
 
     who: str
     quota: Quota
@@ -55,15 +55,18 @@ def check_who(who: str) -> None:
 
 
 def check_setting(setting: QuotaSetting) -> None:
-    """Raises InvalidArgument."""
+    """Raises InvalidArgument for an impossible pattern or limit."""
     check_who(setting.who)
     if not 0 <= setting.limit <= LIMIT_MAX:
         raise InvalidArgument(f"{setting.quota} is {setting.limit}; it is 0 to {LIMIT_MAX}")
 
 
 class QuotaTable:
-    """All settings of a cluster. Of several that match a caller, the one with the most literal characters holds; of
-    equals the lowest limit."""
+    """All settings of a cluster.
+
+    If several match a caller, the one with the most literal characters holds, and among equals the one with the lowest
+    limit.
+    """
 
     def __init__(self, settings: Iterable[QuotaSetting] = ()) -> None:
         self.settings = tuple(settings)
@@ -76,14 +79,14 @@ class QuotaTable:
         return hash(self.settings)
 
     def setting_for(self, subject: str, quota: Quota) -> QuotaSetting | None:
-        """The setting that holds for a caller; None: the default does."""
+        """The setting that holds for a caller; None: the default holds."""
         found = (one for one in self._by_weight if one.quota is quota and matcher(one.who)(subject))
         return next(found, None)
 
     def limits_of(self, subject: str, defaults: Mapping[Quota, int] = DEFAULTS) -> dict[Quota, int]:
         """The limits of a caller."""
         limits = dict(defaults)
-        for one in reversed(self._by_weight):  # what holds comes last
+        for one in reversed(self._by_weight):  # so the setting that holds comes last
             if matcher(one.who)(subject):
                 limits[one.quota] = one.limit
         return limits

@@ -1,4 +1,4 @@
-"""Whom a quota is counted for. Pure."""
+"""The subject for which a quota is counted. Pure."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _NAMED = (CallerKind.CERTIFICATE, CallerKind.TOKEN)
 
 
 def subject_of(caller: Caller, peer: str) -> str | None:
-    """The name that quotas know a caller by. None: it has none, as a member of the cluster or an operator.
+    """The name of a caller in quotas. None: a member of the cluster or an operator, who has no quotas.
 
-    A caller whose proof bears no name goes by its address, "@10.0.0.3", or "@localhost" if it is on this machine and
-    says so. `peer`: as gRPC names the other side.
+    A caller whose proof has no name gets its address, such as "@10.0.0.3", or "@localhost" if it is on this machine.
+    `peer`: the other side in gRPC's form.
     """
     if caller.kind in _NAMED:
         return caller.name if caller.is_judged else None
@@ -33,7 +33,7 @@ def _address(peer: str) -> str:
 
 
 def _network(address: IPv4Address | IPv6Address) -> str:
-    """One machine commands a whole /64 of IPv6 addresses, and all that lead to itself."""
+    """The network of an address. One machine usually has a whole /64 of IPv6 addresses, and all loopback addresses."""
     if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
         address = address.ipv4_mapped
     if address.is_loopback:
