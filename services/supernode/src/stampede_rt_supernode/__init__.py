@@ -1,1 +1,1 @@
-"""Stampede RT: one replica of the directory (paper, section 4.3)."""
+"""Stampede RT: the supernode, which holds one copy of the directory (paper, section 4.3)."""

@@ -3,7 +3,8 @@
 import signal
 import sys
 
-signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the service stops by itself: ended while it is loaded, and quietly
+# until the service handles the signal itself: a signal during the imports ends the process without a traceback
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import stampede_rt.grpc_quiet  # noqa: E402, F401  # before the service imports gRPC
 from stampede_rt_supernode.app import main  # noqa: E402

@@ -1,4 +1,4 @@
-"""The supernode as a process: one replica of the directory, its leases and its service on one port."""
+"""The supernode as a process: one copy of the directory, its leases and its services on one port."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ async def serve(settings: SupernodeSettings) -> None:
         limits=CONTROL_LIMITS,
         judge_cluster=own_cluster.judge,
     )
-    # Bound before anything else: the log must know the address, and others hear of it.
+    # Bound before anything else, because the log and the other members need the address.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
     own_cluster.learn(founding.log_cluster_id)
@@ -109,18 +109,18 @@ async def serve(settings: SupernodeSettings) -> None:
         if founding.token and settings.data_dir is not None:
             work.append(_for_good(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
         async with _background(server, *work):
-            # Said once `run` has set up the stop signals: whoever waits for this line may send one at once.
+            # Printed once `run` handles stop signals: a process that waits for this line may send one at once.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(parts.end_streams)
 
 
 def tune_garbage_collection() -> None:
-    """Once the state is loaded, during which nothing is garbage: begin to collect, but never what was loaded.
+    """Turn the garbage collector on after the load of the state, and leave out the loaded objects.
 
-    Records are freed by their last reference; only what refers in circles needs the collector. With Python's defaults
-    it walks over every record of the directory time and again: 200 ms at a stretch for 100,000 channels, as measured,
-    during which no thread runs, and for a fifth of the time that they take to load.
+    The last reference frees a record; only reference cycles need the collector. With Python's defaults the collector
+    walks over every record of the directory again and again. With 100,000 channels it stops all threads for 200 ms at a
+    time, and takes a fifth of the time of their load, as measured.
     """
     gc.freeze()
     gc.set_threshold(5_000, 5, 1_000)
@@ -144,7 +144,10 @@ class _Parts:
     membership: MembershipServicer
 
     async def end_streams(self) -> None:
-        """Tell callers to go elsewhere, and the other members that they need not wait for an election timeout."""
+        """End all streams, so that callers go elsewhere.
+
+        Hand the leadership over, so that members need no election timeout.
+        """
         self.watches.close()
         with contextlib.suppress(LogUnavailable):
             await self.log.hand_over(timeout=HAND_OVER_SECONDS)
@@ -204,7 +207,7 @@ async def _open_log(
     credentials: Dialer,
     replica: DirectoryReplica,
 ) -> AsyncIterator[ReplicatedLog]:
-    """The log that drives the directory in `replica`. Raises StampedeError if the store cannot be used."""
+    """The log that drives the directory in `replica`. Raises StampedeError if the store is unusable."""
     if credentials.tls is not None:
         credentials.tls.require_name(founding.supernode_id, "--id")
         credentials.tls.require_address(founding.address)
@@ -222,14 +225,13 @@ async def _open_log(
 
 
 async def _for_good(work: Coroutine[Any, Any, None]) -> None:
-    """Do the work, and go on waiting once it is done: work that ends would end the service."""
+    """Do the work, then wait without end: a task that ends would end the service."""
     await work
     await asyncio.Event().wait()
 
 
 async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bool) -> None:
-    """End the service when this supernode is told that it was removed, that its folder is not the one it had, or that
-    its release is too old.
+    """End the service if this supernode was removed, has another folder than before, or has too old a release.
 
     `keeps`: whether it was started with a folder.
     """
@@ -258,7 +260,10 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
 
 
 async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
-    """End all watches, and say why, once the state differs from that of most. The log is sound: it goes on counting."""
+    """End all watches if this state differs from that of most members, and log the reason.
+
+    The log goes on and counts.
+    """
     told = False
     while not server.stopping.is_set():
         await asyncio.sleep(HEALTH_SECONDS)
@@ -275,10 +280,10 @@ async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
 
 
 async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Founding) -> None:
-    """End the service if it is to found a cluster with others who were given another list of members."""
+    """End the service if the other founders of its cluster got another list of members."""
     while founding.listed and not server.stopping.is_set():
         if parts.replica.read(lambda directory: directory.tenure > 0):
-            break  # it is founded: whoever comes with another list now is refused, and that is all
+            break  # the cluster is founded; later members with another list are refused, which needs nothing here
         if other := parts.log.status().other_cluster:
             raise StampedeError(
                 f"supernode {founding.supernode_id} founds no cluster with --members {', '.join(founding.members)}: "
@@ -289,14 +294,14 @@ async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Foundi
 
 
 async def _follow_access(server: ServiceServer) -> None:
-    """Streams of those who lose a right end, also while nobody calls."""
+    """End the streams of callers that lose a right, even while no calls come."""
     while not server.stopping.is_set():
         server.access.refresh()
         await asyncio.sleep(ACCESS_SECONDS)
 
 
 async def _follow_leader(server: ServiceServer, members: Members) -> None:
-    """Health is SERVING for as long as a leader is known."""
+    """Health is SERVING as long as a leader is known."""
     serving = False
     while not server.stopping.is_set():
         if members.ready() != serving:
@@ -307,7 +312,7 @@ async def _follow_leader(server: ServiceServer, members: Members) -> None:
 
 @contextlib.asynccontextmanager
 async def _background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
-    """Runs `work` beside the block. A failure in it is a defect: the service stops, and the failure is raised."""
+    """Run `work` beside the block. A failure in it is a defect: the service stops, and the failure is raised."""
     tasks = [asyncio.create_task(one) for one in work]
     for task in tasks:
         task.add_done_callback(lambda _: server.stopping.set())
@@ -325,7 +330,7 @@ async def _background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a supernode, or prepare the folder of one; returns the exit code."""
+    """Run a supernode, or prepare the folder of one. Returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
     if words and words[0] in PREPARING:
         return prepare(words)

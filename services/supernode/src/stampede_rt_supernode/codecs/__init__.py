@@ -1,1 +1,1 @@
-"""Commands, records and snapshots of the directory, to protobuf and back."""
+"""Converts commands, records and snapshots of the directory from and to protobuf."""

@@ -1,4 +1,4 @@
-"""Commands of a leader about the cluster and their results, to and from the messages of the log."""
+"""Converts commands of a leader about the cluster, and their results, from and to messages of the log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands and results, to and from the bytes that the replicated log carries. Thin: no decision is made here."""
+"""Converts commands and results from and to the bytes in the replicated log. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def encode_command(command: Command) -> bytes:
 
 
 def kind_in(encoded: bytes) -> str:
-    """Which kind of command that is, as the contract names it; empty for one that this release does not know."""
+    """The contract's name of the command's kind; empty for a kind that this release does not know."""
     try:
         return pb.DirectoryCommand.FromString(encoded).WhichOneof("kind") or ""
     except DecodeError:
@@ -65,13 +65,13 @@ def kind_in(encoded: bytes) -> str:
 
 
 def level_needed(kind: str) -> int:
-    """The feature level that a kind of command needs; for one that is not known here, a level above all known ones."""
+    """The feature level that a kind of command needs. For an unknown kind, a level above all known levels."""
     codec = _BY_KIND.get(kind)
     return HIGHEST_LEVEL + 1 if codec is None else FEATURE_LEVELS[codec.operation]
 
 
 def decode_command(encoded: bytes) -> Command:
-    """The command. Raises InvalidArgument for bytes that are none, VersionMismatch for a kind that is not known."""
+    """The command. Raises InvalidArgument for invalid bytes, VersionMismatch for an unknown kind."""
     try:
         message = pb.DirectoryCommand.FromString(encoded)
     except DecodeError:
@@ -97,7 +97,7 @@ def _read_operation(message: pb.DirectoryCommand) -> Operation:
 
 
 def result_message(result: Result) -> pb.DirectoryResult:
-    """A result as it travels."""
+    """The message of a result."""
     if isinstance(result, Refused):
         refused = pb.RefusedResult(reason=result.reason, message=result.message, metadata=dict(result.metadata))
         return pb.DirectoryResult(refused=refused)
@@ -112,7 +112,7 @@ def encode_result(result: Result) -> bytes:
 
 
 def read_result(message: pb.DirectoryResult) -> Result:
-    """The result. Raises StampedeError for an outcome that is not known."""
+    """The result of a message. Raises StampedeError for an unknown outcome."""
     if message.HasField("refused"):
         refused = message.refused
         return Refused(reason=refused.reason, message=refused.message, metadata=dict(refused.metadata))

@@ -1,4 +1,4 @@
-"""Groups, and what is done to them, to and from the messages that carry them. Thin: no decision is made here."""
+"""Converts groups from and to their messages. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OLDEST = (group_pb2.GROUP_REFERENCE_UNSPECIFIED, group_pb2.GROUP_REFERENCE_OLDE
 
 
 def group_spec_from(spec: group_pb2.GroupSpec) -> GroupSpec:
-    """Raises InvalidArgument for a reference or bound unknown to this version, or that contradict each other."""
+    """The set-up in a message. Raises InvalidArgument for an unknown reference or bound, or contradictory ones."""
     if spec.bound not in _BOUNDS_FROM_WIRE:
         raise InvalidArgument(f"bound is {spec.bound}, which this version does not know; see GroupBound for the values")
     return GroupSpec(
@@ -45,7 +45,7 @@ def _reference_from(spec: group_pb2.GroupSpec) -> bytes | None:
 
 
 def group_spec_message(spec: GroupSpec) -> group_pb2.GroupSpec:
-    """The set-up as it travels; None leaves a field out."""
+    """The message of a set-up. None leaves a field out."""
     by_channel = spec.reference_channel_id is not None
     return group_pb2.GroupSpec(
         channel_ids=spec.channel_ids,
@@ -58,7 +58,7 @@ def group_spec_message(spec: GroupSpec) -> group_pb2.GroupSpec:
 
 
 def group_record(group: GroupRecord) -> group_pb2.GroupRecord:
-    """The group as it travels."""
+    """The message of a group."""
     return group_pb2.GroupRecord(
         group_id=group.group_id,
         name=group.name,
@@ -82,10 +82,10 @@ def group_from(record: group_pb2.GroupRecord) -> GroupRecord:
 
 
 def group_entry(group: GroupRecord, witnesses: tuple[bytes, ...]) -> pb.GroupEntry:
-    """The group as supernodes keep it."""
+    """The entry that supernodes keep for a group."""
     return pb.GroupEntry(record=group_record(group), witness_host_ids=witnesses)
 
 
 def group_entry_from(entry: pb.GroupEntry) -> tuple[GroupRecord, tuple[bytes, ...]]:
-    """The group and its witnesses of an entry that this codec wrote."""
+    """The group and its witnesses, from an entry that this codec wrote."""
     return group_from(entry.record), tuple(entry.witness_host_ids)

@@ -1,4 +1,4 @@
-"""Hosts, to and from the messages that carry them. Thin: no decision is made here."""
+"""Converts hosts from and to their messages. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from stampede_rt_supernode.core.records import Endpoint, HostRecord
 
 
 def endpoints_from(endpoints: Iterable[directory_pb2.Endpoint]) -> tuple[Endpoint, ...]:
-    """From a repeated Endpoint."""
+    """The endpoints of a repeated field."""
     return tuple(Endpoint(target=one.target, zone=one.zone) for one in endpoints)
 
 
 def endpoint_message(endpoint: Endpoint) -> directory_pb2.Endpoint:
-    """An endpoint as it travels."""
+    """The message of an endpoint."""
     return directory_pb2.Endpoint(target=endpoint.target, zone=endpoint.zone)
 
 
 def host_record(host: HostRecord) -> directory_pb2.HostRecord:
-    """The host as clients see it."""
+    """The record that clients get."""
     return directory_pb2.HostRecord(
         host_id=host.host_id,
         name=host.name,
@@ -34,7 +34,7 @@ def host_record(host: HostRecord) -> directory_pb2.HostRecord:
 
 
 def host_entry(host: HostRecord) -> directory_command_pb2.HostEntry:
-    """The host as supernodes keep it."""
+    """The entry that supernodes keep for a host."""
     return directory_command_pb2.HostEntry(record=host_record(host), registered_index=host.registered_index)
 
 

@@ -1,7 +1,7 @@
-"""One row of the command codec: how one kind of command and its result travel in the log. Decides nothing.
+"""One row of the command codec: the form of one kind of command and of its result in the log. Makes no decisions.
 
-Each family of commands exports its rows as `CODECS`; `command_codec` joins them. The row of the command table that has
-the same operation says what the command does.
+Each family of commands exports its rows as `CODECS`. `command_codec` joins them. The row of the command table with the
+same operation defines the command's effect.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ResultMessage = TypeVar("ResultMessage", bound=Message)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KindCodec(Generic[Op, OperationMessage, Done, ResultMessage]):
-    """The members of the contract that carry the operation and its result, and the values to and from them."""
+    """The contract's members for the operation and its result, and the conversions from and to them."""
 
     kind: str  # the member of DirectoryCommand.kind
     outcome: str  # the member of DirectoryResult.outcome

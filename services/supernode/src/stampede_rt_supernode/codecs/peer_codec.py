@@ -1,4 +1,4 @@
-"""Peers and what is done to them, to and from the messages that carry them. Thin: no decision is made here."""
+"""Converts peers from and to their messages. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from stampede_rt_supernode.core.records import PeerRecord
 
 
 def attributes_from(attributes: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
-    """Ascending by key, so that equal ones are equal."""
+    """The attributes in ascending order of keys, so that equal attributes compare as equal."""
     return tuple(sorted(attributes.items()))
 
 
 def peer_record(peer: PeerRecord, clock: ClockOffset | None = None) -> peer_pb2.PeerRecord:
-    """The peer as clients see it, with its clock if that is known and asked for: the log holds none."""
+    """The record that clients get. It has the peer's clock if `clock` is given; the log holds no clocks."""
     return peer_pb2.PeerRecord(
         peer_id=peer.peer_id,
         name=peer.name,
@@ -36,7 +36,7 @@ def peer_record(peer: PeerRecord, clock: ClockOffset | None = None) -> peer_pb2.
 
 
 def peer_entry(peer: PeerRecord) -> pb.PeerEntry:
-    """The peer as supernodes keep it."""
+    """The entry that supernodes keep for a peer."""
     return pb.PeerEntry(
         record=peer_record(peer),
         proof_sha256=peer.proof_sha256,

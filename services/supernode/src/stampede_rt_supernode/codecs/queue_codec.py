@@ -1,4 +1,4 @@
-"""Queues and what is done to them, to and from the messages that carry them. Thin: no decision is made here."""
+"""Converts queues from and to their messages. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SPEC_FIELDS = (
 
 
 def queue_spec_from(spec: queue_pb2.QueueSpec) -> QueueSpec:
-    """Raises InvalidArgument for a way to be full that this version does not know."""
+    """The set-up in a message. Raises InvalidArgument for an unknown value of on_full."""
     if spec.on_full not in _ON_FULL_FROM_WIRE:
         raise InvalidArgument(
             f"on_full is {spec.on_full}, which this version does not know; see QueueOnFull for the values"
@@ -39,13 +39,13 @@ def queue_spec_from(spec: queue_pb2.QueueSpec) -> QueueSpec:
 
 
 def queue_spec_message(spec: QueueSpec) -> queue_pb2.QueueSpec:
-    """The stated fields; None leaves a field out."""
+    """The message of a set-up. None leaves a field out."""
     others: dict[str, Any] = {name: getattr(spec, name) for name in _SPEC_FIELDS}
     return queue_pb2.QueueSpec(on_full=_ON_FULL_TO_WIRE[spec.on_full], **others)
 
 
 def queue_record(queue: QueueRecord) -> queue_pb2.QueueRecord:
-    """The queue as it travels."""
+    """The message of a queue."""
     return queue_pb2.QueueRecord(
         queue_id=queue.queue_id,
         name=queue.name,

@@ -1,4 +1,4 @@
-"""Channels, and changes of all kinds, to and from the messages that carry them. Thin: no decision is made here."""
+"""Converts channels, and changes of all kinds, from and to their messages. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _POLICIES_MAX = 1024
 
 
 def policy_from(spec: channel_pb2.ChannelSpec) -> Policy:
-    """Raises InvalidArgument for a way to be full that this version does not know."""
+    """The policy in a message. Raises InvalidArgument for an unknown value of on_full."""
     if spec.on_full not in _ON_FULL_FROM_WIRE:
         raise InvalidArgument(f"on_full is {spec.on_full}, which this version does not know; see OnFull for the values")
     limits = {name: _optional(spec.retention, name) for name in _LIMIT_FIELDS}
@@ -55,7 +55,7 @@ def _optional(message: channel_pb2.ChannelSpec | channel_pb2.RetentionPolicy, na
 
 
 def spec_of(policy: Policy) -> channel_pb2.ChannelSpec:
-    """The stated fields; None leaves a field out."""
+    """The message of a policy. None leaves a field out."""
     return channel_pb2.ChannelSpec(
         retention=channel_pb2.RetentionPolicy(**{name: getattr(policy, name) for name in _LIMIT_FIELDS}),
         on_full=_ON_FULL_TO_WIRE[policy.on_full],
@@ -80,13 +80,16 @@ def channel_from(record: channel_pb2.ChannelRecord) -> ChannelRecord:
 
 @lru_cache(_POLICIES_MAX)
 def _held_policy(spec: bytes) -> Policy:
-    """One value for all channels of one set-up: to read it takes more time than the rest of a record. What is held was
-    checked, so the keys are short."""
+    """The policy in an encoded spec, one object for all channels with the same spec.
+
+    To decode a policy takes more time than the rest of a record. Stored specs were checked, so the cache's keys are
+    short.
+    """
     return policy_from(channel_pb2.ChannelSpec.FromString(spec))
 
 
 def channel_record(channel: ChannelRecord) -> channel_pb2.ChannelRecord:
-    """The channel as it travels."""
+    """The message of a channel."""
     return channel_pb2.ChannelRecord(
         channel_id=channel.channel_id,
         name=channel.name,
@@ -102,12 +105,12 @@ def channel_record(channel: ChannelRecord) -> channel_pb2.ChannelRecord:
 
 @lru_cache(_POLICIES_MAX)
 def _held_spec(policy: Policy) -> channel_pb2.ChannelSpec:
-    """As `_held_policy`, the other way. Not to be changed: only to be copied into a record."""
+    """The spec of a policy, cached like `_held_policy`. Must not be changed, only copied into a record."""
     return spec_of(policy)
 
 
 def change_message(change: DirectoryChange) -> directory_pb2.DirectoryChange:
-    """The change as watchers of channels, hosts, groups and queues see it."""
+    """The change as watchers of channels, hosts, groups and queues get it."""
     message = directory_pb2.DirectoryChange(index=change.index, kind=_CHANGE_KINDS[change.kind])
     match change.subject:
         case ChannelRecord() as channel:
@@ -126,6 +129,6 @@ def change_message(change: DirectoryChange) -> directory_pb2.DirectoryChange:
 
 
 def peer_change_message(change: DirectoryChange) -> peer_pb2.PeerChange:
-    """The change as watchers of peers see it."""
+    """The change as watchers of peers get it."""
     assert isinstance(change.subject, PeerRecord)  # the ring of peers holds nothing else
     return peer_pb2.PeerChange(index=change.index, kind=_CHANGE_KINDS[change.kind], peer=peer_record(change.subject))

@@ -1,4 +1,4 @@
-"""Copies of channels and what is done to them, to and from the messages that carry them. Thin: decides nothing."""
+"""Converts copies of channels from and to their messages. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _KINDS_FROM_WIRE = {wire: kind for kind, wire in _KINDS_TO_WIRE.items()}
 
 
 def kind_from(kind: replica_pb2.ReplicaKind) -> ReplicaKind:
-    """Raises InvalidArgument for a kind that nobody can ask for."""
+    """The kind in a message. Raises InvalidArgument for a kind that a caller may not request."""
     if kind not in _KINDS_FROM_WIRE:
         raise InvalidArgument(
             f"kind is {kind}; state REPLICA_KIND_PROXY or REPLICA_KIND_WARM: moves make their copies themselves",
@@ -25,12 +25,15 @@ def kind_from(kind: replica_pb2.ReplicaKind) -> ReplicaKind:
 
 
 def kind_message(kind: ReplicaKind) -> replica_pb2.ReplicaKind:
-    """The kind as it travels."""
+    """The message value of a kind."""
     return _KINDS_TO_WIRE[kind]
 
 
 def channel_id_of(subject: subject_pb2.Subject) -> bytes:
-    """The channel that is meant. Raises InvalidArgument without one, QUEUE_NOT_FOUND for a queue, not copied yet."""
+    """The channel of a subject.
+
+    Raises InvalidArgument without one, QUEUE_NOT_FOUND for a queue: queues have no copies yet.
+    """
     if subject.WhichOneof("id") == "queue_id":
         shown = subject.queue_id.hex()
         text = f"queue {shown} cannot be copied: this version copies channels only; name one by its channel_id"
@@ -39,12 +42,12 @@ def channel_id_of(subject: subject_pb2.Subject) -> bytes:
 
 
 def subject_of(channel_id: bytes) -> subject_pb2.Subject:
-    """The channel as a subject."""
+    """The subject of a channel."""
     return subject_pb2.Subject(channel_id=channel_id)
 
 
 def replica_record(replica: ReplicaRecord) -> replica_pb2.ReplicaRecord:
-    """The copy as it travels."""
+    """The message of a copy."""
     return replica_pb2.ReplicaRecord(
         subject=subject_of(replica.channel_id),
         host_id=replica.host_id,
@@ -72,7 +75,7 @@ def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
 
 
 def load_message(load: ReplicaLoad) -> replica_pb2.ReplicaLoad:
-    """How busy somebody is, as it travels."""
+    """The message of a host's load."""
     return replica_pb2.ReplicaLoad(
         subject=subject_of(load.channel_id),
         host_id=load.host_id,
@@ -84,7 +87,7 @@ def load_message(load: ReplicaLoad) -> replica_pb2.ReplicaLoad:
 
 
 def load_from(message: replica_pb2.ReplicaLoad) -> ReplicaLoad:
-    """The loads that a host tells. Raises as `channel_id_of`."""
+    """The load in a message. Raises the errors of `channel_id_of`."""
     return ReplicaLoad(
         channel_id=channel_id_of(message.subject),
         host_id=message.host_id,

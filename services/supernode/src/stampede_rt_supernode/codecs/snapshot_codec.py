@@ -1,8 +1,8 @@
-"""The whole directory, to and from the bytes of a snapshot.
+"""Converts the whole directory from and to the bytes of a snapshot.
 
-Snapshots are encoded beside a log that must not stand still. The values are immutable, so what was written for one is
-kept and used again: a snapshot costs time for what changed, and a copy of the rest. Each part is an encoded message of
-its own, since to parse joined messages is to merge them (protobuf.dev, "Encoding", "Last One Wins").
+A snapshot is encoded while the log goes on. The values are immutable, so their encoded forms are kept and used again. A
+snapshot costs the encoding of changed values and a copy of the rest. Each part is an encoded message of its own,
+because protobuf merges joined messages (protobuf.dev, "Encoding", "Last One Wins").
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ from stampede_rt_supernode.core.snapshot_view import SnapshotView, snapshot_view
 from stampede_rt_supernode.core.tables import Tables
 
 FORMAT_VERSION = 1
-FORMAT_VERSION_WITH_GROUPS = 2  # or copies of channels, which a reader of form 1 would lose without a word
+FORMAT_VERSION_WITH_GROUPS = 2  # or copies of channels, which a reader of form 1 would lose in silence
 FORMAT_VERSION_WITH_QUEUES = 3  # or peers
 
 T = TypeVar("T")
 
 
 class SnapshotWriter:
-    """Writes one snapshot after the other of one directory. Holds the encoded form of everything but the hosts."""
+    """Writes one snapshot after the other of one directory. Keeps the encoded form of everything but the hosts."""
 
     def __init__(self) -> None:
         self._channels = _ChannelParts()
@@ -64,7 +64,7 @@ class SnapshotWriter:
         )
 
     def begin(self, directory: Directory) -> Callable[[], bytes]:
-        """Take the state as of now; what is returned encodes it, on any thread, before the next one begins.
+        """Take the present state. The returned function encodes it, on any thread; call it before the next `begin`.
 
         The same state gives the same bytes on every replica.
         """
@@ -87,14 +87,14 @@ class SnapshotWriter:
 
 
 class _ChannelParts:
-    """The encoded forms of all channels as of `position` among the changes, None before the first snapshot."""
+    """The encoded forms of all channels as of the change `position`, which is None before the first snapshot."""
 
     def __init__(self) -> None:
         self.position: int | None = None
         self._by_name: SortedDict[str, bytes] = SortedDict()
 
     def encode(self, view: SnapshotView) -> Iterator[bytes]:
-        """A part for each channel, in the order of names."""
+        """A part for each channel, by name."""
         if view.changes is None:
             self._by_name = SortedDict({channel.name: _channel_part(channel) for channel in view.channels})
         else:
@@ -117,14 +117,14 @@ def _channel_part(channel: ChannelRecord) -> bytes:
 
 
 class _Parts(Generic[T]):
-    """The encoded forms of values by id; a value that is still the same one is not encoded again."""
+    """The encoded forms of values by id. A value that is still the same object is not encoded again."""
 
     def __init__(self, message: Callable[[T], pb.DirectorySnapshot]) -> None:
         self._message = message
         self._held: dict[bytes, tuple[T, bytes]] = {}
 
     def encode(self, values: Iterable[tuple[bytes, T]]) -> list[bytes]:
-        """A part for each (id, value), in their order; what is not among them is forgotten."""
+        """A part for each (id, value), in the same order. Forgets all other parts."""
         self._held = {one: self._part(one, value) for one, value in values}
         return [part for _, part in self._held.values()]
 
@@ -149,7 +149,7 @@ def _head(directory: Directory) -> bytes:
         join_key=directory.join_key,
         digest=directory.digest,
         feature_level=directory.feature_level,
-        # A release that does not know them refuses the snapshot for its feature level.
+        # A release that does not know them refuses the snapshot by its feature level.
         access_rules=map(rule_message, directory.access.rules.rules),
         token_key=directory.access.token_key,
         access_version=directory.access.version,
@@ -159,7 +159,7 @@ def _head(directory: Directory) -> bytes:
 
 
 def _form_of(tables: Tables) -> int:
-    """The least that holds all of it, so that supernodes of an older version read what they can."""
+    """The lowest format version that holds the tables, so that supernodes of older versions can read most snapshots."""
     if tables.queues or tables.peers:
         return FORMAT_VERSION_WITH_QUEUES
     return FORMAT_VERSION_WITH_GROUPS if tables.groups or tables.replicas else FORMAT_VERSION
@@ -172,17 +172,17 @@ def _remembered(answer: Answer) -> pb.RememberedOperation:
 
 
 def encode_snapshot(directory: Directory) -> bytes:
-    """One snapshot, with nothing kept."""
+    """The bytes of one snapshot. Keeps nothing."""
     return SnapshotWriter().begin(directory)()
 
 
 def decode_snapshot(encoded: bytes) -> Directory:
-    """The directory that was written. Raises StampedeError, VersionMismatch among them: do not go on without it."""
+    """The directory in a snapshot. Raises StampedeError, for example VersionMismatch: then do not go on without it."""
     try:
         return _directory(pb.DirectorySnapshot.FromString(encoded))
     except StampedeError:
         raise
-    except Exception as error:  # what is read is no state of ours, and its parts may contradict each other anyhow
+    except Exception as error:  # the bytes are no state, and even valid parts may contradict each other
         raise StampedeError(f"the snapshot holds no directory ({error!r}); use another one") from error
 
 

@@ -1,12 +1,12 @@
-"""The operations done lately, by operation id. A repeated request repeats the answer, not the operation. Pure.
+"""The latest operations by operation id. A repeated request repeats the answer, not the operation. Pure.
 
-How long ago something was done, no clock tells that all replicas share. So the leader marks the time in the log, once
-in MARK_NANOS of its own clock: what was done before the last MARKS_KEPT marks is forgotten, by every replica at the
-same position.
+The replicas share no clock that tells the age of an operation. So the leader puts marks into the log, one in MARK_NANOS
+of its own clock. Every replica forgets the operations before the last MARKS_KEPT marks, at the same log position.
 
-What is forgotten is not done again: a supernode takes no request that was first sent REPEAT_NANOS_MAX ago (calls.py),
-and a command is refused that its supernode took in before the last mark but one (`check_in_time`). From what is
-forgotten to that mark, 40 s have passed, 10 s more than a request may be old.
+A forgotten operation is not done again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago or
+earlier (calls.py). And a command is refused if its supernode received it before the last mark but one
+(`check_in_time`). From the forgotten operations to that mark, 40 s have passed, which is 10 s more than the greatest
+age of a request.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt_supernode.core.commands import Success
 from stampede_rt_supernode.core.groups.commands import GroupOpened, GroupUpdated
 
-# How long an update may be repeated after it was first sent. Part of the contract (directory_service.proto).
+# How long a caller may repeat an update after its first attempt. Part of the contract (directory_service.proto).
 REPEAT_NANOS_MAX = 30 * 10**9
 MARK_NANOS = 10 * 10**9
 MARKS_KEPT = 6
@@ -27,7 +27,7 @@ MARKS_KEPT = 6
 BYTES_MAX = 64 << 20
 ANSWER_BYTES = 512
 MEMBER_BYTES = 64
-FORGOTTEN_AT_ONCE = 64  # by each command, and by each mark:
+FORGOTTEN_AT_ONCE = 64  # by each command, and by each mark
 FORGOTTEN_BY_MARK = 4096
 
 
@@ -42,18 +42,18 @@ class Answer:
 
     @property
     def size_bytes(self) -> int:
-        """The bytes that it takes, about; the same on every replica."""
+        """The approximate bytes that it takes. The same on every replica."""
         if isinstance(self.result, (GroupOpened, GroupUpdated)):
             return ANSWER_BYTES + MEMBER_BYTES * len(self.result.group.spec.channel_ids)
         return ANSWER_BYTES
 
 
 class Answered:
-    """Operations since the oldest mark. Refusals are not kept: they changed nothing."""
+    """The operations since the oldest mark, without refusals, which changed nothing."""
 
     def __init__(self, answers: Iterable[Answer] = (), marks: Iterable[int] = ()) -> None:
-        self.marks = tuple(marks)  # the log positions of the last ones, growing
-        self._answers: dict[bytes, Answer] = {}  # in the order of their indexes
+        self.marks = tuple(marks)  # the log positions of the last marks, ascending
+        self._answers: dict[bytes, Answer] = {}  # by log position
         self._size_bytes = 0
         for answer in answers:
             self.remember(answer)
@@ -65,21 +65,21 @@ class Answered:
         return len(self._answers)
 
     def newest_first(self) -> Iterator[Answer]:
-        """In falling order of their indexes."""
+        """In descending order of log positions."""
         return reversed(self._answers.values())
 
     @property
     def known_since(self) -> int:
-        """Everything that was done behind this log position is known."""
+        """All operations after this log position are known."""
         return self.marks[0] if len(self.marks) == MARKS_KEPT else 0
 
     @property
     def last_mark(self) -> int:
-        """Where the last mark is; 0 before the first."""
+        """The log position of the last mark; 0: there is none."""
         return self.marks[-1] if self.marks else 0
 
     def find(self, op_id: bytes, subject: str) -> Success | None:
-        """The result of that operation, or None. Raises InvalidArgument if the id was used for something else."""
+        """The result of that operation, or None. Raises InvalidArgument if the id was used for another operation."""
         answer = self._answers.get(op_id)
         if answer is None:
             return None
@@ -92,9 +92,10 @@ class Answered:
         return answer.result
 
     def check_in_time(self, as_of_index: int) -> None:
-        """Whether a command whose proposer had applied that position (0: not told) may still be done.
+        """Check whether a command may still be done. Its proposer had applied the log up to `as_of_index` (0: unknown).
 
-        Raises Unavailable with reason AMBIGUOUS if it was under way for longer than the last mark lasted.
+        Raises Unavailable with reason AMBIGUOUS if the command was under way for longer than the last mark has been
+        there.
         """
         if 0 < as_of_index < (self.marks[-2] if len(self.marks) > 1 else 0):
             raise Unavailable(
@@ -104,7 +105,7 @@ class Answered:
             )
 
     def check_room(self) -> None:
-        """Raises Overloaded if no more can be remembered for as long as is promised."""
+        """Raises Overloaded if the memory for answers is full."""
         if self._size_bytes >= BYTES_MAX:
             raise Overloaded(
                 f"the directory remembers {len(self._answers)} updates of the last minute, as many as it can; wait a "
@@ -112,17 +113,17 @@ class Answered:
             )
 
     def remember(self, answer: Answer) -> None:
-        """Keep `answer`, whose index is the highest yet and whose op-id is new."""
+        """Keep `answer`. Its log position must be the highest, and its operation id new."""
         self._answers[answer.op_id] = answer
         self._size_bytes += answer.size_bytes
 
     def mark(self, index: int) -> None:
-        """A leader says that the time of a mark has passed since the last one."""
+        """Add a mark at `index`. The leader adds one when the time of a mark has passed."""
         self.marks = (*self.marks, index)[-MARKS_KEPT:]
         self.forget_some(FORGOTTEN_BY_MARK)
 
     def forget_some(self, answers_max: int = FORGOTTEN_AT_ONCE) -> None:
-        """Drop a few of those that need not be known any more; called with each command, so that none takes long."""
+        """Forget a few of the answers that are too old. Called with each command, so that no call takes long."""
         oldest = islice(self._answers.values(), answers_max)
         for answer in [answer for answer in oldest if answer.index <= self.known_since]:
             del self._answers[answer.op_id]

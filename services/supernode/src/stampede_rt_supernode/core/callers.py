@@ -1,4 +1,4 @@
-"""Checks of a host's own words: by its certificate, if the cluster has them, and by the protocol it speaks. Pure."""
+"""Checks that a host is the host that it claims to be, by its certificate, and that it speaks this protocol. Pure."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from stampede_rt_runtime.identity import Identity
 
 
 def check_host_caller(caller: Identity | None, *, known_as: str | None, name: str | None) -> None:
-    """`known_as`: the name of the host in the directory, None if it is new; `name`: the one it wants, None as it is.
+    """Check the caller's certificate for a host.
 
-    Without certificates (`caller` is None) every caller is believed. Raises PermissionDenied.
+    `known_as`: the name of the host in the directory, None for a new host. `name`: the name that the caller wants, None
+    to keep the name. Without certificates (`caller` is None) every caller passes. Raises PermissionDenied.
     """
     if caller is None:
         return
@@ -23,7 +24,7 @@ def check_host_caller(caller: Identity | None, *, known_as: str | None, name: st
 
 
 def check_protocol(spoken: int, version: str) -> None:
-    """`spoken` is 0 for a host of before it was told. Raises VersionMismatch."""
+    """Check the host's protocol version. 0: a host so old that it does not state it. Raises VersionMismatch."""
     if spoken not in (0, PROTOCOL_VERSION):
         raise VersionMismatch(
             f"the host (version {version}) speaks protocol {spoken}, this directory {PROTOCOL_VERSION} (version "

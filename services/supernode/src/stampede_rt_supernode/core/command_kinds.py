@@ -1,7 +1,7 @@
-"""One row of the command table: what the state machine knows of one kind of command. Pure.
+"""One row of the command table: the state machine's knowledge of one kind of command. Pure.
 
-Each family of commands exports its rows as `KINDS` in its `kinds.py`; `command_table` joins them. The row in `codecs`
-that has the same operation says how the command travels.
+Each family of commands exports its rows as `KINDS` in its `kinds.py`. `command_table` joins them. The row in `codecs`
+with the same operation defines the command's form in the log.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Done = TypeVar("Done", bound=Success)
 
 
 def _check_nothing(operation: Operation) -> None:
-    """The supernodes make it themselves, and make it well."""
+    """Accepts everything: supernodes make such operations themselves."""
 
 
 def _never_late(state: DirectoryState, operation: Operation, as_of_index: int) -> None:
-    """It does the same whenever it comes."""
+    """Accepts everything: such an operation has the same effect at any time."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -34,28 +34,26 @@ class CommandKind(Generic[Op, Done]):
 
     operation: type[Op]
     result: type[Done]
-    # The level that the cluster must have reached before the command may be used, see `cluster.feature_levels`.
+    # The level that the cluster must have before it may use the command; see `cluster.feature_levels`.
     feature_level: int
-    # The thing that it is about: a request id that comes back with another one is a mistake.
+    # The thing concerned. A request id must not come back with another subject.
     subject: Callable[[Op], str]
-    # What can be said without any state. A command that passes fits into a log entry. Raises InvalidName or
-    # InvalidArgument.
+    # The checks that need no state. A command that passes fits in a log entry. Raises InvalidName or InvalidArgument.
     check: Callable[[Op], None] = _check_nothing
-    # Whether a command that was made when the log had reached `as_of_index` (0: not told) may still be done. Raises
-    # Unavailable with reason AMBIGUOUS.
+    # Checks a command that was made when the log had reached `as_of_index` (0: unknown). Raises Unavailable with reason
+    # AMBIGUOUS if it comes too late.
     check_in_time: Callable[[DirectoryState, Op, int], None] = _never_late
-    # Does it: (state, operation, the command's time in Unix nanoseconds). Raises a StampedeError and has changed
-    # nothing, or is done.
+    # Does the command: (state, operation, the command's time in Unix nanoseconds). Either raises a StampedeError
+    # without any change, or succeeds.
     apply: Callable[[DirectoryState, Op, int], Done]
-    # Whether it is refused while no more answers can be remembered. Not so for what supernodes make themselves: they
-    # never make too many.
+    # Whether it is refused while the memory for answers is full. False for the supernodes' own commands, which are few.
     needs_room: bool = True
-    # Whether its answer is remembered, so that the same request id is done once.
+    # Whether its answer is remembered, so that the command is done once for each request id.
     is_remembered: bool = True
 
 
 def on_tables(transition: Callable[[Tables, Op], Done]) -> Callable[[DirectoryState, Op, int], Done]:
-    """`apply` for a command that concerns the tables alone."""
+    """The `apply` of a command that concerns only the tables."""
 
     def apply(state: DirectoryState, operation: Op, time_unix_nano: int) -> Done:
         return transition(state.tables, operation)

@@ -1,7 +1,8 @@
 """The table of all kinds of commands, joined from their families. Pure.
 
-A new command needs its operation and result in the family's `commands.py`, its row in the family's `kinds.py`, its row
-in `codecs`, and its member in directory_command.proto. A test finds a command that lacks one of them.
+A new command needs four things: its operation and result in the family's `commands.py`, its row in the family's
+`kinds.py`, its row in `codecs`, and its member in directory_command.proto. A test finds a command that lacks one of
+them.
 """
 
 from __future__ import annotations
@@ -36,19 +37,21 @@ FEATURE_LEVELS: Mapping[type[Operation], int] = MappingProxyType({one.operation:
 
 
 def kind_of(operation: Operation) -> CommandKind[Any, Any]:
-    """The row of that operation."""
+    """The row of an operation."""
     return _BY_OPERATION[type(operation)]
 
 
 def subject_of(operation: Operation) -> str:
-    """The subject of an operation, kind and thing: an operation id that comes back with another subject is a
-    mistake."""
+    """The subject of an operation: its kind and its thing.
+
+    An operation id must not come back with another subject.
+    """
     return f"{type(operation).__name__} {kind_of(operation).subject(operation)}"
 
 
 def check_operation(operation: Operation) -> None:
-    """Check `operation` without any state, so that nonsense never comes into the log.
+    """Check `operation` without any state, so that invalid operations never come into the log.
 
-    An operation that passes fits into a log entry. Raises InvalidName or InvalidArgument.
+    An operation that passes fits in a log entry. Raises InvalidName or InvalidArgument.
     """
     kind_of(operation).check(operation)

@@ -1,7 +1,7 @@
 """Operations on the directory, and their results. Pure, immutable values.
 
-All that is random or read from a clock is stamped into a command by its proposer, so that every replica computes the
-same from it.
+The proposer puts all random values and clock readings into the command, so that every replica computes the same from
+it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from stampede_rt.errors import StampedeError, error_for
 
 
 class Operation:
-    """Base of all that can be done to the directory. Each one has a row in `command_table`."""
+    """Base of all operations on the directory. Each one has a row in `command_table`."""
 
     __slots__ = ()
 
@@ -28,16 +28,16 @@ class Creation(Operation):
 
 
 class Success:
-    """Base of all that comes of an operation that was done."""
+    """Base of the results of operations that were done."""
 
     __slots__ = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Command:
-    """One entry of the log. Repeating `op_id` repeats the result; `time_unix_nano` is for whoever reads the log.
+    """One entry of the log. A repeated `op_id` repeats the result. `time_unix_nano` is for readers of the log.
 
-    `as_of_index`: how far the proposer's state reached when the request came; 0: not told.
+    `as_of_index`: the log position up to which the proposer's state reached when the request came; 0: unknown.
     """
 
     op_id: bytes
@@ -48,7 +48,7 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Refused:
-    """Nothing was changed, and why: the particulars of a StampedeError."""
+    """Nothing was changed. The fields are those of the StampedeError."""
 
     reason: str
     message: str
@@ -56,11 +56,11 @@ class Refused:
 
     @classmethod
     def because(cls, error: StampedeError) -> Refused:
-        """The refusal that `error` stands for."""
+        """The refusal for `error`."""
         return cls(reason=error.reason, message=error.message, metadata=MappingProxyType(error.metadata))
 
     def error(self) -> StampedeError:
-        """The exception to raise to the caller."""
+        """The error to raise to the caller."""
         return error_for(self.reason, self.message, self.metadata)
 
 

@@ -1,7 +1,8 @@
 """The directory: a state machine driven by the replicated log (paper, section 4.3). Pure.
 
-Same commands at the same positions, same state and same results, on every replica. It knows no clock and no chance:
-their values come stamped in the commands. A command that makes no sense is refused by a result, never by an exception.
+The same commands at the same positions give the same state and the same results on every replica. The directory reads
+no clock and no random numbers: commands carry such values. An invalid command gets a refusal as its result. It never
+raises an exception.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from stampede_rt_supernode.core.validation import check_id
 
 
 class Directory(DirectoryState):
-    """The state, and what the log does to it. `command_table` says what becomes of each kind of command."""
+    """The state, and the effect of the log on it. `command_table` defines the effect of each kind of command."""
 
     def apply(self, index: int, command: Command) -> Result:
-        """Apply the command at log position `index`, which grows and may skip. A refusal has changed nothing."""
+        """Apply the command at log position `index`. Positions grow and may skip numbers. A refusal changes nothing."""
         self.tables.begin(index)
         self.answered.forget_some()
         try:
@@ -32,14 +33,16 @@ class Directory(DirectoryState):
             self.tables.note_index(index)
 
     def note_done(self, index: int, result: bytes) -> None:
-        """Note the result of the operation at a position; not called for refusals, which releases may word
-        differently."""
+        """Add the result of an operation to the digest.
+
+        Not called for refusals, whose texts differ between releases.
+        """
         if self.digest:
             done = self.digest + index.to_bytes(8, "big") + result
             self.digest = blake2b(done, digest_size=DIGEST_BYTES).digest()
 
     def skip(self, index: int) -> None:
-        """Log position `index` held nothing that this replica could read."""
+        """Note a log position with an entry that this replica could not read."""
         self.tables.note_index(index)
 
     def _answer(self, index: int, command: Command) -> Success:

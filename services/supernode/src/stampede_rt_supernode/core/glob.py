@@ -1,4 +1,4 @@
-"""Patterns over names, as callers send them. Pure."""
+"""Checked patterns over names, as callers send them. Pure."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from stampede_rt_supernode.core.validation import check_glob
 
 
 def matcher(glob: str) -> Callable[[str], bool]:
-    """Whether a name matches `glob`; empty: every name does. Time is linear in the name for each star.
+    """A function that tells whether a name matches `glob`. Every name matches an empty `glob`. Linear time for each
+    star.
 
-    Raises InvalidArgument.
+    Raises InvalidArgument for an invalid pattern.
     """
     check_glob(glob)
     return globs.matcher(glob)

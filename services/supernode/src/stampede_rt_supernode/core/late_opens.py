@@ -1,9 +1,10 @@
-"""Whether a request to open something still means it, when it comes late. Pure.
+"""Decides whether a late request to open something is still wanted. Pure.
 
-What is there is opened without an entry in the log, so nobody remembers that request. If the caller tried before, at
-another supernode, that attempt may still be under way; arriving after the thing was deleted, it would make it again
-although nobody wants it any more. So every attempt says how far the state reached when the request came in: if the name
-has been freed since, nothing is made. A caller that is still there asks again; one that has its answer does not.
+An open of an existing thing makes no log entry, so nobody remembers the request. If the caller first tried at another
+supernode, that attempt may still be under way. It may arrive after the thing was deleted, and would create it again,
+although nobody wants it any more. So every attempt carries the log position that the state had when the request came.
+If the name has become free since, nothing is created. A caller that still waits sends the request again. A caller that
+has its answer does not.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from stampede_rt_supernode.core.commands import Success
 def check_in_time(
     answered: Answered, thing: tuple[str, str], as_of_index: int, frees: Callable[[Success], bool]
 ) -> None:
-    """Raises Unavailable with reason AMBIGUOUS if the thing to be made may have been deleted since the request.
+    """Raises Unavailable with reason AMBIGUOUS if the thing to create may have been deleted since the request.
 
-    `thing`: its kind and name; it is not there now. `as_of_index`: how far the state reached when the request came, 0
-    if that is not told. `frees`: whether what was done has freed the name. O(entries since then). Deletions are known
-    for as long as answers are remembered; what is older counts as late.
+    `thing`: its kind and name; it must not exist now. `as_of_index`: the log position of the state when the request
+    came, 0 if unknown. `frees`: whether a result means that the name became free. O(entries since then). Deletions are
+    known as long as answers are remembered. An older request counts as late.
     """
     if as_of_index == 0:
         return

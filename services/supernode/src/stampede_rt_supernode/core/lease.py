@@ -1,9 +1,9 @@
-"""The leases of hosts, or of peers, as their leader keeps them. Pure: every method takes `now`, nanoseconds of a clock
-that counts suspension (CLOCK_BOOTTIME).
+"""The leases of hosts, or of peers, as their leader keeps them.
 
-Renewals leave no trace in the log, so a table is worth something only while its leader leads. What keeps two owners
-apart: a host fences itself 0.8 TTL after it *sent* its last acknowledged renewal; the leader ends a lease no earlier
-than one TTL after it *received* it; and whoever takes over grants everybody a full TTL first.
+Pure: every method takes `now`, nanoseconds of a clock that counts suspension (CLOCK_BOOTTIME). Renewals are not in the
+log, so a table is valid only while its leader leads. Two rules prevent two owners. A host stops serving 0.8 TTL after
+it *sent* its last acknowledged renewal, and the leader ends a lease at the earliest one TTL after it *received* the
+renewal. And a new leader first grants everybody a full TTL.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from stampede_rt.values.peering import ClockOffset
 
 LEASE_TTL_NANOS = 5 * 10**9
 LOOKS_MAX = 1024
-"""So many leases one call looks at, however many there are."""
+"""The most leases that one call looks at."""
 MAX_INDEX = 2**63
-STALL_FRACTION = 2  # a leader that did not look for TTL / 2 did not hear renewals either
+STALL_FRACTION = 2  # a leader that did not look for TTL / 2 did not receive renewals either
 
 
 class Registered(Protocol):
@@ -28,11 +28,11 @@ class Registered(Protocol):
 
     @property
     def holder_id(self) -> bytes:
-        """Whose it is."""
+        """The id of the host or peer."""
 
     @property
     def boot_incarnation(self) -> int:
-        """Of the process that registered."""
+        """The boot incarnation of the process that registered."""
 
     @property
     def registered_index(self) -> int:
@@ -44,27 +44,28 @@ class _Lease:
     boot_incarnation: int
     registered_index: int
     ends_nanos: int
-    ending: bool = False  # its end is proposed, and cannot be called back
-    walk: int = 0  # the walk over all live holders in which it was seen last
-    clock: ClockOffset | None = None  # its holder's, as told last; no part of the directory, and gone with the tenure
+    ending: bool = False  # its end is proposed, and cannot be withdrawn
+    walk: int = 0  # the last walk over all live holders that found it
+    # the holder's last clock report; not part of the directory, and lost with the tenure
+    clock: ClockOffset | None = None
 
 
 class LeaseTable:
-    """One leader's view. Between `lead` and `resign` it grants and ends leases, outside of it grants nothing."""
+    """One leader's view. It grants and ends leases only between `lead` and `resign`."""
 
     def __init__(self) -> None:
         self.ttl_nanos = LEASE_TTL_NANOS  # the cluster's, once this supernode leads
         self.tenure = 0  # 0: not leading, or the tenure is not committed yet
         self._leases: dict[bytes, _Lease] = {}
-        # Of each lease when it is looked at next, at its end or before; also of some that are gone.
+        # For each lease the time of the next look at it, at its end or before; also for some dropped leases.
         self._looks: list[tuple[int, int, bytes]] = []
         self._ending: dict[bytes, _Lease] = {}
-        self._granted_nanos = 0  # all leases that are not ending last until then
+        self._granted_nanos = 0  # all leases that are not ending hold at least until then
         self._walks = 0
         self._looked_nanos = 0
 
     def lead(self, tenure: int, live: Iterable[Registered], now: int, *, ttl_nanos: int) -> None:
-        """The tenure is committed: every live holder has a full TTL from `now`."""
+        """Begin a committed tenure: every live holder gets a full TTL from `now`."""
         self.tenure = tenure
         self.ttl_nanos = ttl_nanos
         self._forget_all()
@@ -72,7 +73,7 @@ class LeaseTable:
         self.follow(live, now)
 
     def resign(self) -> None:
-        """This supernode does not lead any more: nothing can be granted or ended."""
+        """End the tenure: this supernode does not lead any more, so it can grant and end nothing."""
         self.tenure = 0
         self._forget_all()
 
@@ -83,15 +84,18 @@ class LeaseTable:
         self._granted_nanos = 0
 
     def follow(self, live: Iterable[Registered], now: int) -> None:
-        """Take note of the live holders: a registration not seen before gets a full TTL, one that is gone is dropped.
+        """Take over the live holders: a new registration gets a full TTL, and a holder that is gone is dropped.
 
-        Later than the registration itself, which only makes the lease longer.
+        This comes later than the registration itself, which only makes the lease longer.
         """
         for _ in self.following(list(live), MAX_INDEX, now):
             pass
 
     def following(self, live: Sequence[Registered], as_of_index: int, now: int) -> Iterator[None]:
-        """The same of those that live at that log position, in pieces. What happens since is noted by itself."""
+        """As `follow`, in pieces, for the holders that live at that log position.
+
+        Later changes come by `note` and `note_gone`.
+        """
         if not self.tenure:
             return
         self._walks += 1
@@ -109,7 +113,10 @@ class LeaseTable:
             yield
 
     def note(self, holder: Registered, now: int) -> _Lease:
-        """This holder lives, or did a moment ago: its registration gets a full TTL if it, or a later one, has none."""
+        """Note a live holder.
+
+        Its registration gets a full TTL if there is no lease of it, or of a later registration.
+        """
         held = self._leases.get(holder.holder_id)
         if held is None or held.registered_index < holder.registered_index:
             held = _Lease(holder.boot_incarnation, holder.registered_index, now + self.ttl_nanos)
@@ -119,17 +126,18 @@ class LeaseTable:
         return held
 
     def note_gone(self, holder_id: bytes, as_of_index: int) -> None:
-        """The holder was gone at that log position. One that has registered since keeps its lease."""
+        """Note that the holder was gone at that log position. A holder that has registered since keeps its lease."""
         held = self._leases.get(holder_id)
         if held is not None and held.registered_index <= as_of_index:
             del self._leases[holder_id]
             self._ending.pop(holder_id, None)
 
     def renew(self, holder: Registered, received: int, clock: ClockOffset | None = None) -> bool:
-        """Prolong the lease of a live holder's registration to `received` + TTL. False: its end is proposed already,
-        and only a new registration can help. `clock` is what the holder tells of its own.
+        """Prolong the lease of a live holder's registration to `received` + TTL.
 
-        The caller asks for this, and acknowledges it, only after a confirmed read that began after it was received.
+        Returns False if the end of the lease is already proposed: then only a new registration helps. `clock` is the
+        holder's report of its clock. Call this, and acknowledge the renewal, only after a confirmed read that began
+        after the renewal was received.
         """
         held = self.note(holder, received)
         if held.ending:
@@ -139,21 +147,21 @@ class LeaseTable:
         return True
 
     def note_clock(self, holder: Registered, clock: ClockOffset, now: int) -> None:
-        """The clock report of a live holder, from its registration."""
+        """Note the clock report in a live holder's registration."""
         if self.tenure:
             self.note(holder, now).clock = clock
 
     def clock(self, holder: Registered) -> ClockOffset | None:
-        """The last clock report of a holder; None: none, or not to this leader."""
+        """The last clock report of a holder to this leader; None: there is none."""
         held = self._leases.get(holder.holder_id)
         return held.clock if held is not None and held.registered_index == holder.registered_index else None
 
     def due(self, now: int) -> list[tuple[bytes, int, int]]:
-        """(holder id, boot incarnation, registered index) of the leases that end now; they are renewed no more.
+        """(holder id, boot incarnation, registered index) of the leases that end now. They can be renewed no more.
 
-        Given out again by later calls until `follow` sees the holder gone, since a proposal can fail. A leader that was
-        itself stalled could not hear anybody: it grants a full TTL to all instead. Of very many the first ones, and
-        `is_behind` is True.
+        Later calls return them again until `follow` finds the holder gone, because a proposal can fail. A leader that
+        was itself stalled received no renewals, so it grants everybody a full TTL instead. If there are very many,
+        returns the first ones, and `is_behind` is True.
         """
         if now - self._looked_nanos > self.ttl_nanos // STALL_FRACTION:
             self._granted_nanos = now + self.ttl_nanos
@@ -168,14 +176,14 @@ class LeaseTable:
         ]
 
     def is_behind(self, now: int) -> bool:
-        """Another call of `due` would look at more leases."""
+        """Whether another call of `due` would look at more leases."""
         return bool(self._looks) and self._looks[0][0] <= now and len(self._ending) < LOOKS_MAX
 
     def _look(self, now: int) -> None:
         _, registered_index, holder_id = heappop(self._looks)
         lease = self._leases.get(holder_id)
         if lease is None or lease.registered_index != registered_index:
-            return  # it is gone, or its holder has registered again
+            return  # the lease is gone, or its holder has registered again
         ends_nanos = max(lease.ends_nanos, self._granted_nanos)
         if ends_nanos > now:
             heappush(self._looks, (ends_nanos, registered_index, holder_id))

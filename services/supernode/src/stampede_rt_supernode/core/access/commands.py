@@ -10,35 +10,35 @@ from stampede_rt_supernode.core.commands import Operation, Success
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CreateTokenKey(Operation):
-    """Client tokens get a key, unless they have one."""
+    """Create the key of client tokens, unless there is one."""
 
     new_token_key: bytes = field(repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AddAccessRule(Operation):
-    """A rule is added, unless it is there."""
+    """Add a rule, unless it is there."""
 
     rule: AccessRule
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveAccessRule(Operation):
-    """A rule goes, if it is there."""
+    """Remove a rule, if it is there."""
 
     rule: AccessRule
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RevokeCredential(Operation):
-    """A certificate or token is good no more, for good."""
+    """Revoke a certificate or token for good."""
 
     serial: str
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CredentialRevoked(Success):
-    """The credential is good no more; whether it was this command that revoked it."""
+    """The credential is revoked. Tells whether this command did it."""
 
     revoked: bool
     version: int
@@ -53,7 +53,7 @@ class TokenKeyCreated(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessRuleAdded(Success):
-    """The rule is there; whether it was this command that added it."""
+    """The rule is there. Tells whether this command added it."""
 
     added: bool
     version: int
@@ -61,7 +61,7 @@ class AccessRuleAdded(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessRuleRemoved(Success):
-    """The rule is not there; whether it was this command that removed it."""
+    """The rule is not there. Tells whether this command removed it."""
 
     removed: bool
     version: int

@@ -1,4 +1,4 @@
-"""What a change of rules would do, before it is done. Pure."""
+"""The effects of a change of rules, computed before the change. Pure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAMES_EXAMINED_MAX = 1000  # of each kind
 
 @dataclass(frozen=True, slots=True)
 class AccessEffect:
-    """A right that is `allowed` after the change and was not before, or the other way round."""
+    """A right that is `allowed` after the change and was not before, or the reverse."""
 
     verb: AccessVerb
     kind: AccessKind
@@ -34,7 +34,7 @@ def client_named(who: str) -> Caller:
 
 
 def with_rule(rules: AccessRules, rule: AccessRule) -> AccessRules:
-    """The rules with one more, if it is not among them."""
+    """The rules with one more, unless it is among them."""
     return rules if rule in rules.rules else AccessRules((*rules.rules, rule))
 
 
@@ -44,7 +44,7 @@ def without_rule(rules: AccessRules, rule: AccessRule) -> AccessRules:
 
 
 def effects_on(tables: Tables, before: AccessRules, after: AccessRules, rule: AccessRule) -> list[AccessEffect]:
-    """What changes for a client whose name is the rule's `who`, with the things there are that the rule is about.
+    """The changed rights of a client with the name `who` of the rule, on existing things to which the rule applies.
 
     EFFECTS_MAX at most, of the first NAMES_EXAMINED_MAX names of each kind.
     """

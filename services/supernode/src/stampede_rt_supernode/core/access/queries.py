@@ -1,4 +1,4 @@
-"""Questions to what the directory holds about access. Pure."""
+"""Questions about access to the directory's state. Pure."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stampede_rt_supernode.core.tables import Tables
 
 
 def access_state(directory: DirectoryState) -> AccessState:
-    """The facts that ports need to judge callers, without the key that signs tokens."""
+    """The facts by which ports judge callers, without the key that signs tokens."""
     access = directory.access
     return AccessState(
         version=access.version,
@@ -30,7 +30,7 @@ def access_state(directory: DirectoryState) -> AccessState:
 
 
 def name_of(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | None:
-    """The name of what has that id, as rules know it; None: nothing has it."""
+    """The name of the thing with that id, as rules know it; None: there is none."""
     match kind:
         case AccessKind.CHANNEL:
             channel = tables.channels.get(thing_id)
@@ -47,7 +47,7 @@ def name_of(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | None:
 
 
 def right_to_open(tables: Tables, operation: OpenChannel | OpenQueue | OpenGroup) -> AccessVerb | None:
-    """What opening would do, in the words of rules: make a thing, or state more of one. None: neither."""
+    """The right that opening needs: to make a thing, or to change its stated settings. None: neither."""
     match operation:
         case OpenChannel():
             channel = tables.channel_named(operation.name)

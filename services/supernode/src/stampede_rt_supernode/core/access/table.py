@@ -10,9 +10,9 @@ from stampede_rt_runtime.quotas.limits import NO_SETTINGS, QuotaTable
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessTable:
-    """As of `version`, the log position of its last change; 0: there was none.
+    """The state as of `version`, the log position of its last change; 0: there was none.
 
-    `token_key` signs client tokens; no caller is ever told. Empty: there were none yet.
+    `token_key` signs client tokens. No caller ever gets it. Empty: there were no tokens yet.
     """
 
     version: int = 0

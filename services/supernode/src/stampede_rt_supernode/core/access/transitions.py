@@ -1,4 +1,4 @@
-"""The changes of the rules of access, and of the key of client tokens. Pure."""
+"""Changes the rules of access, and creates the key of client tokens. Pure."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ REVOKED_MAX = 1000
 
 
 def create_token_key(state: DirectoryState, operation: CreateTokenKey, time_unix_nano: int) -> TokenKeyCreated:
-    """The first key stays: what it has signed is to hold."""
+    """Set the key, unless there is one: tokens that it has signed must stay valid."""
     if not state.access.token_key:
         change_access(state, replace(state.access, token_key=operation.new_token_key))
     return TokenKeyCreated(version=state.access.version)
 
 
 def add_access_rule(state: DirectoryState, operation: AddAccessRule, time_unix_nano: int) -> AccessRuleAdded:
-    """Raises InvalidArgument if there are too many."""
+    """Add a rule. Raises InvalidArgument if there are too many."""
     rules = state.access.rules.rules
     if operation.rule in rules:
         return AccessRuleAdded(added=False, version=state.access.version)
@@ -45,7 +45,7 @@ def add_access_rule(state: DirectoryState, operation: AddAccessRule, time_unix_n
 
 
 def remove_access_rule(state: DirectoryState, operation: RemoveAccessRule, time_unix_nano: int) -> AccessRuleRemoved:
-    """One that is not there is no error."""
+    """Remove a rule. A missing rule is no error."""
     rules = state.access.rules.rules
     if operation.rule not in rules:
         return AccessRuleRemoved(removed=False, version=state.access.version)
@@ -54,7 +54,7 @@ def remove_access_rule(state: DirectoryState, operation: RemoveAccessRule, time_
 
 
 def revoke_credential(state: DirectoryState, operation: RevokeCredential, time_unix_nano: int) -> CredentialRevoked:
-    """For good. Raises InvalidArgument if there are too many."""
+    """Revoke a credential for good. Raises InvalidArgument if too many are revoked."""
     revoked = state.access.revoked_serials
     if operation.serial in revoked:
         return CredentialRevoked(revoked=False, version=state.access.version)
@@ -67,7 +67,7 @@ def revoke_credential(state: DirectoryState, operation: RevokeCredential, time_u
 
 
 def change_access(state: DirectoryState, access: AccessTable) -> None:
-    """From this log position on it is `access`, and watchers hear of it."""
+    """Set the facts about access as of the present log position, and tell watchers."""
     version = state.applied_index
     state.access = replace(access, version=version)
     state.tables.changes.note(ChangeKind.UPDATED, AccessChange(version=version))

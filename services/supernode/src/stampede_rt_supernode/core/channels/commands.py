@@ -11,7 +11,7 @@ from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenChannel(Creation):
-    """Get or create a channel; `new_channel_id` and `new_incarnation` are used if it is made or placed anew."""
+    """Get or create a channel. `new_channel_id` and `new_incarnation` are used if it is created or gets a new owner."""
 
     name: str
     policy: Policy = field(default_factory=Policy)
@@ -32,14 +32,14 @@ class UpdateChannel(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeleteChannel(Operation):
-    """Forget a channel."""
+    """Delete a channel."""
 
     channel_id: bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelOpened(Success):
-    """The channel and its owner; `created` by this very command."""
+    """The channel and its owner. `created`: this command created it."""
 
     channel: ChannelRecord
     host: HostRecord
@@ -55,6 +55,6 @@ class ChannelUpdated(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelDeleted(Success):
-    """The channel as it was last."""
+    """The channel as it was before its deletion."""
 
     channel: ChannelRecord

@@ -1,7 +1,7 @@
-"""Which channel set-ups make sense, and which of two agree (paper, section 3.4). Pure.
+"""Checks which channel set-ups are possible, and which of two agree (paper, section 3.4). Pure.
 
-A field that is None was never stated. What is stated holds from then on: opening the channel again may repeat it or
-leave it out, and only an update changes it.
+A field that is None was never stated. A stated value holds from then on. A later open may repeat it or leave it out.
+Only an update changes it.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ ITEM_BYTES_MAX = 16 * 2**20
 CONTENT_TYPE_BYTES_MAX = 255
 ON_FULL = ("drop_oldest", "block", "reject")
 LIMITS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
-# What holds for a field that was not stated while some limit was; content_type has none, it binds nobody's items.
+# The values of unstated fields once a limit was stated. content_type has none, because it binds no items.
 IN_EFFECT_UNSTATED = {
     "max_bytes": 256 * 2**20,
     "on_full": "drop_oldest",
     "max_future_nanos": 10**9,
     "max_item_bytes": ITEM_BYTES_MAX,
 }
-FIXED = "overlap_nanos"  # at creation: another value would change the spans of items that readers have seen
+FIXED = "overlap_nanos"  # only at creation: another value would change the spans of items that readers have seen
 _RANGES = {
     "max_age_nanos": (1, 2**63 - 1, "more than 0"),
     "max_items": (1, 2**64 - 1, "at least 1"),
@@ -37,18 +37,18 @@ _RANGES = {
 
 
 def is_provisional(policy: Policy) -> bool:
-    """No limit was stated up to now: the first one that is will be taken on."""
+    """Whether no limit was stated so far. The first stated limit will be taken over."""
     return all(getattr(policy, name) is None for name in LIMITS)
 
 
 def stated(policy: Policy) -> dict[str, int | str]:
-    """The fields that were stated."""
+    """The stated fields."""
     named = {field.name: getattr(policy, field.name) for field in fields(policy)}
     return {name: value for name, value in named.items() if value is not None}
 
 
 def check_ranges(channel: str, policy: Policy) -> None:
-    """Raises InvalidArgument if a stated field of `policy` can hold for no channel. `channel`: its name, or id."""
+    """Raises InvalidArgument if a stated field of `policy` is possible for no channel. `channel`: its name or id."""
     for name, (low, high, allowed) in _RANGES.items():
         value = getattr(policy, name)
         if value is not None and not low <= value <= high:
@@ -59,14 +59,14 @@ def check_ranges(channel: str, policy: Policy) -> None:
 
 
 def out_of_range(field: str, value: int, allowed: str) -> str:
-    """The fault of a field, in the words of callers, who write durations with their units."""
+    """The error text for a field. Durations have units in it, as callers write them."""
     if field.endswith("_nanos"):
         return f"{field.removesuffix('_nanos')} is {format_duration(value)}; it must be {allowed}"
     return f"{field} is {value}; it must be {allowed}"
 
 
 def check_policy(channel: str, policy: Policy) -> None:
-    """Raises InvalidArgument if `policy` cannot be the whole set-up of `channel`."""
+    """Raises InvalidArgument if `policy` is not possible as the whole set-up of `channel`."""
     check_ranges(channel, policy)
     if policy.on_full == "block" and policy.max_age_nanos is None and policy.consumers is None:
         text = 'on_full="block" waits for ever if nothing makes room; state max_age or consumers with it'
@@ -78,7 +78,7 @@ def check_policy(channel: str, policy: Policy) -> None:
 
 
 def check_fixed(channel: str, held: Policy, changes: Policy) -> None:
-    """Raises InvalidArgument if `changes` states another value for what is fixed at creation."""
+    """Raises InvalidArgument if `changes` changes a field that is fixed at creation."""
     before, asked = getattr(held, FIXED), getattr(changes, FIXED)
     if asked not in (None, before):
         name = FIXED.removesuffix("_nanos")
@@ -100,10 +100,11 @@ def _invalid(channel: str, field: str, text: str) -> InvalidArgument:
 
 
 def agree(channel: str, held: Policy, asked: Policy) -> Policy:
-    """The set-up of `channel` after somebody opened it with `asked`, or ChannelExists naming what contradicts.
+    """The set-up of `channel` after an open with the policy `asked`. Raises ChannelExists with the contradicting field.
 
-    A field stated before must be repeated or left out. One never stated is taken on while the channel is provisional;
-    later it must be what is in effect, since taking it on would collect other callers' items behind their backs.
+    A stated field must be repeated or left out. A field that was never stated is taken over while the channel is
+    provisional. Later it must equal the value in effect, because another value would collect items of other callers
+    without their knowledge.
     """
     for name, value in stated(asked).items():
         before = getattr(held, name)
@@ -131,7 +132,7 @@ def _contradiction(channel: str, field: str, before: object, in_effect: object, 
 
 
 def _shown(field: str, value: object) -> str:
-    """A value as callers write it."""
+    """A value in the form in which callers write it."""
     if value is None:
         return "no limit"
     return format_duration(value) if field.endswith("_nanos") and isinstance(value, int) else str(value)

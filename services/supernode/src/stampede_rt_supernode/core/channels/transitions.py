@@ -1,7 +1,7 @@
-"""The effects on the tables of opening, changing and forgetting a channel (paper, sections 4.2 and 4.3). Pure.
+"""Opens, changes and deletes channels in the tables (paper, sections 4.2 and 4.3). Pure.
 
-Each function checks everything first and edits then: it either raises a StampedeError and has changed nothing, or it
-is done.
+Each function checks everything first, and edits after that. It either raises a StampedeError without any change, or
+succeeds.
 """
 
 from __future__ import annotations
@@ -46,7 +46,10 @@ def check_update(operation: UpdateChannel) -> None:
 
 
 def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
-    """Get or create; a channel whose owner's lease has ended gets a new owner, epoch and incarnation, and no items."""
+    """Get or create a channel.
+
+    A channel whose owner's lease has ended gets a new owner, epoch and incarnation, and no items.
+    """
     check_open(operation)
     channel = tables.channel_named(operation.name)
     if channel is None:
@@ -64,7 +67,10 @@ def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
 
 
 def open_unchanged(tables: Tables, operation: OpenChannel) -> ChannelOpened | None:
-    """The answer to `operation` if it changes nothing, else None. Raises as `open_channel`, if that is certain."""
+    """The answer to `operation` if it changes nothing, else None.
+
+    Raises the errors of `open_channel` that are certain.
+    """
     check_open(operation)
     channel = tables.channel_named(operation.name)
     if channel is None:
@@ -93,7 +99,7 @@ def update_channel(tables: Tables, operation: UpdateChannel) -> ChannelUpdated:
 
 
 def delete_channel(tables: Tables, operation: DeleteChannel) -> ChannelDeleted:
-    """Forget it; its name is free again."""
+    """Delete a channel. Its name is free again."""
     channel = channel_by_id(tables, operation.channel_id)
     forget_channel(tables, channel)
     return ChannelDeleted(channel=channel)
@@ -135,13 +141,16 @@ def _place_anew(tables: Tables, channel: ChannelRecord, operation: OpenChannel) 
 
 
 def fresh_incarnation(channel: ChannelRecord, proposed: int) -> int:
-    """`proposed`, or its neighbour in the one case in 2**64 that the channel had it already."""
+    """`proposed`, or another number if the channel has that incarnation already (one case in 2**64)."""
     return proposed if proposed != channel.incarnation else (proposed ^ 1) or 2
 
 
 def _choose_host(tables: Tables, operation: OpenChannel, former: str | None = None) -> HostRecord:
-    """The host asked for; else the live one that bears the `former` owner's name, which is that host restarted without
-    its data folder; else the live one with the fewest channels, the first by name of several."""
+    """The host for a new or orphaned channel.
+
+    The requested host; else the live host with the `former` owner's name, which is that host restarted without its data
+    folder; else the live host with the fewest channels, among equals the first by name.
+    """
     if operation.host_name:
         return host_by_name(tables, operation.host_name)
     successor = tables.live_host_named(former) if former is not None else None

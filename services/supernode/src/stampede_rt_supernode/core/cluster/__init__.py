@@ -1,1 +1,1 @@
-"""The cluster as a whole in the directory, its tenures and its time: pure."""
+"""The cluster as a whole in the directory: its tenures, its time and its feature level. Pure."""

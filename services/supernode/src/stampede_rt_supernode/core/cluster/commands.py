@@ -9,10 +9,10 @@ from stampede_rt_supernode.core.commands import Operation, Success
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BeginTenure(Operation):
-    """A new leader takes over the leases; the first one of all founds the cluster: it gives it its id and its TTL.
+    """A new leader takes over the leases. The first one of all founds the cluster, and gives it its id and its TTL.
 
-    `founded_anew`: by restoring, so that the id is to replace that of the former cluster; `takes_over`: whose hosts may
-    go over to this one. `new_feature_level`: where a new cluster begins.
+    `founded_anew`: the cluster was restored, so the id replaces that of the former cluster. `takes_over`: the ids of
+    the clusters whose hosts may join this one. `new_feature_level`: the first level of a new cluster.
     """
 
     tenure: int
@@ -28,8 +28,10 @@ class BeginTenure(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MarkTime(Operation):
-    """Some time has passed since the last mark, says the leader of `tenure`, which was at `after_index`; see
-    `answered`."""
+    """The leader of `tenure` notes that the time of a mark has passed.
+
+    `after_index`: the position of the last mark that it knows. See `answered`.
+    """
 
     tenure: int
     after_index: int
@@ -37,14 +39,14 @@ class MarkTime(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RaiseFeatureLevel(Operation):
-    """All members know this feature level, says a leader; see `feature_levels`."""
+    """A leader notes that all members know this feature level; see `feature_levels`."""
 
     feature_level: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TenureBegun(Success):
-    """The tenure now in force, and the cluster's id."""
+    """The present tenure, and the cluster's id."""
 
     tenure: int
     cluster_id: str
@@ -52,13 +54,13 @@ class TenureBegun(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimeMarked(Success):
-    """Whether the mark counts; False: another leader's, or a repeated one."""
+    """Whether the mark counts. False: it is repeated, or another leader's."""
 
     marked: bool
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FeatureLevelRaised(Success):
-    """The feature level now in force."""
+    """The present feature level."""
 
     feature_level: int

@@ -30,7 +30,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=lambda one: str(one.tenure),
         apply=mark_time,
-        is_remembered=False,  # a repeated one does not follow the last mark any more
+        is_remembered=False,  # a repeated mark does not follow the last mark, so it does nothing
     ),
     CommandKind(
         operation=RaiseFeatureLevel,

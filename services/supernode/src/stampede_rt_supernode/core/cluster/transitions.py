@@ -1,4 +1,4 @@
-"""The effects on the state of a new leader, and of the time that it measures. Pure."""
+"""Applies the commands of a leader: its tenure, its marks of time, and the feature level. Pure."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from stampede_rt_supernode.core.cluster.commands import (
 from stampede_rt_supernode.core.state import DirectoryState
 
 FORMER_MAX = 16
-TOKENS_LEVEL = 2  # below it no replica keeps a key for client tokens
+TOKENS_LEVEL = 2  # no replica keeps a key for client tokens below it
 
 
 def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: int) -> TenureBegun:
-    """A leader's first entry; one of a leader that was already replaced is without effect."""
+    """Begin a leader's tenure, by its first entry. An entry of a leader that was already replaced has no effect."""
     state.tenure = max(state.tenure, operation.tenure)
     if not state.cluster_id:
         state.feature_level = max(state.feature_level, operation.new_feature_level)
@@ -28,7 +28,7 @@ def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: 
         if state.cluster_id and operation.takes_over and state.cluster_id != operation.new_cluster_id:
             state.former_cluster_ids = (*state.former_cluster_ids, state.cluster_id)[-FORMER_MAX:]
         state.cluster_id, state.join_key = operation.new_cluster_id, operation.new_join_key
-        if state.access.token_key:  # what it has signed is of the former cluster
+        if state.access.token_key:  # its tokens are of the former cluster
             change_access(state, replace(state.access, token_key=b""))
     state.join_key = state.join_key or operation.new_join_key
     if state.feature_level >= TOKENS_LEVEL and not state.access.token_key:
@@ -38,7 +38,7 @@ def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: 
 
 
 def mark_time(state: DirectoryState, operation: MarkTime, time_unix_nano: int) -> TimeMarked:
-    """It counts if the leader in force says it, and has seen the last mark."""
+    """Add a mark if it comes from the present leader, and this leader knew the last mark."""
     marked = operation.tenure == state.tenure and operation.after_index == state.answered.last_mark
     if marked:
         state.answered.mark(state.applied_index)
@@ -46,6 +46,6 @@ def mark_time(state: DirectoryState, operation: MarkTime, time_unix_nano: int) -
 
 
 def raise_feature_level(state: DirectoryState, operation: RaiseFeatureLevel, time_unix_nano: int) -> FeatureLevelRaised:
-    """It never falls."""
+    """Raise the feature level. It never falls."""
     state.feature_level = max(state.feature_level, operation.feature_level)
     return FeatureLevelRaised(feature_level=state.feature_level)

@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import GroupRecord, GroupSpec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenGroup(Creation):
-    """Get or create a group; `spec` None takes it as it is. The new ones are used if it is made."""
+    """Get or create a group. `spec` None: accept any set-up. The `new_` fields are used if it is created."""
 
     name: str
     spec: GroupSpec | None
@@ -21,7 +21,7 @@ class OpenGroup(Creation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UpdateGroup(Operation):
-    """Change the members of a group; `spec_version` None: whatever it is."""
+    """Change the members of a group. `spec_version` None: at any version."""
 
     group_id: bytes
     add_channel_ids: tuple[bytes, ...] = ()
@@ -31,14 +31,14 @@ class UpdateGroup(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeleteGroup(Operation):
-    """Forget a group."""
+    """Delete a group."""
 
     group_id: bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupOpened(Success):
-    """The group; `created` by this very command."""
+    """The group. `created`: this command created it."""
 
     group: GroupRecord
     created: bool
@@ -53,4 +53,4 @@ class GroupUpdated(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupDeleted(Success):
-    """The group is forgotten."""
+    """The group is deleted."""

@@ -1,4 +1,4 @@
-"""Questions about groups: one with its members, and pages of many. Pure; O(page), and bounded whatever the pattern."""
+"""Questions about groups: one group with its members, and pages of many. Pure. O(page), for any pattern."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from stampede_rt_supernode.core.validation import check_id
 
 @dataclass(frozen=True, slots=True)
 class GroupView:
-    """A group, those of its members that are there, in the order of its set-up, and their owners, each once."""
+    """A group, its existing members in the order of its set-up, and their owners, each once."""
 
     group: GroupRecord
     channels: tuple[ChannelRecord, ...]
@@ -23,14 +23,14 @@ class GroupView:
 
 @dataclass(frozen=True, slots=True)
 class GroupPage:
-    """Groups in the order of names. `last_name`: the next page begins behind it; None: this was the last."""
+    """Groups by name. The next page begins after `last_name`; None: this was the last page."""
 
     groups: tuple[GroupRecord, ...]
     last_name: str | None
 
 
 def group_view(tables: Tables, group: GroupRecord) -> GroupView:
-    """`group` may be as it was earlier; its members are as they are now."""
+    """The view of `group`, which may be an earlier record. The members are the present ones."""
     found = (tables.channels.get(one) for one in group.spec.channel_ids)
     channels = tuple(channel for channel in found if channel is not None)
     host_ids = dict.fromkeys(channel.host_id for channel in channels)
@@ -38,9 +38,10 @@ def group_view(tables: Tables, group: GroupRecord) -> GroupView:
 
 
 def group_page(tables: Tables, glob: str, channel_id: bytes, after_name: str, groups_max: int) -> GroupPage:
-    """Up to `groups_max` (0: the most) groups behind `after_name` whose names match, of one channel if there is an id.
+    """Up to `groups_max` groups (0: the limit) after `after_name` with matching names; with `channel_id` only its
+    groups.
 
-    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern or id.
+    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern or id.
     """
     matches, limit = matcher(glob), min(groups_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     found: list[GroupRecord] = []

@@ -16,14 +16,17 @@ GroupWithWitnesses = tuple[GroupRecord, tuple[bytes, ...]]
 
 
 class GroupTable:
-    """`note` is told of every change. A witness is a host of members that still knows the cut of the present
-    incarnation, since it has not started anew after that was set."""
+    """The groups. `note` is called with every change.
+
+    A witness is a host of members that still knows the cut of the present incarnation, because it has not restarted
+    since that cut.
+    """
 
     def __init__(self, entries: Iterable[GroupWithWitnesses], note: Note) -> None:
         self._note = note
         self.by_id: dict[bytes, GroupRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the groups
-        self._entries: dict[bytes, GroupWithWitnesses] = {}  # by id; host ids ascending, never none
+        self._entries: dict[bytes, GroupWithWitnesses] = {}  # by id; host ids ascending, at least one
         self._ids_with: dict[bytes, set[bytes]] = {}  # by channel id; only channels that are in a group
         for group, witnesses in entries:
             self._link(group, witnesses)
@@ -32,33 +35,33 @@ class GroupTable:
         return len(self.by_id)
 
     def named(self, name: str) -> GroupRecord | None:
-        """The group of that name, if there is one."""
+        """The group of that name; None: there is none."""
         found = self.ids.get(name)
         return None if found is None else self.by_id[found]
 
     def with_channel(self, channel_id: bytes) -> list[GroupRecord]:
-        """The groups that a channel is in, in the order of their ids."""
+        """The groups of a channel, by id."""
         return [self.by_id[one] for one in sorted(self._ids_with.get(channel_id, ()))]
 
     def count_with(self, channel_id: bytes) -> int:
-        """In how many groups a channel is."""
+        """The number of a channel's groups."""
         return len(self._ids_with.get(channel_id, ()))
 
     def entries(self) -> Iterator[tuple[bytes, GroupWithWitnesses]]:
-        """(id, (group, its witnesses)) in the order of names."""
+        """(id, (group, its witnesses)), by name."""
         return ((one, self._entries[one]) for one in self.ids.values())
 
     def witnesses_of(self, group: GroupRecord) -> tuple[bytes, ...]:
-        """The ids of the hosts that still know its cut, ascending."""
+        """The ids of the hosts that still know the group's cut, ascending."""
         return self._entries[group.group_id][1]
 
     def add(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
-        """Its id and name are new, its members are there."""
+        """Add a group. Its id and name must be new, and its members must exist."""
         self._link(group, witnesses)
         self._note(ChangeKind.ADDED, group)
 
     def replace(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
-        """The group of that id, which keeps its name, is now like this. Who knows its cut is nobody else's business."""
+        """Replace the group of that id, which keeps its name. A change of witnesses alone is not noted as a change."""
         before, held = self._entries[group.group_id]
         if (group, witnesses) == (before, held):
             return
@@ -70,7 +73,7 @@ class GroupTable:
             self._note(ChangeKind.UPDATED, group)
 
     def remove(self, group: GroupRecord) -> None:
-        """Forget a group that is there."""
+        """Delete a group that exists."""
         self._unlink_members(group)
         del self.by_id[group.group_id]
         del self.ids[group.name]

@@ -1,8 +1,7 @@
-"""The effects on the tables of opening, changing and forgetting a group, and those of channels and hosts on groups.
-Pure.
+"""Opens, changes and deletes groups in the tables, and applies the effects of channels and hosts on groups. Pure.
 
-As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. Groups come
-and go while their channels stay as they are (paper, section 3.3).
+As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. Groups come and
+go, and their channels stay as they are (paper, section 3.3).
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
 
 GROUPS_MAX = 10_000
-GROUPS_PER_CHANNEL_MAX = 1_000  # all of them change at once when the channel is deleted
+GROUPS_PER_CHANNEL_MAX = 1_000  # the deletion of the channel changes all of them at once
 
 
 def check_open_group(operation: OpenGroup) -> None:
@@ -63,14 +62,14 @@ def check_update_group(operation: UpdateGroup) -> None:
 
 
 def open_group(tables: Tables, operation: OpenGroup) -> GroupOpened:
-    """Get or create. The name belongs to whoever is first in the log."""
+    """Get or create a group. The name belongs to the first operation in the log."""
     check_open_group(operation)
     opened = open_group_unchanged(tables, operation)
     return opened if opened is not None else _create(tables, operation)
 
 
 def open_group_unchanged(tables: Tables, operation: OpenGroup) -> GroupOpened | None:
-    """The answer to `operation` if the group is there; None: it is to be made. Raises as `open_group` does."""
+    """The answer to `operation` if the group exists; None: it must be created. Raises the errors of `open_group`."""
     check_open_group(operation)
     group = tables.groups.named(operation.name)
     if group is None:
@@ -119,7 +118,7 @@ def _check_members(tables: Tables, name: str, channel_ids: Iterable[bytes]) -> N
 
 
 def update_group(tables: Tables, operation: UpdateGroup) -> GroupUpdated:
-    """Add and remove members; the cut stays where it is."""
+    """Add and remove members. The cut stays the same."""
     check_update_group(operation)
     group = group_by_id(tables, operation.group_id)
     if operation.spec_version is not None and operation.spec_version != group.spec_version:
@@ -144,14 +143,16 @@ def _with_members(tables: Tables, group: GroupRecord, channel_ids: tuple[bytes, 
 
 
 def delete_group(tables: Tables, operation: DeleteGroup) -> GroupDeleted:
-    """Forget it; its name is free again."""
+    """Delete a group. Its name is free again."""
     tables.groups.remove(group_by_id(tables, operation.group_id))
     return GroupDeleted()
 
 
 def leave_groups(tables: Tables, channel_id: bytes) -> None:
-    """A channel that is about to be forgotten leaves its groups; one whose reference or last member it is goes with it,
-    since its cut could never move again."""
+    """Remove a channel from its groups, before its deletion.
+
+    A group whose reference or last member it is is deleted, too, because its cut could never move again.
+    """
     for group in tables.groups.with_channel(channel_id):
         staying = tuple(one for one in group.spec.channel_ids if one != channel_id)
         if not staying or group.spec.reference_channel_id == channel_id:
@@ -161,9 +162,9 @@ def leave_groups(tables: Tables, channel_id: bytes) -> None:
 
 
 def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: bytes | None = None) -> None:
-    """The owners of these channels are others now, or host `restarted` has started anew and remembers no cut.
+    """Note that these channels have new owners, or that host `restarted` has started anew and has no cuts any more.
 
-    A group that no host remembers the cut of gets a new incarnation: it may begin anew (GroupRecord.incarnation).
+    A group whose cut no host knows gets a new incarnation, so it may begin anew (GroupRecord.incarnation).
     """
     found = {group.group_id for one in channel_ids for group in tables.groups.with_channel(one)}
     for group_id in sorted(found):
@@ -171,11 +172,11 @@ def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: byte
 
 
 def _witnessed(tables: Tables, group: GroupRecord, restarted: bytes | None = None) -> GroupRecord:
-    """Store `group` with those of its witnesses that still are; without any, under a new incarnation with all hosts."""
+    """Store `group` with its remaining witnesses. If there are none: under a new incarnation, with all its hosts."""
     hosts = _hosts_of(tables, group)
     left = tuple(one for one in tables.groups.witnesses_of(group) if one in hosts and one != restarted)
     if not left:
-        # Random at first and counted on, so it is none that the group had before.
+        # Random at first and then counted up, so the group never had it before.
         group, left = replace(group, incarnation=(group.incarnation + 1) % 2**64 or 1), hosts
     tables.groups.replace(group, left)
     return group

@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import Endpoint, HostRecord
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RegisterHost(Operation):
-    """A host enters; `new_incarnation` is what its channels get if its boot incarnation is a new one.
+    """A host registers. Its channels get `new_incarnation` if its boot incarnation is new.
 
     `registration_epoch`: see `registration_epochs`.
     """
@@ -26,7 +26,7 @@ class RegisterHost(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeregisterHost(Operation):
-    """A host leaves of its own accord."""
+    """A host deregisters by itself."""
 
     host_id: bytes
     boot_incarnation: int
@@ -34,7 +34,7 @@ class DeregisterHost(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExpireHost(Operation):
-    """The lease of one registration has ended, says the leader of `tenure`."""
+    """The leader of `tenure` notes that the lease of one registration has ended."""
 
     host_id: bytes
     boot_incarnation: int
@@ -44,7 +44,7 @@ class ExpireHost(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostRegistered(Success):
-    """The host is in."""
+    """The host is registered."""
 
     host: HostRecord
     cluster_id: str
@@ -52,11 +52,11 @@ class HostRegistered(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostDeregistered(Success):
-    """The host has left."""
+    """The host is deregistered."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostExpired(Success):
-    """Whether the command ended a lease; False: it came too late and changed nothing."""
+    """Whether the command ended a lease. False: it came too late and changed nothing."""
 
     expired: bool

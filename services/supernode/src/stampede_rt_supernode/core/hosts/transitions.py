@@ -1,7 +1,7 @@
-"""The effects on the tables of a host's coming, going and vanishing, and who may say so. Pure.
+"""Registers, deregisters and expires hosts in the tables, and checks who may do so. Pure.
 
-A lease belongs to one registration. Its end is an entry of the log that names the boot incarnation, the registration
-and the leader's tenure: one that arrives late, after any of them has changed, is without effect.
+A lease belongs to one registration. Its end is a log entry that names the boot incarnation, the registration and the
+leader's tenure. If one of them has changed since, the entry has no effect.
 """
 
 from __future__ import annotations
@@ -29,9 +29,11 @@ HOSTS_MAX = 10_000
 
 
 def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
-    """A host enters, or enters again. A new boot incarnation means that it lost its items: in this one step all its
-    channels and queues get a new epoch and incarnation, at a warm replica that is in sync if there is one, else where
-    they are."""
+    """Register a host, perhaps again.
+
+    A new boot incarnation means that the host lost its items. Then, in this one step, all its channels and queues get a
+    new epoch and incarnation. A channel or queue with a warm replica in sync moves there. The others stay at the host.
+    """
     check_register(operation)
     _check_name_is_free(tables, operation)
     before = tables.hosts.get(operation.host_id)
@@ -91,10 +93,10 @@ def _renew_channels(tables: Tables, operation: RegisterHost) -> None:
 
 
 def deregister_host(tables: Tables, operation: DeregisterHost) -> None:
-    """A host leaves; its channels are without a live owner at once, but for those that a warm replica takes. Its
-    mailboxes go to other hosts.
+    """Deregister a host. Its channels have no live owner at once, except those that move to a warm replica.
 
-    Who is not there has left already; one that was lost is so no more. Raises LeaseExpired for another boot.
+    Its mailboxes move to other hosts. A host that is not registered has left already. A lost host counts as lost no
+    more. Raises LeaseExpired for another boot incarnation.
     """
     check_id(operation.host_id, "host_id")
     host = tables.hosts.get(operation.host_id)
@@ -118,9 +120,9 @@ def check_boot(host: HostRecord, boot_incarnation: int) -> None:
 
 
 def expire_host(tables: Tables, operation: ExpireHost, tenure: int, now_unix_nano: int) -> bool:
-    """End a lease, unless the words come too late: `tenure` is the one in force. Returns whether it ended.
+    """End a lease, unless the command comes too late. `tenure` is the present one. Returns whether the lease ended.
 
-    The host is remembered as lost until it comes back, says that it leaves, or too many others are lost after it.
+    The host is remembered as lost until it comes back, deregisters, or too many others are lost after it.
     """
     host = tables.hosts.get(operation.host_id)
     if host is None or not host.alive or operation.tenure != tenure:
