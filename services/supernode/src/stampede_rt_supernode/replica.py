@@ -1,7 +1,7 @@
-"""The directory as the replicated log drives it: bytes in, bytes out, from the log's own thread.
+"""The directory as the replicated log drives it: bytes in, bytes out, on the log's own thread.
 
-Readers live on the event loop's thread. A short lock keeps them from seeing half of a command; nobody holds it across
-an await, and every read under it is bounded.
+Readers run on the event loop's thread. A short lock keeps them from reading half of a command. Nobody holds the lock
+across an await, and every read under it is bounded.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ T = TypeVar("T")
 
 
 class DirectoryReplica:
-    """A `replication.interface.StateMachine`. `restored` counts how often the state was replaced as a whole."""
+    """A `replication.interface.StateMachine`. `restored` counts how often the whole state was replaced."""
 
-    # What this release knows; tests of several releases in one process have others.
+    # of this release; tests of several releases in one process set others
     highest_level = HIGHEST_LEVEL
     level_needed = staticmethod(level_needed)
     kind_in = staticmethod(kind_in)
@@ -38,14 +38,14 @@ class DirectoryReplica:
         self.restored = 0
 
     def listen(self, listener: Callable[[], None]) -> None:
-        """Call `listener` after every applied command and every restore, on the log's thread; it must not block."""
+        """Call `listener` after every applied command and every restore, on the log's thread. It must not block."""
         self._listener = listener
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """Apply the command at log position `index`; what cannot be read is refused, alike on every replica.
+        """Apply the command at log position `index`. Every replica refuses an unreadable command in the same way.
 
-        So is what needs a feature level above the cluster's: members of older releases cannot read it. Raises
-        ReleaseTooOld.
+        Also refuses a command that needs a higher feature level than the cluster's, because members of older releases
+        cannot read it. Raises ReleaseTooOld.
         """
         with self._lock:
             try:
@@ -64,11 +64,14 @@ class DirectoryReplica:
 
     @property
     def feature_level(self) -> int:
-        """The cluster's, at the last applied command; from any thread."""
+        """The cluster's feature level as of the last applied command. Callable on any thread."""
         return self._directory.feature_level
 
     def takes(self, command: bytes) -> bool:
-        """Whether the command may enter the log, from any thread. It stays so: the cluster's level never falls."""
+        """Whether the command may enter the log.
+
+        Callable on any thread. A True stays true: the cluster's level never falls.
+        """
         return may_be_used(self.level_needed(self.kind_in(command)), self.feature_level)
 
     def _check_level(self, command: bytes) -> None:
@@ -80,30 +83,30 @@ class DirectoryReplica:
             raise ReleaseTooOld(self.highest_level, directory.feature_level)
 
     def digest(self) -> tuple[int, bytes]:
-        """The last log position applied, and a digest of all that was done up to there; on the log's thread."""
+        """The last applied log position, and a digest of all results up to there. On the log's thread."""
         return self._directory.applied_index, self._directory.digest
 
     def adopt_digest(self, digest: bytes) -> None:
-        """Go on from the leader's: this state came from a snapshot without one; on the log's thread."""
+        """Take over the leader's digest, because this state came from a snapshot without one. On the log's thread."""
         self._directory.digest = digest
 
     def begin_snapshot(self) -> Callable[[], bytes]:
-        """The whole state, as of the last applied command, to be encoded by any thread; one at a time.
+        """Copy the whole state as of the last applied command. Returns a function that encodes it, on any thread.
 
-        No lock is needed: only this thread changes it.
+        One snapshot at a time. Needs no lock, because only this thread changes the state.
         """
         return self._snapshots.begin(self._directory)
 
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
-        """Decode it, on any thread, and return what replaces the whole state.
+        """Decode a snapshot, on any thread. Returns a function that replaces the whole state.
 
-        Raises for a damaged snapshot, and ReleaseTooOld: going on without it would answer wrongly.
+        Raises for a damaged snapshot, and ReleaseTooOld: without the snapshot this replica would answer wrongly.
         """
         directory = decode_snapshot(snapshot)
         self._check_release(directory)
 
         def restore() -> None:
-            outdated = self._directory  # freed when this returns: not while readers wait for the lock
+            outdated = self._directory  # freed when the function returns, not while readers wait for the lock
             with self._lock:
                 self._directory, self._snapshots = directory, SnapshotWriter()
                 self.restored += 1
@@ -113,10 +116,10 @@ class DirectoryReplica:
         return restore
 
     def read(self, question: Callable[[Directory], T]) -> T:
-        """The answer of `question`, which sees the state between two commands, and must neither keep nor change it."""
+        """The answer of `question`. It sees the state between two commands, and must neither keep nor change it."""
         with self._lock:
             return question(self._directory)
 
 
 def _nobody() -> None:
-    """Nobody listens yet."""
+    """The listener before `listen`."""

@@ -1,4 +1,4 @@
-"""Finding things of the directory by what callers know of them. Pure; each function says what is not there."""
+"""Finds things of the directory by id or name. Pure. Each function raises an error for a missing thing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from stampede_rt_supernode.core.validation import check_id, check_name
 
 
 def channel_by_id(tables: Tables, channel_id: bytes) -> ChannelRecord:
-    """Raises InvalidArgument or ChannelNotFound."""
+    """The channel of that id. Raises InvalidArgument or ChannelNotFound."""
     check_id(channel_id, "channel_id")
     channel = tables.channels.get(channel_id)
     if channel is None:
@@ -20,7 +20,7 @@ def channel_by_id(tables: Tables, channel_id: bytes) -> ChannelRecord:
 
 
 def channel_by_name(tables: Tables, name: str) -> ChannelRecord:
-    """Raises InvalidName or ChannelNotFound."""
+    """The channel of that name. Raises InvalidName or ChannelNotFound."""
     check_name(name, "channel")
     channel = tables.channel_named(name)
     if channel is None:
@@ -50,9 +50,10 @@ def host_by_name(tables: Tables, name: str) -> HostRecord:
 
 
 def check_host_agrees(kind: str, name: str, host: HostRecord, asked_host_name: str) -> None:
-    """A caller that names a host gets that one. Raises CHANNEL_EXISTS or QUEUE_EXISTS if live `host` is another.
+    """Check that `host` is the host that the caller names. Raises CHANNEL_EXISTS or QUEUE_EXISTS if it is another live
+    one.
 
-    `kind` is "channel" or "queue". A lost owner is no contradiction: the host that is asked for takes its place.
+    `kind` is "channel" or "queue". A lost owner is no contradiction, because the named host replaces it.
     """
     if host.alive and asked_host_name not in ("", host.name):
         raise StampedeError(
@@ -69,7 +70,7 @@ def no_such_channel(name: str) -> ChannelNotFound:
 
 
 def group_by_id(tables: Tables, group_id: bytes) -> GroupRecord:
-    """Raises InvalidArgument, or the error of `no_such_group`."""
+    """The group of that id. Raises InvalidArgument, or the error of `no_such_group`."""
     check_id(group_id, "group_id")
     group = tables.groups.by_id.get(group_id)
     if group is None:
@@ -80,7 +81,7 @@ def group_by_id(tables: Tables, group_id: bytes) -> GroupRecord:
 
 
 def group_by_name(tables: Tables, name: str) -> GroupRecord:
-    """Raises InvalidName, or the error of `no_such_group`."""
+    """The group of that name. Raises InvalidName, or the error of `no_such_group`."""
     check_name(name, "group")
     group = tables.groups.named(name)
     if group is None:
@@ -95,7 +96,7 @@ def no_such_group(name: str) -> StampedeError:
 
 
 def queue_by_id(tables: Tables, queue_id: bytes) -> QueueRecord:
-    """A queue or mailbox. Raises InvalidArgument or QUEUE_NOT_FOUND."""
+    """The queue or mailbox of that id. Raises InvalidArgument or QUEUE_NOT_FOUND."""
     check_id(queue_id, "queue_id")
     queue = tables.queues.by_id.get(queue_id)
     if queue is None:
@@ -106,7 +107,7 @@ def queue_by_id(tables: Tables, queue_id: bytes) -> QueueRecord:
 
 
 def queue_by_name(tables: Tables, name: str) -> QueueRecord:
-    """Raises InvalidName or QUEUE_NOT_FOUND."""
+    """The queue of that name. Raises InvalidName or QUEUE_NOT_FOUND."""
     check_name(name, "queue")
     queue = tables.queues.named(name)
     if queue is None:

@@ -1,4 +1,4 @@
-"""Page tokens: where the next page begins, written so that callers take them as opaque. Pure."""
+"""Page tokens: the place at which the next page begins, encoded so that callers treat it as opaque. Pure."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from stampede_rt.errors import InvalidArgument
 
 
 def write_name(name: str | None) -> str:
-    """The token of a page behind `name`; None: there is none, and the token is empty."""
+    """The token of the page after `name`; None: there is no such page, and the token is empty."""
     return "" if name is None else base64.urlsafe_b64encode(name.encode()).decode()
 
 
 def read_name(token: str) -> str:
-    """The name, empty for an empty token. Raises InvalidArgument."""
+    """The name in a token, empty for an empty token. Raises InvalidArgument."""
     try:
         return _unpack(token).decode()
     except UnicodeDecodeError:
@@ -22,12 +22,12 @@ def read_name(token: str) -> str:
 
 
 def write_host(key: tuple[str, bytes] | None) -> str:
-    """The token of a page behind the host of that name and id; None: there is none."""
+    """The token of the page after the host of that name and id; None: there is no such page."""
     return "" if key is None else base64.urlsafe_b64encode(key[0].encode() + b"\0" + key[1]).decode()
 
 
 def read_host(token: str) -> tuple[str, bytes]:
-    """The (name, id), empty ones for an empty token. Raises InvalidArgument."""
+    """The (name, id) in a token, empty ones for an empty token. Raises InvalidArgument."""
     name, _, host_id = _unpack(token).partition(b"\0")
     try:
         return name.decode(), host_id
@@ -36,12 +36,15 @@ def read_host(token: str) -> tuple[str, bytes]:
 
 
 def write_listing(listing: str, name: str | None) -> str:
-    """The token of a page behind `name` of one listing, which `listing` tells from others; None: there is none."""
+    """The token of the page of one listing after `name`; None: there is no such page.
+
+    `listing` identifies the listing.
+    """
     return "" if name is None else base64.urlsafe_b64encode(f"{listing}\0{name}".encode()).decode()
 
 
 def read_listing(token: str, listing: str) -> str:
-    """The name, empty for an empty token. Raises InvalidArgument, also for a token of another listing."""
+    """The name in a token, empty for an empty token. Raises InvalidArgument, also for a token of another listing."""
     told, _, name = read_name(token).rpartition("\0")
     if token and told != listing:
         raise InvalidArgument("the page token is that of another listing; ask each page with the same filters")
@@ -49,23 +52,23 @@ def read_listing(token: str, listing: str) -> str:
 
 
 def write_position(listing: str, position: tuple[bool, str] | None) -> str:
-    """As `write_listing`, behind one position of a listing in two parts: whether it is in the second, and its name."""
+    """As `write_listing`, for a listing in two parts. A position is whether it is in the second part, and a name."""
     return write_listing(listing, None if position is None else f"{int(position[0])}{position[1]}")
 
 
 def read_position(token: str, listing: str) -> tuple[bool, str]:
-    """The position, that of the beginning for an empty token. Raises as `read_listing`."""
+    """The position in a token; for an empty token, the beginning. Raises the errors of `read_listing`."""
     text = read_listing(token, listing)
     return text[:1] == "1", text[1:]
 
 
 def write_peer(listing: str, key: tuple[bool, str, bytes] | None) -> str:
-    """As `write_listing`, behind the peer of that name and id; the flag says that it has no name."""
+    """As `write_listing`, for the page after the peer of that name and id. The flag says that the peer has no name."""
     return write_listing(listing, None if key is None else f"{int(key[0])}{key[2].hex()}{key[1]}")
 
 
 def read_peer(token: str, listing: str) -> tuple[bool, str, bytes]:
-    """The key of the peer, that of the beginning for an empty token. Raises as `read_listing`."""
+    """The key of the peer in a token; for an empty token, the beginning. Raises the errors of `read_listing`."""
     text = read_listing(token, listing)
     try:
         return text[:1] == "1", text[33:], bytes.fromhex(text[1:33])

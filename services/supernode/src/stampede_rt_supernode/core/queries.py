@@ -1,4 +1,4 @@
-"""Questions to the directory's tables: pages of channels and hosts. Pure; O(page), and bounded whatever the pattern."""
+"""Questions to the directory's tables: pages of channels and hosts. Pure. O(page), for any pattern."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 from stampede_rt_supernode.core.tables import Tables
 
 PAGE_SIZE_MAX = 1000
-NAMES_EXAMINED_MAX = 5_000  # for one page: a pattern that matches little must not hold the log up
+NAMES_EXAMINED_MAX = 5_000  # for one page, so that a pattern with few matches does not block the log
 HOST_CHANNELS_MAX = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelPage:
-    """Channels in the order of names. `last_name`: the next page begins behind it; None: this was the last."""
+    """Channels by name. The next page begins after `last_name`; None: this was the last page."""
 
     channels: tuple[ChannelRecord, ...]
     hosts: tuple[HostRecord, ...]
@@ -27,16 +27,16 @@ class ChannelPage:
 
 @dataclass(frozen=True, slots=True)
 class HostPage:
-    """Hosts in the order of (name, id). `last_key`: the next page begins behind it; None: this was the last."""
+    """Hosts by (name, id). The next page begins after `last_key`; None: this was the last page."""
 
     hosts: tuple[HostRecord, ...]
     last_key: tuple[str, bytes] | None
 
 
 def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) -> ChannelPage:
-    """Up to `channels_max` (0: the most) channels behind `after_name` whose names match, and their owners, each once.
+    """Up to `channels_max` (0: the limit) channels after `after_name` with matching names, and their owners, each once.
 
-    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern.
+    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
     """
     matches, limit = matcher(glob), min(channels_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
     found: list[ChannelRecord] = []
@@ -52,7 +52,7 @@ def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) 
 
 
 def names_from(ids: SortedDict[str, bytes], prefix: str, after_name: str) -> Iterator[str]:
-    """The names of a map that begin with `prefix` and lie behind `after_name`, in order."""
+    """The names of a map that begin with `prefix` and come after `after_name`, in order."""
     first = max(prefix, after_name)
     for name in ids.irange(minimum=first, inclusive=(first != after_name, True)):
         if not name.startswith(prefix):
@@ -67,9 +67,9 @@ def _owners(tables: Tables, channels: list[ChannelRecord]) -> tuple[HostRecord, 
 def host_page(
     tables: Tables, after_key: tuple[str, bytes], hosts_max: int, *, include_dead: bool, lost_since: int = 0
 ) -> HostPage:
-    """Up to `hosts_max` (0: the most) hosts behind `after_key`. O(hosts).
+    """Up to `hosts_max` (0: the limit) hosts after `after_key`. O(hosts).
 
-    Those that own nothing and whose lease ended before `lost_since` (a time of the epoch) are left out.
+    Leaves out hosts that own nothing and whose lease ended before `lost_since` (Unix nanoseconds).
     """
     limit = min(hosts_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
     dead = (one for one in tables.hosts.values() if not one.alive and _is_of_interest(tables, one, lost_since))
@@ -86,5 +86,5 @@ def _is_of_interest(tables: Tables, host: HostRecord, lost_since: int) -> bool:
 
 
 def channels_of(tables: Tables, host_id: bytes) -> tuple[ChannelRecord, ...]:
-    """The channels that a host owns, 1000 at most."""
+    """The channels that a host owns, at most 1000."""
     return tuple(tables.channels_at(host_id, HOST_CHANNELS_MAX))

@@ -1,8 +1,7 @@
-"""The records of the directory: hosts, channels, groups, copies, queues, peers; and changes of them. Pure, immutable
-values.
+"""The records of the directory: hosts, channels, groups, copies, queues, peers; and changes of them.
 
-They are the rows of the four maps of the paper's section 4.3, its groups (3.3), its proxies (4.1), and its queues and
-participants (3.5). Ids are 16 opaque bytes.
+Pure, immutable values. They are the rows of the four maps of the paper's section 4.3, its groups (3.3), its proxies
+(4.1), and its queues and participants (3.5). Ids are 16 opaque bytes.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ ID_BYTES = 16
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Endpoint:
-    """A gRPC target, and the network or site it is in (empty: none)."""
+    """A gRPC target, and the network or site in which it is (empty: none)."""
 
     target: str
     zone: str = ""
@@ -27,10 +26,10 @@ class Endpoint:
 class HostRecord:
     """A process that hosts channels.
 
-    `name` is unique among the live ones. `channels` is the number of channels that it owns. `registered_index` is the
-    log position of its last registration: a lease belongs to one registration, and so does its end.
-    `lease_ended_unix_nano`: when its lease was ended, by the leader's clock; None while it lives, and if it left.
-    `registration_epoch` grows with each process that takes the place of another, see `registration_epochs`.
+    `name` is unique among live hosts. `channels` is the number of channels that it owns. `registered_index` is the log
+    position of its last registration. A lease, and the end of a lease, belong to one registration.
+    `lease_ended_unix_nano`: when its lease ended, by the leader's clock; None while it lives, and after it
+    deregistered. `registration_epoch` grows with each process that replaces another, see `registration_epochs`.
     """
 
     host_id: bytes
@@ -46,20 +45,20 @@ class HostRecord:
 
     @property
     def is_lost(self) -> bool:
-        """Its lease has ended without a word from it."""
+        """Whether its lease ended without a deregistration."""
         return self.lease_ended_unix_nano is not None
 
     @property
     def holder_id(self) -> bytes:
-        """Whose the lease is."""
+        """The id of the lease's holder."""
         return self.host_id
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelRecord:
-    """A channel and its owner. `epoch` never falls; `incarnation` changes only when items may have been lost.
+    """A channel and its owner. `epoch` never falls. `incarnation` changes only if items may have been lost.
 
-    `created_by`: what rules know the caller by that made it; empty: not known.
+    `created_by`: the name in rules of the caller that created it; empty: unknown.
     """
 
     channel_id: bytes
@@ -73,7 +72,10 @@ class ChannelRecord:
     created_by: str = ""
 
     def begun_anew(self, incarnation: int) -> ChannelRecord:
-        """The next epoch of it, at the same host. There may be very many: `replace` takes three times as long."""
+        """The channel at the next epoch, at the same host.
+
+        Built by hand, because there may be very many and `replace` takes three times as long.
+        """
         return ChannelRecord(
             channel_id=self.channel_id,
             name=self.name,
@@ -89,10 +91,10 @@ class ChannelRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupSpec:
-    """The set-up of a group (paper, section 3.3). None: left out.
+    """The set-up of a group (paper, section 3.3). None: not stated.
 
-    `channel_ids`: the members, each once; their order means nothing. `reference_channel_id`: the member that is the
-    reference; None: the group follows the oldest of all. `bound`: "start" or "end".
+    `channel_ids`: the members, each once, in any order. `reference_channel_id`: the member that is the reference; None:
+    the group has the smallest cut of all members. `bound`: "start" or "end".
     """
 
     channel_ids: tuple[bytes, ...]
@@ -104,7 +106,7 @@ class GroupSpec:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupRecord:
-    """A group. `spec_version` grows by 1 with every change; `incarnation` changes only when the cut may begin anew.
+    """A group. `spec_version` grows by 1 with every change. `incarnation` changes only if the cut may begin anew.
 
     `created_by`: as for channels.
     """
@@ -118,7 +120,7 @@ class GroupRecord:
 
 
 class ReplicaKind(Enum):
-    """The purpose of a copy: for readers only, or to take over besides."""
+    """The purpose of a copy: only for readers, or also to become the owner."""
 
     PROXY = "proxy"
     WARM = "warm"
@@ -126,10 +128,11 @@ class ReplicaKind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaRecord:
-    """A copy of a channel at `host_id`, for as long as that host's boot incarnation is this one (paper, section 4.1).
+    """A copy of a channel at `host_id`, while that host's boot incarnation is this one (paper, section 4.1).
 
-    `in_sync`: it holds everything that was acknowledged, and may take over; only a warm one ever is. `acknowledged`:
-    puts wait for it while it is. `epoch`: the channel's, when this was made or last changed.
+    `in_sync`: it holds all acknowledged items, and may become the owner; only warm replicas can be in sync.
+    `acknowledged`: puts wait for it while it is in sync. `epoch`: the channel's, when this copy was added or last
+    changed.
     """
 
     channel_id: bytes
@@ -144,7 +147,7 @@ class ReplicaRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueSpec:
-    """How a queue is set up (paper, section 3.5). None: never stated. `on_full`: "block", "reject", "drop_oldest"."""
+    """The set-up of a queue (paper, section 3.5). None: not stated. `on_full`: "block", "reject", "drop_oldest"."""
 
     max_items: int | None = None
     max_bytes: int | None = None
@@ -161,10 +164,8 @@ class QueueSpec:
 class QueueRecord:
     """A queue and its host, or the mailbox of the peer `mailbox_peer_id`, which has no name of its own.
 
-    That peer's name and owner are known if it was registered at feature level 2 or above.
-
-    `epoch` never falls; `incarnation` changes only when items may have been lost. `created_by`: as for channels; empty
-    for a mailbox.
+    The peer's name and owner are known if it was registered at feature level 2 or above. `epoch` never falls.
+    `incarnation` changes only if messages may have been lost. `created_by`: as for channels; empty for a mailbox.
     """
 
     queue_id: bytes
@@ -182,12 +183,12 @@ class QueueRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerRecord:
-    """A participant (paper, sections 3.5 and 4.2). With a name, which is unique among the live ones, it has a mailbox
-    for as long as it lives.
+    """A participant (paper, sections 3.5 and 4.2).
 
-    `owner`: what rules know the caller by that registered it; empty: one whom they do not judge; None: not known.
-    `proof_sha256` is empty if it gave no proof. `registered_index`, `registration_epoch`: as for hosts. `ended_index`:
-    the log position at which its lease ended; 0 while it lives.
+    A peer with a name, which is unique among live peers, has a mailbox while it lives. `owner`: the name in rules of
+    the caller that registered it; empty: a caller that rules do not judge; None: unknown. `proof_sha256` is empty if it
+    gave no proof. `registered_index`, `registration_epoch`: as for hosts. `ended_index`: the log position at which its
+    lease ended; 0 while it lives.
     """
 
     peer_id: bytes
@@ -207,12 +208,12 @@ class PeerRecord:
 
     @property
     def alive(self) -> bool:
-        """Its lease has not ended."""
+        """Whether its lease has not ended."""
         return self.ended_index == 0
 
     @property
     def holder_id(self) -> bytes:
-        """Whose the lease is."""
+        """The id of the lease's holder."""
         return self.peer_id
 
 
@@ -226,14 +227,17 @@ class ChangeKind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessChange:
-    """Rules or keys of access have changed, at log position `version`. What they are now, the directory tells."""
+    """Rules or keys of access have changed, at log position `version`. The directory has the present ones."""
 
     version: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DirectoryChange:
-    """One change, at one log position. The subject is as it is after it, or as it was last if it is gone."""
+    """One change, at one log position.
+
+    The subject is its record after the change, or its last record if it was removed.
+    """
 
     index: int
     kind: ChangeKind

@@ -1,9 +1,9 @@
-"""Which of several processes of one peer or host is the newer one. Pure.
+"""Decides which of several processes of one peer or host is the newest. Pure.
 
-The network, or a supernode without a leader, may hold a registration for seconds. Meanwhile its process may have been
-killed and started again. No clock tells which of the two registrations is the older one, so processes are numbered: a
-process registers with a number above the one that it finds, and the directory refuses a number that was reached. What a
-process sent before its successor registered therefore comes too late for good, whatever held it.
+The network, or a supernode without a leader, may delay a registration for seconds. Meanwhile its process may have been
+killed and started again. No clock tells which of the two registrations is older. So processes are numbered. A process
+registers with a number above the one that it finds, and the directory refuses a number that was already reached. So a
+delayed registration of an old process is refused once its successor has registered.
 """
 
 from __future__ import annotations
@@ -26,16 +26,17 @@ def check_registration_epoch(operation: RegisterHost | RegisterPeer) -> None:
 
 
 def next_epoch(operation: RegisterHost | RegisterPeer, places: Iterable[HostRecord | PeerRecord | None]) -> int:
-    """The epoch with which the process is in.
+    """The registration epoch that the process gets.
 
-    `places`: the registrations whose place it takes, those of itself among them, alive or ended. Raises
-    StaleRegistration if another process has reached its epoch.
+    `places`: the registrations that it replaces, its own included, alive or ended. Raises StaleRegistration if another
+    process has reached its epoch.
     """
     epoch = operation.registration_epoch
     others = []
     for before in places:
         if before is not None and before.boot_incarnation == operation.boot_incarnation:
-            epoch = max(epoch, before.registration_epoch)  # its own, from before it found a higher one, and late
+            # an earlier request of the same process, which has registered with a higher epoch since
+            epoch = max(epoch, before.registration_epoch)
         elif before is not None:
             others.append(before)
     highest = max(others, key=lambda one: one.registration_epoch, default=None)

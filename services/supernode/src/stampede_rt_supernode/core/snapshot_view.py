@@ -1,8 +1,8 @@
 """A view of the directory that does not change. A snapshot is written from it while the directory goes on. Pure.
 
-The values are immutable, so the view copies only the tables that hold them. There may be very many channels. Of them
-the view takes only the changes since the last snapshot, if the directory still holds all of these changes. That takes
-a few milliseconds for any number of channels.
+The values are immutable, so the view copies only the tables that hold them. There may be very many channels. The view
+takes only their changes since the last snapshot, if the directory still holds all these changes. That takes a few
+milliseconds for any number of channels.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class SnapshotView:
-    """A directory as of one log position. `directory` has no channels, and is good for reading in order alone."""
+    """A directory as of one log position. `directory` has no channels, and can only be read in order."""
 
     directory: Directory
-    channels: tuple[ChannelRecord, ...]  # all of them, in no order; or none, with `changes`
-    changes: tuple[DirectoryChange, ...] | None  # those of all kinds since the position that was named
-    position: int  # behind the newest change
+    channels: tuple[ChannelRecord, ...]  # all channels, in no order; or none if `changes` is set
+    changes: tuple[DirectoryChange, ...] | None  # changes of all kinds since the stated position
+    position: int  # after the newest change
 
 
 def snapshot_view(directory: Directory, since_position: int | None = None) -> SnapshotView:
-    """The directory as of now; of its channels, what changed since `since_position`, a position of `tables.changes`.
+    """The present directory. Of its channels only the changes since `since_position`, a position of `tables.changes`.
 
-    O(changes) for the channels, or O(channels) without a position and when not all changes since then are held.
+    O(changes) for the channels; O(channels) without a position, or if some changes since then are gone.
     """
     ring = directory.tables.changes
     page = None if since_position is None else ring.read(since_position, CHANGES_MAX)
@@ -52,7 +52,7 @@ def _but_channels(directory: Directory) -> Directory:
 
 
 def _with_copies(holder: T, *names: str) -> T:
-    """`holder` with these dictionaries copied; sorted ones become plain ones in the same order."""
+    """`holder` with copies of these dictionaries. Sorted ones become plain ones in the same order."""
     view = copy(holder)
     for name in names:
         table = getattr(holder, name)

@@ -1,4 +1,4 @@
-"""The state that the supernodes agree on. Pure: it changes by the commands of the log alone."""
+"""The replicated state on which the supernodes agree. Pure. Only commands of the log change it."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ DIGEST_BYTES = 16
 
 
 class DirectoryState:
-    """The tables, and what concerns the cluster as a whole. `tenure` never falls. The first tenure sets the cluster's
-    id and the TTL of its leases (0 until then) for good: a host and every later leader must mean the same by a lease.
-    The feature level never falls, either.
+    """The tables, and the facts about the cluster as a whole.
+
+    `tenure` never falls. The first tenure sets the cluster's id and the TTL of its leases (0 until then), and no later
+    one changes the TTL: hosts and all leaders must use the same. The feature level never falls.
     """
 
     def __init__(
@@ -52,12 +53,12 @@ class DirectoryState:
         self.feature_level = max(feature_level, FIRST_LEVEL)
         self.cluster_id = cluster_id
         self.lease_ttl_nanos = lease_ttl_nanos
-        # Of everything that was done: replicas that differ in it differ in their states. Empty: not known, as after a
-        # snapshot without one.
+        # Of all results so far: replicas with different digests have different states. Empty: unknown, as after a
+        # snapshot without a digest.
         self.digest = digest or (b"" if index else bytes(DIGEST_BYTES))
-        # The clusters whose place this one has taken.
+        # The clusters that this one has replaced.
         self.former_cluster_ids = tuple(former_cluster_ids)
-        # Signs join tokens; no caller is ever told.
+        # Signs join tokens. No caller ever gets it.
         self.join_key = join_key
         self.access = access or AccessTable()
         self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)

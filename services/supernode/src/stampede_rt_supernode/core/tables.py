@@ -1,8 +1,8 @@
 """The four maps of the directory, and the indexes derived from them (paper, section 4.3). Pure.
 
-Host id -> gatekeepers and channel id -> host id are in the records; the names have maps of their own. Every edit keeps
-the invariants stated beside the attributes, and notes the change for watchers. The values are immutable, so whoever
-copies a map has a snapshot.
+The maps host id -> gatekeepers and channel id -> host id are in the records. The names have maps of their own. Every
+edit keeps the invariants stated beside the attributes, and notes the change for watchers. The values are immutable, so
+a copy of a map is a snapshot.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LOST_HOSTS_MAX = 100
 
 
 class Tables:
-    """Edits are atomic: they check nothing that could fail half-way. O(log n) each."""
+    """Edits are atomic: none can fail half-way. O(log n) each."""
 
     def __init__(
         self,
@@ -45,11 +45,11 @@ class Tables:
         peers: Iterable[PeerRecord] = (),
         index: int = 0,
     ) -> None:
-        self.index = index  # the log position that is being applied, or was last
+        self.index = index  # the log position that is being applied, or was applied last
         self.changes = ChangeRing(index)
         self.hosts: dict[bytes, HostRecord] = {host.host_id: host for host in hosts}
         self.channels: dict[bytes, ChannelRecord] = {channel.channel_id: channel for channel in channels}
-        # By name; exactly the channels. Made at once: name by name takes twenty times as long.
+        # By name; exactly the channels. Built at once, because name by name takes twenty times as long.
         self.channel_ids: SortedDict[str, bytes] = SortedDict({one.name: key for key, one in self.channels.items()})
         self.host_ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the live hosts
         self.lost: set[bytes] = {host.host_id for host in self.hosts.values() if host.is_lost}
@@ -65,37 +65,37 @@ class Tables:
         self.peers = PeerTable(peers, index)
 
     def begin(self, index: int) -> None:
-        """Log position `index` is applied from now on."""
+        """Begin to apply log position `index`."""
         self.index = index
         self.changes.begin(index)
 
     def note_index(self, index: int) -> None:
-        """All changes of log position `index` are noted."""
+        """Note that all changes of log position `index` are noted."""
         self.index = index
         self.changes.note_index(index)
         self.peers.changes.note_index(index)
 
     def channels_at(self, host_id: bytes, channels_max: int | None = None) -> list[ChannelRecord]:
-        """The channels that a host owns, in the order of their ids: all, or the first so many."""
+        """The channels that a host owns, by id: all, or the first `channels_max`."""
         ids = self._channel_ids_at.get(host_id, ())
         return [self.channels[one] for one in (sorted(ids) if channels_max is None else nsmallest(channels_max, ids))]
 
     def channel_named(self, name: str) -> ChannelRecord | None:
-        """The channel of that name, if there is one."""
+        """The channel of that name; None: there is none."""
         found = self.channel_ids.get(name)
         return None if found is None else self.channels[found]
 
     def live_host_named(self, name: str) -> HostRecord | None:
-        """The live host of that name, if there is one."""
+        """The live host of that name; None: there is none."""
         found = self.host_ids.get(name)
         return None if found is None else self.hosts[found]
 
     def live_hosts(self) -> Iterator[HostRecord]:
-        """In the order of names."""
+        """The live hosts, by name."""
         return (self.hosts[host_id] for host_id in self.host_ids.values())
 
     def add_channel(self, channel: ChannelRecord) -> None:
-        """Its id and name are new, its host is known."""
+        """Add a channel. Its id and name must be new, and its host known."""
         self.channels[channel.channel_id] = channel
         self.channel_ids[channel.name] = channel.channel_id
         self._channel_ids_at[channel.host_id].add(channel.channel_id)
@@ -103,7 +103,7 @@ class Tables:
         self.changes.note(ChangeKind.ADDED, channel)
 
     def replace_channel(self, channel: ChannelRecord) -> None:
-        """The channel of that id, which keeps its name, is now like this; its host may be another."""
+        """Replace the channel of that id, which keeps its name. Its host may be another."""
         before = self.channels[channel.channel_id].host_id
         self.channels[channel.channel_id] = channel
         if before != channel.host_id:
@@ -115,7 +115,7 @@ class Tables:
             self._count(before, -1)
 
     def remove_channel(self, channel: ChannelRecord) -> None:
-        """Forget a channel that is there."""
+        """Remove a channel that exists."""
         del self.channels[channel.channel_id]
         del self.channel_ids[channel.name]
         self._channel_ids_at[channel.host_id].discard(channel.channel_id)
@@ -123,10 +123,10 @@ class Tables:
         self._count(channel.host_id, -1)
 
     def put_host(self, host: HostRecord) -> None:
-        """Add or replace a host; if it is alive, no other live host has its name.
+        """Add or replace a host. If it is alive, no other live host may have its name.
 
-        A host that is not alive stays for as long as it has channels or queues, which remember where their items were,
-        or is one of the last LOST_HOSTS_MAX that were lost.
+        A host that is not alive stays while it has channels or queues, whose last owner it is, or while it is among the
+        last LOST_HOSTS_MAX lost hosts.
         """
         before = self.hosts.get(host.host_id)
         if before is not None and before.alive:
@@ -140,7 +140,7 @@ class Tables:
         self._drop_if_done(host)
 
     def find_again(self, name: str) -> None:
-        """A live host has that name: those that were lost under it are looked for no more."""
+        """Forget lost hosts of that name as lost, because a live host has the name."""
         for host in [self.hosts[one] for one in self.lost if self.hosts[one].name == name]:
             self.put_host(replace(host, lease_ended_unix_nano=None))
 
@@ -154,14 +154,17 @@ class Tables:
             self.put_host(replace(first, lease_ended_unix_nano=None))
 
     def put_queue(self, queue: QueueRecord) -> None:
-        """Add a queue or mailbox, or replace the one of that id; its host is known, and may be another than before."""
+        """Add a queue or mailbox, or replace the one of that id.
+
+        Its host must be known, and may be another than before.
+        """
         before = self.queues.by_id.get(queue.queue_id)
         self.queues.put(queue)
         if before is not None and before.host_id != queue.host_id:
             self._drop_if_done(self.hosts[before.host_id])
 
     def remove_queue(self, queue: QueueRecord) -> None:
-        """Forget a queue or mailbox that is there."""
+        """Remove a queue or mailbox that exists."""
         self.queues.remove(queue)
         self._drop_if_done(self.hosts[queue.host_id])
 
@@ -180,5 +183,5 @@ class Tables:
 
 
 def _when_lost(host: HostRecord) -> tuple[int, bytes]:
-    """The same order on every replica."""
+    """The sort key of lost hosts, which is the same on every replica."""
     return host.lease_ended_unix_nano or 0, host.host_id

@@ -1,8 +1,8 @@
-"""The fate of channels, their copies, their groups, and mailboxes when their host goes. Pure.
+"""The effects of the loss of a host on its channels, their copies and groups, and on mailboxes. Pure.
 
-A warm replica that is in sync holds everything that was acknowledged, so it becomes the owner when the owner's
-registration ends: in the very step that ends it, so that nobody else is given the channel in between. The incarnation
-changes all the same, since what was put and not acknowledged may be gone.
+A warm replica in sync holds all acknowledged items. So it becomes the owner in the very step that ends the owner's
+registration, and nobody else gets the channel in between. The incarnation changes all the same, because items that were
+put and not acknowledged may be gone.
 """
 
 from __future__ import annotations
@@ -17,31 +17,34 @@ from stampede_rt_supernode.core.tables import Tables
 
 
 def give_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> None:
-    """A channel has another owner, or the same one has begun anew: `after`, with a higher epoch and new incarnation.
+    """Give a channel another owner, or let it begin anew: as `after`, with a higher epoch and a new incarnation.
 
-    The caller notes lost cuts, once for all the channels of one entry: they may be in the same groups.
+    The caller notes lost cuts, once for all channels of one log entry, because they may be in the same groups.
     """
     store(tables, after, adopted(tables, before, after))
 
 
 def forget_channel(tables: Tables, channel: ChannelRecord) -> None:
-    """Its copies and its membership in groups go with it."""
+    """Delete a channel, with its copies and its membership in groups."""
     leave_groups(tables, channel.channel_id)
     tables.replicas.store(channel.channel_id, ())
     tables.remove_channel(channel)
 
 
 def end_registration(tables: Tables, host_id: bytes) -> None:
-    """A host's lease has ended, or its process is another one: its copies are gone, and its channels go to warm
-    replicas that are in sync, where there are any. The host is without a lease by now, or registered anew already."""
+    """Apply the end of a host's lease, or its new process: its copies are gone, and other hosts get some of its
+    channels.
+
+    These are channels with warm replicas in sync. The host must be without a lease by now, or registered anew.
+    """
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, tables.channels[channel_id], host_id)
     inherited: list[bytes] = []
-    for channel_id, _ in tables.replicas.entries():  # not all channels of the host: few may have a copy
+    for channel_id, _ in tables.replicas.entries():  # not over all channels of the host, because few may have a copy
         channel = tables.channels[channel_id]
         heir = _heir(tables, channel) if channel.host_id == host_id else None
         if heir is not None:
-            incarnation = (channel.incarnation + 1) % 2**64 or 1  # random at first, and counted on
+            incarnation = (channel.incarnation + 1) % 2**64 or 1  # random at first and then counted up
             after = replace(channel, host_id=heir.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
             give_owner(tables, channel, after)
             inherited.append(channel.channel_id)
@@ -52,7 +55,7 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
 
 
 def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:
-    """The live host with the fewest channels that has a warm replica in sync; the first added of several."""
+    """The live host with the fewest channels that has a warm replica in sync. Among equals the first that was added."""
     in_sync = (tables.hosts[one.host_id] for one in tables.replicas.of(channel.channel_id) if one.in_sync)
     live = (host for host in in_sync if host.alive and host.host_id != channel.host_id)
     return min(live, key=lambda host: host.channels, default=None)

@@ -1,6 +1,6 @@
-"""The form of names, ids and endpoints. Pure; every function raises InvalidArgument or InvalidName.
+"""Checks the form of names, ids and endpoints. Pure. Every function raises InvalidArgument or InvalidName.
 
-The errors name the thing, the reason and the way out, since they are shown to whoever typed the name.
+The errors name the thing, the reason and the way out, because the author of the name reads them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _GLOB = re.compile(r"[A-Za-z0-9._/*?-]*", re.ASCII)
 
 
 def check_name(name: str, what: str) -> None:
-    """`what` is the kind of thing that is named: "channel", "host"."""
+    """Check a name. `what` is the kind of the named thing: "channel", "host"."""
     if _NAME.fullmatch(name) is None:
         raise InvalidName(
             f"{_shown(name)} cannot name a {what}: {_fault(name)}; a name is 1 to 128 of A-Z, a-z, 0-9, '.', '_', '/' "
@@ -46,7 +46,7 @@ def _fault(name: str) -> str:
 
 
 def check_glob(glob: str) -> None:
-    """A pattern for names; empty stands for all."""
+    """Check a pattern for names. The empty pattern matches all names."""
     if len(glob) > GLOB_CHARACTERS_MAX:
         raise InvalidArgument(f"the pattern has {len(glob)} characters; {GLOB_CHARACTERS_MAX} at most")
     if _GLOB.fullmatch(glob) is None:
@@ -57,7 +57,7 @@ def check_glob(glob: str) -> None:
 
 
 def check_id(value: bytes, field: str) -> None:
-    """An id or request id: exactly 16 bytes. `field` is its name in the request."""
+    """Check an id or request id: exactly 16 bytes. `field` is its name in the request."""
     if len(value) != ID_BYTES:
         raise InvalidArgument(
             f"{field} has {len(value)} bytes instead of {ID_BYTES}; ids are {ID_BYTES} random bytes",
@@ -66,7 +66,7 @@ def check_id(value: bytes, field: str) -> None:
 
 
 def check_incarnation(value: int, field: str) -> None:
-    """A boot or channel incarnation: 64 bits, not 0."""
+    """Check a boot or channel incarnation: 64 bits, not 0."""
     if not 0 < value < 2**64:
         raise InvalidArgument(
             f"{field} is {value}; choose 64 random bits, not 0, at each start", metadata={"field": field}
@@ -74,7 +74,7 @@ def check_incarnation(value: int, field: str) -> None:
 
 
 def check_gatekeepers(endpoints: tuple[Endpoint, ...], host_name: str) -> None:
-    """1 to 16 endpoints, each with a target of gRPC."""
+    """Check a host's endpoints: 1 to 16, each with a gRPC target."""
     if not 1 <= len(endpoints) <= GATEKEEPERS_MAX:
         raise InvalidArgument(
             f"host {host_name} states {len(endpoints)} gatekeepers; 1 to {GATEKEEPERS_MAX} are allowed",
@@ -86,12 +86,12 @@ def check_gatekeepers(endpoints: tuple[Endpoint, ...], host_name: str) -> None:
 
 
 def check_version(version: str, host_name: str) -> None:
-    """A software version, which may be empty."""
+    """Check a software version, which may be empty."""
     check_text(version, f"the version of host {host_name}", 0, VERSION_CHARACTERS_MAX)
 
 
 def check_text(text: str, what: str, least: int, most: int) -> None:
-    """A word of `least` to `most` characters that can be printed; `what` it is."""
+    """Check a word of `least` to `most` printable characters. `what` names it in the error."""
     if not least <= len(text) <= most:
         raise InvalidArgument(f"{what} has {len(text)} characters; {least} to {most} are allowed")
     if not text.isprintable() or " " in text:

@@ -1,1 +1,1 @@
-"""How supernodes found a cluster, prepare, join, leave and volunteer."""
+"""Foundation of a cluster, and preparation, join, removal and restart of its supernodes."""

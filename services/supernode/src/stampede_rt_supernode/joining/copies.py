@@ -1,7 +1,7 @@
-"""Whether this process runs from a copy of a supernode's data folder: the one at the supernode's address says so.
+"""Finds out whether this process runs from a copy of a supernode's data folder.
 
-Two processes from one folder would both vote and acknowledge as one member. The one that the others reach is the
-supernode; the other one is of no use, and ends.
+Two processes with copies of one folder would both vote and acknowledge as one member. The process at the supernode's
+address counts as the supernode. The other process ends.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from stampede_rt.v1 import directory_service_pb2_grpc
 
 LOOK_SECONDS = 2.0
 ASK_SECONDS = 1.0
-FINDINGS_NEEDED = 3  # in a row: a process of before may take a moment to end
+FINDINGS_NEEDED = 3  # in a row, because a former process may take a moment to end
 
 
 class OwnAddress:
-    """The address at which the others call this supernode, and who answers there. `boot`: of this process."""
+    """The address at which the others call this supernode, and the process that answers there.
+
+    `boot`: of this process.
+    """
 
     def __init__(self, supernode_id: str, address: str, boot: int, dial: Callable[[str], grpc.aio.Channel]) -> None:
         self._supernode_id, self._address, self._boot = supernode_id, address, boot
@@ -36,9 +39,10 @@ class OwnAddress:
     async def watch(
         self, cluster_id: Callable[[], str], *, sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
     ) -> None:
-        """Look until this process itself answers there. Raises StampedeError if another one does, time after time.
+        """Watch the address until this process itself answers there. Raises StampedeError if another one does several
+        times.
 
-        `cluster_id`: that of this supernode; a supernode of another cluster is no copy.
+        `cluster_id`: that of this supernode. A supernode of another cluster is no copy.
         """
         findings = 0
         async with self._dial(self._address) as channel:
@@ -49,7 +53,7 @@ class OwnAddress:
                 await sleep(LOOK_SECONDS)
 
     async def _boot_of_answer(self, channel: grpc.aio.Channel, cluster_id: str = "") -> int | None:
-        """Which process answers as this supernode; None: nobody, or somebody else."""
+        """The boot incarnation of the process that answers as this supernode; None: there is none."""
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
         try:
             pong = await stub.Ping(pb.DirectoryServicePingRequest(), timeout=ASK_SECONDS)

@@ -1,6 +1,6 @@
-"""Which member of which cluster a data folder is for: a small file, written by `init` and `join`, read at every start.
+"""The member and cluster of a data folder, in a small file. `init` and `join` write it, and every start reads it.
 
-The log's store knows its own identity too; this file is there before the store, and says how to begin.
+The log's store contains its own identity, too. This file is there before the store, and says how to begin.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stampede_rt_runtime.written import naming
 from stampede_rt_supernode.replication import Member, ReplicationSettings, holds_store
 
 FILE_NAME = "supernode.json"
-# Is there while `init --restore` writes.
+# Exists while `init --restore` writes.
 RESTORING_NAME = "supernode.restoring"
 FORMAT_VERSION = 1
 ANYWHERE = ("0.0.0.0", "::")
@@ -29,23 +29,23 @@ ANYWHERE = ("0.0.0.0", "::")
 
 @dataclass(frozen=True, kw_only=True)
 class Founding:
-    """How a member came to be. `members` are all founders, or, for one that joins, those it was told of."""
+    """The origin of a member. `members` are all founders, or, for one that joins, the members that the user named."""
 
     supernode_id: str
     address: str
     members: dict[str, str]
-    # What the members call the cluster among each other; founded by `init`, it is the cluster's own id.
+    # The name of the cluster among its members. If `init` founded the cluster, it is the cluster's own id.
     log_cluster_id: str = ""
-    # Whether it is founded by a list of members, which they all were given.
+    # Whether the cluster is founded with a list of members, which all founders got.
     listed: bool = False
-    # Whether the hosts of the cluster that is restored may go over to this one.
+    # Whether the hosts of the restored cluster may join this one.
     takes_over: bool = False
     joining: bool = False
-    # Lets it in; forgotten once it is a member. Not shown.
+    # The join token, deleted once the supernode is a member. Never shown.
     token: str = field(default="", repr=False)
-    # Whether the store was opened once: from then on it must be there.
+    # Whether the store was opened once: from then on it must exist.
     started: bool = False
-    # Why the members did not let it in when it asked last, and how often they have refused.
+    # Why the members refused its last join, and how often they have refused.
     refused: str = ""
     refusals: int = 0
 
@@ -62,14 +62,14 @@ class Founding:
 
 
 def read_founding(data_dir: Path) -> Founding | None:
-    """The purpose of the folder; None if neither `init` nor `join` has prepared it. Raises StampedeError."""
+    """The contents of the folder's file; None if neither `init` nor `join` has prepared it. Raises StampedeError."""
     path = data_dir / FILE_NAME
     try:
         facts: dict[str, Any] = json.loads(path.read_text())
         if facts.pop("format_version", None) != FORMAT_VERSION:
             raise StampedeError(f"{path} is of another version; run the version that wrote it")
         founding = Founding(**facts)
-        founding.replication_settings(data_dir)  # which checks what it says
+        founding.replication_settings(data_dir)  # also checks the contents
         return founding
     except FileNotFoundError:
         return None
@@ -80,7 +80,7 @@ def read_founding(data_dir: Path) -> Founding | None:
 
 
 def write_founding(data_dir: Path, founding: Founding) -> None:
-    """Write the file, whole or not at all, and readable by its user only. Blocks. Raises OSError."""
+    """Write the file, whole or not at all, and readable only by its user. Blocks. Raises OSError."""
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     text = json.dumps({"format_version": FORMAT_VERSION, **asdict(founding)}, indent=2) + "\n"
     draft = data_dir / f".{FILE_NAME}.{secrets.token_hex(4)}"
@@ -93,7 +93,7 @@ def write_founding(data_dir: Path, founding: Founding) -> None:
 
 
 def note_started(data_dir: Path, founding: Founding) -> Founding:
-    """Note that the store is there."""
+    """Note in the file that the store exists."""
     if founding.started:
         return founding
     started = replace(founding, started=True)
@@ -103,9 +103,9 @@ def note_started(data_dir: Path, founding: Founding) -> Founding:
 
 @contextlib.contextmanager
 def restoring(data_dir: Path) -> Iterator[None]:
-    """Mark the folder while the block writes into it: whoever finds the mark later knows that it was cut off.
+    """Mark the folder while the block writes into it. A mark that stays means that the block was interrupted.
 
-    A block that fails before anything is there leaves neither a mark nor a folder that was not there before.
+    If the block fails before it has written anything, the mark goes, and so does a folder that was made for it.
     """
     is_new = not data_dir.exists()
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -117,14 +117,14 @@ def restoring(data_dir: Path) -> Iterator[None]:
         if not holds_store(data_dir):
             mark.unlink()
             if is_new:
-                with contextlib.suppress(OSError):  # something else is in it
+                with contextlib.suppress(OSError):  # the folder has other contents
                     data_dir.rmdir()
         raise
     mark.unlink()
 
 
 def check_restored(data_dir: Path) -> None:
-    """Raises StampedeError if a restore into this folder was cut off."""
+    """Raises StampedeError if a restore into this folder was interrupted."""
     if (data_dir / RESTORING_NAME).exists():
         raise StampedeError(
             f"{data_dir} cannot be used: `stampede supernode init --restore` failed or was interrupted there; "
@@ -133,9 +133,9 @@ def check_restored(data_dir: Path) -> None:
 
 
 def misplaced(founding: Founding, listening_at: str, advertise: str) -> str:
-    """The warning for a supernode that listens where nobody calls it; empty if all is well.
+    """The warning for a supernode that does not listen at the address at which others call it; empty if it does.
 
-    Whoever names its address with --advertise knows how calls get from there to here.
+    With --advertise there is no warning, because the user knows that calls to that address come here.
     """
     told, here = parse_address(founding.address), parse_address(listening_at)
     is_local = is_loopback(listening_at) and is_loopback(founding.address)
@@ -150,7 +150,7 @@ def misplaced(founding: Founding, listening_at: str, advertise: str) -> str:
 
 
 def check_unused(data_dir: Path) -> None:
-    """Raises StampedeError if the folder is some member's already."""
+    """Raises StampedeError if the folder belongs to a member already."""
     check_restored(data_dir)
     if (data_dir / FILE_NAME).exists() or holds_store(data_dir):
         raise StampedeError(

@@ -1,8 +1,8 @@
-"""Join tokens: made by any supernode, checked by any other, kept by none until they are used. Pure.
+"""Join tokens: any supernode makes them, any other checks them, and no supernode stores them before their use. Pure.
 
-A token carries its own end, the id of the cluster's log, which a newcomer must know, and a proof (HMAC, RFC 2104) for
-one supernode id and one address. Its key is random and made when the cluster is founded; the supernodes keep it in the
-directory, and tell it to nobody. That a token lets in only once is seen to by the log.
+A token contains its end, the id of the cluster's log, which a newcomer needs, and a proof (HMAC, RFC 2104) for one
+supernode id and one address. Its key is random and is made when the cluster is founded. The supernodes keep the key in
+the directory, and tell it to nobody. The log makes sure that a token lets in only one member.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class JoinTokens:
         self._join_key = join_key
 
     def make(self, request_id: bytes, newcomer: Member, *, valid_until_unix_nano: int, log_cluster_id: str) -> str:
-        """The token for a request; the same for the same arguments."""
+        """The token for a request. Equal arguments give equal tokens."""
         body = f"{_PREFIX}.{valid_until_unix_nano:x}.{request_id.hex()}.{log_cluster_id.encode().hex()}"
         return f"{body}.{self._proof(body, newcomer)}"
 
@@ -41,7 +41,7 @@ class JoinTokens:
                 "with `stampede supernode add`, which prints the whole command"
             )
         if int(parts[1], 16) <= now_unix_nano:
-            raise _refused("the join token is over; make another one with `stampede supernode add`")
+            raise _refused("the join token has ended; make another one with `stampede supernode add`")
         return hashlib.sha256(token.encode()).hexdigest()
 
     def _proof(self, body: str, newcomer: Member) -> str:
@@ -50,7 +50,7 @@ class JoinTokens:
 
 
 def log_cluster_of(token: str) -> str:
-    """The id of the log that a token is for; nothing is proven. Raises InvalidArgument if it is no token."""
+    """The id of the log in a token. Checks no proof. Raises InvalidArgument if the text is no token."""
     parts = token.split(".")
     try:
         if parts[0] != _PREFIX or len(parts) != _PARTS + 1:
@@ -63,7 +63,7 @@ def log_cluster_of(token: str) -> str:
 
 
 def valid_until(now_unix_nano: int, valid_nanos: int | None) -> int:
-    """When a token made now is over. Raises InvalidArgument."""
+    """The end of a token that is made now. Raises InvalidArgument."""
     chosen = VALID_NANOS_DEFAULT if valid_nanos is None else valid_nanos
     if not 0 < chosen <= VALID_NANOS_MAX:
         raise InvalidArgument(f"valid_nanos is {chosen}; it must be more than 0 and at most 24 h")

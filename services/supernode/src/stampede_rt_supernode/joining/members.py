@@ -1,4 +1,4 @@
-"""The supernodes as this one sees them: the members of the log, and how they do."""
+"""The supernodes as this one sees them: the members of the log, and their states."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stampede_rt_supernode.replication.interface import Member, ReplicatedLog, R
 
 
 def why_diverged(status: ReplicationStatus) -> str:
-    """In one sentence."""
+    """The reason why this supernode does not serve, as one sentence."""
     return (
         f"the state of {status.self_id!r} differs from that of most members at log position {status.diverged_at}, as "
         "after a release that did not know all commands, or damaged memory"
@@ -20,7 +20,7 @@ def why_diverged(status: ReplicationStatus) -> str:
 
 
 def why_in_doubt(member_id: str, log_index: int) -> str:
-    """In one sentence."""
+    """The reason why a member's state is in doubt, as one sentence."""
     return (
         f"the state of {member_id!r} differs from that of the leader at log position {log_index}, and neither is known "
         "to be that of most members, so that nobody can say which is right"
@@ -28,7 +28,7 @@ def why_in_doubt(member_id: str, log_index: int) -> str:
 
 
 class Members:
-    """Local knowledge; never waits. `advertise`: where callers reach this supernode; `zone`: where it is."""
+    """Local knowledge; no method waits. `advertise`: the address for callers. `zone`: the zone of this supernode."""
 
     def __init__(
         self, log: ReplicatedLog, replica: DirectoryReplica, probe: Probe, *, advertise: str, zone: str
@@ -38,7 +38,7 @@ class Members:
         self._probe = probe
         self._advertise = advertise
         self._zone = zone
-        # Of this start of the process.
+        # of this start of the process
         self.boot_incarnation = secrets.randbits(63) | 1
 
     @property
@@ -47,14 +47,16 @@ class Members:
         return self._log.status().self_id
 
     def ready(self) -> bool:
-        """Whether this supernode can serve: it knows a leader, and that the cluster is founded."""
+        """Whether this supernode can serve: it knows a leader, and the cluster is founded."""
         founded = self._replica.read(lambda directory: directory.tenure > 0)
         status = self._log.status()
         return founded and status.leader_id is not None and not status.diverged_at
 
     def refused(self) -> Mapping[str, str]:
-        """Members whose stores this one refuses, or whose states are in doubt, and itself, if others refuse it or its
-        state differs; why, and who says so.
+        """Members with a reason why they are refused, and who says so.
+
+        These are members whose stores this one refuses, or whose states are in doubt. This supernode itself is among
+        them if others refuse it or its state differs.
         """
         status = self._log.status()
         told = {name: f"{why} (says {status.self_id})" for name, why in status.refused.items()}
@@ -64,7 +66,7 @@ class Members:
         return {**doubts, **told, **({status.self_id: own} if own else {})}
 
     def records(self) -> tuple[list[directory_pb2.SupernodeRecord], int]:
-        """Every member, in the order of ids, and the term of the consensus."""
+        """Every member, by id, and the present term."""
         status = self._log.status()
         members = sorted(status.members, key=lambda member: member.member_id)
         return [self._record(member, status) for member in members], status.term

@@ -28,7 +28,7 @@ ID_BYTES = 4
 
 
 def prepare(argv: Sequence[str]) -> int:
-    """Run one of PREPARING; returns the exit code."""
+    """Run one of the verbs in PREPARING. Returns the exit code."""
     parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     init = verbs.add_parser(
@@ -63,7 +63,7 @@ def prepare(argv: Sequence[str]) -> int:
     except (StampedeError, ValueError) as error:
         sys.stderr.write(f"stampede supernode: {error}\n")
         return FAILED if isinstance(error, StampedeError) else MISUSED
-    except OSError as error:  # after StampedeError: Unavailable is an OSError, too
+    except OSError as error:  # after StampedeError, because Unavailable is an OSError, too
         sys.stderr.write(f"stampede supernode: {error.filename} cannot be used: {error.strerror}\n")
         return FAILED
 
@@ -86,7 +86,7 @@ def _run_init(arguments: argparse.Namespace) -> int:
 
 
 def _restored(arguments: argparse.Namespace, founding: Founding) -> Founding:
-    """Take over what a member of a lost cluster holds."""
+    """Take over the directory of a backup or of a lost member's folder."""
     founder = Member(member_id=founding.supernode_id, address=founding.address)
     try:
         index = restore_from(
@@ -131,7 +131,9 @@ def _run_join(arguments: argparse.Namespace) -> int:
 
 
 def _check_callable(address: str, members: Mapping[str, str]) -> None:
-    """Raises ValueError if the members are not all on this machine, and could not call the newcomer."""
+    """Raises ValueError if members on other machines could not call the newcomer, or the newcomer could not
+    call them.
+    """
     elsewhere = [f"{name} at {target}" for name, target in members.items() if not is_loopback(target)]
     if elsewhere and is_loopback(address):
         raise ValueError(
@@ -155,7 +157,7 @@ def _name(arguments: argparse.Namespace) -> str:
 
 
 def _address(arguments: argparse.Namespace) -> str:
-    """Where others reach it. Raises ValueError."""
+    """The address at which others reach the supernode. Raises ValueError."""
     listen = _read("--listen", parse_address_text, arguments.listen)
     option = "--advertise" if arguments.advertise else "--listen"
     address = _read(option, parse_target, arguments.advertise or listen)
@@ -173,7 +175,8 @@ def _read(option: str, parse: Callable[[str], str], text: str) -> str:
 
 def _start(arguments: argparse.Namespace) -> str:
     advertise = f" --advertise {arguments.advertise}" if arguments.advertise else ""
-    secured = any(os.environ.get(name) for name in CLIENT_VARIABLES)  # a service reads other variables: say the flags
+    # a service reads other variables, so the text names the flags
+    secured = any(os.environ.get(name) for name in CLIENT_VARIABLES)
     tls = " --tls-ca FILE --tls-certificate FILE --tls-key FILE" if secured else ""
     return (
         f"Start it:\n\n  stampede supernode --listen {arguments.listen}{advertise} --data-dir {arguments.data_dir}{tls}"

@@ -1,4 +1,4 @@
-"""How the other supernodes do, as measured from here: asked for their clock every few seconds."""
+"""Measures the other supernodes: asks each for its clock every few seconds."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Finding:
 
 
 class Probe:
-    """Probes every member but this one. Holds one connection per member.
+    """Probes every member but this one, over one connection for each.
 
-    `explain` may know better than gRPC why a member cannot be talked to.
+    `explain` may give a better reason than gRPC for a failed connection to a member.
     """
 
     def __init__(
@@ -43,17 +43,17 @@ class Probe:
     ) -> None:
         self._log = log
         self._explain = explain
-        self._told: dict[str, str] = {}  # address -> why it refuses us, as last logged
+        self._told: dict[str, str] = {}  # address -> the last logged reason why the member refuses this one
         self._dial = dial
         self._channels: dict[str, grpc.aio.Channel] = {}
         self._findings: dict[str, Finding] = {}
 
     def finding(self, member_id: str) -> Finding | None:
-        """The last finding about a member, None before the first."""
+        """The last finding about a member; None before the first."""
         return self._findings.get(member_id)
 
     async def run(self) -> None:
-        """Probe until cancelled, then hang up."""
+        """Probe until cancelled, then close the connections."""
         try:
             while True:
                 await self.round()
@@ -77,14 +77,14 @@ class Probe:
         began = time.monotonic_ns()
         try:
             pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_SECONDS)
-        except grpc.aio.AioRpcError:  # for whatever reason: it cannot be used from here
+        except grpc.aio.AioRpcError:  # for any reason: this supernode cannot reach it
             await self._tell_why(member)
             return Finding(False, None)
         self._told.pop(member.address, None)
         return Finding(pong.ready, time.monotonic_ns() - began)
 
     async def _tell_why(self, member: Member) -> None:
-        """Log once that it is for certificates, if so."""
+        """Log once that certificates are the reason, if they are."""
         refusal = await self._explain(member.address) if self._explain else None
         if refusal is not None and self._told.get(member.address) != refusal.message:
             self._told[member.address] = refusal.message

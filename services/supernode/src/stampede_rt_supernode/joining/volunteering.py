@@ -1,4 +1,4 @@
-"""A supernode that was prepared by `stampede supernode join` asks the members to let it in, until they have."""
+"""Asks the members to let this supernode in, after `stampede supernode join`, until they have."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ async def volunteer(
     zone: str,
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
 ) -> None:
-    """Ask one member after the other, and whom they name as the leader. Raises StampedeError if they refuse.
+    """Ask one member after the other, and the leader that they name. Raises StampedeError if they refuse.
 
-    Who was refused before waits first, longer each time: a supervisor starts it again as soon as it ends.
+    A supernode that was refused before waits first, longer each time, because a supervisor restarts it at once.
     """
     if founding.refused:
         pause_seconds = seconds_before_asking(founding.refusals)
@@ -73,7 +73,7 @@ async def volunteer(
 
 
 def seconds_before_asking(refusals: int) -> float:
-    """For how long one that was refused so often waits before it asks once more."""
+    """How long a supernode with so many refusals waits before it asks again."""
     return float(min(2 ** min(refusals - 1, 30), REFUSED_SECONDS_MAX)) if refusals else 0.0
 
 

@@ -1,13 +1,14 @@
-"""The replicated log: commands in, results out, the same order on every member.
+"""The replicated log: commands in, results out, in the same order on every member.
 
-`await open_replicated_log(settings, state_machine, dial, server)` gives a ReplicatedLog (see interface.py). It
-runs PySyncObj on a thread of its own; only this package imports that library, and with its faults closed:
+`await open_replicated_log(settings, state_machine, dial, server)` gives a ReplicatedLog (see interface.py). It runs
+PySyncObj on a thread of its own. Only this package imports that library, and it corrects the library's faults. Order of
+use:
 
-1. bind a `grpc.aio` server, so that the address of this member is known, and do not start it yet;
-2. open the log: it loads its state and registers its service with the server;
-3. start the server, and serve the directory from the same port.
+1. Bind a `grpc.aio` server, so that the address of this member is known. Do not start it yet.
+   2. Open the log: it loads its state and registers its service with the server.
+   3. Start the server, and serve the directory from the same port.
 
-On the way out, close the log before the server is stopped.
+At the end, close the log before the server stops.
 """
 
 from stampede_rt_supernode.replication.interface import (

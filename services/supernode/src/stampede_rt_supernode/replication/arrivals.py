@@ -1,4 +1,4 @@
-"""The messages and requests that other threads bring to a replica between two of its steps. All queues have bounds."""
+"""The messages and requests that other threads hand to a replica, for its next step. All queues have bounds."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ class Arrivals:
         self.snapshot_requests: deque[SnapshotRequest] = deque()
 
     def add_event(self, event: NetworkEvent) -> None:
-        """Queue a network event. Raises InboxFull for a message too many; links coming and going always fit."""
+        """Queue a network event. Raises InboxFull if too many messages wait. Changes of links always fit."""
         if isinstance(event, Received):
             self._inbox.come(event)
         self.events.append(event)
 
     def add_proposal(self, proposal: Proposal) -> None:
-        """Queue a command. Raises LogUnavailable when too many wait, ValueError when it is too large."""
+        """Queue a command. Raises LogUnavailable if too many wait, ValueError if it is too large."""
         if len(proposal.command) > COMMAND_BYTES_MAX:
             raise ValueError(f"a command of {len(proposal.command)} bytes is over the limit of {COMMAND_BYTES_MAX}")
         if len(self.proposals) >= self._settings.proposals_max:
@@ -52,25 +52,25 @@ class Arrivals:
         self.proposals.append(proposal)
 
     def add_read(self, read: ConfirmedRead) -> None:
-        """Queue a confirmed read. Raises LogUnavailable when too many wait."""
+        """Queue a confirmed read. Raises LogUnavailable if too many wait."""
         if len(self.reads) >= self._settings.reads_max:
             raise LogUnavailable(f"{self._settings.reads_max} reads wait already: slow down and try again")
         self.reads.append(read)
 
     def add_change(self, change: MemberChange | HandOver) -> None:
-        """Queue a change of the members, or a hand-over. Raises LogUnavailable when too many wait."""
+        """Queue a change of the members, or a hand-over. Raises LogUnavailable if too many wait."""
         if len(self.changes) >= CHANGES_MAX:
             raise LogUnavailable(f"{CHANGES_MAX} changes of the members wait already: try again in a while")
         self.changes.append(change)
 
     def add_snapshot_request(self, request: SnapshotRequest) -> None:
-        """Queue a request for a snapshot. Raises LogUnavailable when too many wait."""
+        """Queue a request for a snapshot. Raises LogUnavailable if too many wait."""
         if len(self.snapshot_requests) >= SNAPSHOT_REQUESTS_MAX:
             raise LogUnavailable(f"{SNAPSHOT_REQUESTS_MAX} wait for a snapshot already: try again in a while")
         self.snapshot_requests.append(request)
 
     def take_events(self) -> Iterator[NetworkEvent]:
-        """The events that wait now, in order. Those that come meanwhile wait for the next call."""
+        """The waiting events, in order. Later ones wait for the next call."""
         for event in taken_from(self.events):
             if isinstance(event, Received):
                 self._inbox.take(event)
@@ -78,15 +78,15 @@ class Arrivals:
 
 
 def taken_from(queue: deque[T]) -> Iterator[T]:
-    """The items that wait in `queue` now, in order, each taken out as it is given."""
+    """The present entries of `queue`, in order. Each one is removed as it is given."""
     for _ in range(len(queue)):
         yield queue.popleft()
 
 
 class _InboxShares:
-    """How much of each member's messages waits. Each member has a share, so that none fills the share of another.
+    """Counts the waiting messages of each member. Each member has a share, so that none fills the share of another.
 
-    Two threads count. Each has its own half: what came, and what was taken out.
+    Two threads count, each its own half: the messages that came, and the messages that were taken.
     """
 
     def __init__(self, items_max: int, bytes_max: int) -> None:
@@ -95,7 +95,7 @@ class _InboxShares:
         self._taken: dict[str, tuple[int, int]] = {}
 
     def come(self, event: Received) -> None:
-        """Count it in. Raises InboxFull."""
+        """Count a message that came. Raises InboxFull."""
         items, size = self._came.get(event.member_id, (0, 0))
         items_out, size_out = self._taken.get(event.member_id, (0, 0))
         if items - items_out >= self._items_max or size - size_out >= self._bytes_max:
@@ -103,6 +103,6 @@ class _InboxShares:
         self._came[event.member_id] = items + 1, size + event.size_bytes
 
     def take(self, event: Received) -> None:
-        """Count it out."""
+        """Count a message that was taken."""
         items, size = self._taken.get(event.member_id, (0, 0))
         self._taken[event.member_id] = items + 1, size + event.size_bytes

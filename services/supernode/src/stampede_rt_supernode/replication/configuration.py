@@ -1,8 +1,8 @@
-"""The members, and how they follow from the log. Pure.
+"""The members, derived from the log. Pure.
 
-One member comes or goes at a time: any majority of the members before and any of those after then share a member, so
-that two leaders of one term cannot both find one (Ongaro's dissertation, section 4.1). A configuration holds from the
-moment it is in the log, committed or not; PySyncObj's own guard against two changes at once never takes effect.
+One member is added or removed at a time. Then any majority before the change and any majority after it share a member.
+So two leaders of one term cannot both have a majority (Ongaro's dissertation, section 4.1). A configuration holds from
+the moment it is in the log, committed or not. PySyncObj's own guard against two changes at once never takes effect.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ SPENT_MAX = 512
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """Every member, in the order of ids, and the ids that were members once."""
+    """Every member, by id, and the ids of former members."""
 
     members: tuple[Member, ...]
     retired: tuple[str, ...] = ()
-    # (ticket, member id): a ticket lets one member in.
+    # (ticket, member id): a ticket lets in one member
     spent: tuple[tuple[str, str], ...] = ()
 
     @classmethod
@@ -35,78 +35,78 @@ class Configuration:
         return cls(tuple(sorted(members, key=lambda member: member.member_id)), tuple(retired), tuple(spent))
 
     def spender_of(self, ticket: str) -> str | None:
-        """The member that a ticket has let in."""
+        """The member that a ticket has let in; None: it was not used."""
         return dict(self.spent).get(ticket)
 
     def find(self, member_id: str) -> Member | None:
-        """The member with this id."""
+        """The member with this id; None: there is none."""
         return next((member for member in self.members if member.member_id == member_id), None)
 
     def with_member(self, member: Member, ticket: str = "") -> Configuration:
-        """The configuration with one member more, let in by a ticket, or without one."""
+        """The configuration with one more member, let in with or without a ticket."""
         spent = (*self.spent, (ticket, member.member_id)) if ticket else self.spent
         return Configuration.of((*self.members, member), self.retired, spent[-SPENT_MAX:])
 
     def without(self, member_id: str) -> Configuration:
-        """The configuration with one member less, whose id never comes back."""
+        """The configuration without one member. Its id never comes back."""
         remaining = [member for member in self.members if member.member_id != member_id]
         return Configuration.of(remaining, (*self.retired, member_id)[-RETIRED_MAX:], self.spent)
 
 
 class ConfigurationChange(NamedTuple):
-    """A configuration and the log position from which it holds."""
+    """A configuration, and the log position from which it holds."""
 
     log_index: int
     configuration: Configuration
 
 
 class Configurations:
-    """The configurations in the log that is held, and the one before it.
+    """The configurations in the held log, and the one before it.
 
-    Invariant: positions grow; the first is the base, at or before the log's first entry that can still be cut off.
+    Invariant: positions grow. The first one is the base, at or before the first log entry that may still be cut off.
     """
 
     def __init__(self, base: Configuration) -> None:
         self._changes = [ConfigurationChange(0, base)]
-        # Grows with everything that may have changed the current configuration.
+        # grows with every possible change of the current configuration
         self.version = 0
 
     @property
     def current(self) -> Configuration:
-        """The one that holds now."""
+        """The configuration that holds now."""
         return self._changes[-1].configuration
 
     @property
     def current_index(self) -> int:
-        """The log position of the current one; 0 when it is not from the log."""
+        """The log position of the current configuration; 0 if it is not from the log."""
         return self._changes[-1].log_index
 
     def at(self, log_index: int) -> Configuration:
-        """The one that held at a position, for positions at or past the base."""
+        """The configuration that held at a position, which must be at or after the base."""
         return next(change.configuration for change in reversed(self._changes) if self._is_at(change, log_index))
 
     def _is_at(self, change: ConfigurationChange, log_index: int) -> bool:
         return change.log_index <= log_index or change is self._changes[0]
 
     def note(self, log_index: int, configuration: Configuration) -> None:
-        """A configuration was added to the log."""
+        """Note a configuration that was added to the log."""
         self._changes.append(ConfigurationChange(log_index, configuration))
         self.version += 1
 
     def cut_from(self, log_index: int) -> None:
-        """The log's entries from a position on were cut off."""
+        """Drop the configurations of log entries that were cut off, from a position on."""
         kept = [change for change in self._changes[1:] if change.log_index < log_index]
         if len(kept) + 1 != len(self._changes):
             self._changes[1:] = kept
             self.version += 1
 
     def rebase(self, log_index: int, configuration: Configuration) -> None:
-        """A snapshot up to a position says which one held there; later ones stay."""
+        """Set the base to the configuration that held at the end of a snapshot. Later ones stay."""
         later = [change for change in self._changes[1:] if change.log_index > log_index]
         self._changes = [ConfigurationChange(log_index, configuration), *later]
         self.version += 1
 
     def known_members(self) -> list[Member]:
-        """Everybody whom one of them names; the newest address of each."""
+        """All members of these configurations, each with its newest address."""
         members = {member.member_id: member for change in self._changes for member in change.configuration.members}
         return list(members.values())

@@ -1,7 +1,7 @@
-"""The one interface between the directory and the log that replicates it.
+"""The only interface between the directory and the log that replicates it.
 
-Everything above this file sees bytes in, bytes out, and never the library below it, so that another
-replicated log can take its place (paper, section 4.3: "standard consensus techniques").
+The code above this file sees bytes in and bytes out, and never the library below it. So another replicated log can
+replace it (paper, section 4.3: "standard consensus techniques").
 """
 
 from __future__ import annotations
@@ -12,49 +12,51 @@ from typing import Protocol
 
 
 class StateMachine(Protocol):
-    """The state machine that the log drives. Methods are called on the log's own thread, if nothing else is said; they
-    neither raise nor block.
+    """The state machine that the log drives.
 
-    Releases know commands up to a highest feature level. The state has a level, up to which all members know them.
+    The log calls the methods on its own thread, unless they say otherwise. They neither raise nor block, unless they
+    say so. A release knows commands up to a highest feature level. The state has a level, up to which all members know
+    the commands.
     """
 
     @property
     def highest_level(self) -> int:
-        """The highest feature level that this release knows, 1 or more. From any thread."""
+        """The highest feature level that this release knows, 1 or more. Callable on any thread."""
 
     @property
     def feature_level(self) -> int:
-        """The state's, 1 or more; it never falls. From any thread."""
+        """The state's feature level, 1 or more. It never falls. Callable on any thread."""
 
     def takes(self, command: bytes) -> bool:
-        """Whether the state's level allows the command in the log. From any thread."""
+        """Whether the state's level allows the command in the log. Callable on any thread."""
 
     def apply(self, index: int, command: bytes) -> bytes:
         """Apply the committed command at log position `index` (grows, may skip) and return its encoded result.
 
-        Deterministic: no clock, no randomness. A command that makes no sense yields an encoded refusal. Raises
-        ReleaseTooOld if the state comes to a feature level that this release does not know: nothing goes on then.
+        Deterministic: no clock, no randomness. An invalid command yields an encoded refusal. Raises ReleaseTooOld if
+        the state reaches a feature level that this release does not know. Then the log stops.
         """
 
     def digest(self) -> tuple[int, bytes]:
-        """The last position applied, and a digest of what was done up to there: the same wherever the state is.
+        """The last applied position, and a digest of all results up to there. Equal states have equal digests.
 
-        Cheap: it is asked for with every command and every message. Empty: not known.
+        Cheap, because every command and every message asks for it. Empty: unknown.
         """
 
     def adopt_digest(self, digest: bytes) -> None:
-        """Go on from the leader's digest at the last position applied: the state's own is not known."""
+        """Take over the leader's digest at the last applied position, because the state's own is unknown."""
 
     def begin_snapshot(self) -> Callable[[], bytes]:
-        """Copy the whole state as of the last applied command, and return what encodes it.
+        """Copy the whole state as of the last applied command. Returns a function that encodes the copy.
 
-        That is called once, on another thread, while commands go on being applied; the next one begins after it.
+        The log calls that function once, on another thread, while it applies further commands. The next snapshot begins
+        after it.
         """
 
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
-        """Decode a snapshot of this or another replica, and return what replaces the whole state by it.
+        """Decode a snapshot of this or another replica. Returns a function that replaces the whole state by it.
 
-        The decoding may be done on another thread, while commands go on being applied; it may raise.
+        May run on another thread, while the log applies further commands. May raise.
         """
 
 
@@ -68,19 +70,23 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicationStatus:
-    """The log at this moment, as a replica believes it to be; it may be stale.
+    """One replica's present view of the log, which may be out of date.
 
-    `tenure` is the term of the leadership this replica itself holds, 0 while it is not the leader. `members` may
-    be committed or not yet. `removed`: the leader, or most of the others, say that this one was removed, for good;
-    `has_lost_store`: that it was here before with another store, or lacks one; `has_old_store`: that its store lacks
-    what it has promised. `refused_by`: which members say one of these or `too_old`, and their words.
-    `other_cluster`: what one said that is of another cluster. `refused`: by id, why this one does not
-    take the store with which another member came last. `diverged_at`: where this one's state was found to differ from
-    that of most members; 0: nowhere. `doubts`: by id, where a member's state (this one's, or, at a leader, those of
-    others) was found to differ from the leader's, while nobody knows what most hold. `feature_level` is the state's,
-    `highest_levels` what each member has told of its release, this one included. `too_old`: what the leader, or most of
-    the others, say of this one's release, which does not know the cluster's level. `retired`: ids that were members,
-    and never come back.
+    - `tenure`: the term in which this replica leads, 0 while it does not lead.
+    - `members`: committed or not yet.
+    - `removed`: the leader, or most of the others, say that this member was removed for good.
+    - `has_lost_store`: they say that it had another store before, or lacks one.
+    - `has_old_store`: they say that its store lacks promises that it has made.
+    - `refused_by`: the members that say one of these or `too_old`, with their words.
+    - `other_cluster`: the words of a member of another cluster.
+    - `refused`: by id, the reason why this replica does not accept the latest store of another member.
+    - `diverged_at`: the position at which this replica's state was found to differ from that of most members; 0: none.
+    - `doubts`: by id, the position at which a member's state was found to differ from the leader's, while nobody knows
+      the state of most. A follower has only itself in it, a leader the others.
+    - `feature_level`: the state's.
+    - `highest_levels`: by id, the highest level of each member's release, this one included, as it told.
+    - `too_old`: the words of the leader, or of most others, that this release does not know the cluster's level.
+    - `retired`: ids of former members, which never come back.
     """
 
     self_id: str
@@ -105,13 +111,16 @@ class ReplicationStatus:
 
     @property
     def level_of_members(self) -> int:
-        """The highest feature level that all members have told that they know; 0 as long as one has not told."""
+        """The highest feature level that all members know; 0 as long as one has not told its own."""
         return min((self.highest_levels.get(member.member_id, 0) for member in self.members), default=0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TakenSnapshot:
-    """A snapshot on stable storage. `record` is opaque: `make_backup` makes a file of it, `restore_from` opens that."""
+    """A snapshot on stable storage.
+
+    `record` is opaque. `make_backup` writes it to a file, and `restore_from` opens the file.
+    """
 
     log_index: int
     record: bytes
@@ -121,12 +130,12 @@ TOO_OLD = "is of a release that is too old"
 
 
 def too_old(member_id: str, highest_level: int, level: int) -> str:
-    """In one sentence, about a member or newcomer whose release does not know the level of the cluster."""
+    """The error text, as one sentence, for a member or newcomer whose release does not know the cluster's level."""
     return f"{member_id!r} {TOO_OLD}: it knows feature level {highest_level}, and the cluster is at level {level}"
 
 
 class ReleaseTooOld(Exception):
-    """The cluster is at a feature level that this release does not know: the member goes no further."""
+    """The cluster is at a feature level that this release does not know. The member stops applying commands."""
 
     def __init__(self, highest_level: int, cluster_level: int) -> None:
         self.highest_level, self.cluster_level = highest_level, cluster_level
@@ -137,23 +146,23 @@ class ReleaseTooOld(Exception):
 
 
 class LogUnavailable(Exception):
-    """No majority answered in time and the command was certainly not taken into the log: safe to try again."""
+    """No majority answered in time, and the command is certainly not in the log. Safe to try again."""
 
 
 class NotLeading(Exception):
-    """Only the leader changes the members, and this replica is not it."""
+    """Only the leader changes the members, and this replica does not lead."""
 
 
 class ChangeUnderWay(Exception):
-    """One member comes or goes at a time, and another one is just coming or going: try again in a while."""
+    """Another member is being added or removed, and only one change runs at a time. Try again later."""
 
 
 class ChangeRefused(Exception):
-    """The members cannot be changed in this way; the message says why and what to do."""
+    """The members cannot be changed in this way. The message gives the reason and the way out."""
 
 
 class TicketSpent(ChangeRefused):
-    """The ticket has let another member in."""
+    """The ticket has let in another member."""
 
 
 class ReleaseOutdated(ChangeRefused):
@@ -161,49 +170,54 @@ class ReleaseOutdated(ChangeRefused):
 
 
 class Ambiguous(Exception):
-    """The command may or may not be applied: try again with the same operation id, never report it as failed."""
+    """The command may or may not be applied. Try again with the same operation id, and never report it as failed."""
 
 
 class ReplicatedLog(Protocol):
-    """A replica of the log, used from the asyncio loop that it was started on."""
+    """A replica of the log, used from the asyncio loop on which it was started."""
 
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
-        """Replicate `command` (64 KiB at most) and return what `apply` gave for it, `timeout` seconds at most.
+        """Replicate `command` (64 KiB at most) and return the result of `apply`. Waits `timeout` seconds at most.
 
-        Raises LogUnavailable or Ambiguous. Works on every replica: a follower passes it on to the leader.
+        Raises LogUnavailable or Ambiguous. Works on every replica: a follower passes the command on to the leader.
         """
 
     async def confirm_read(self, *, timeout: float) -> int:
-        """Return an applied index that holds every write acknowledged before this call began.
+        """Return an applied index that includes every write acknowledged before this call began.
 
-        After it, this replica's own state answers linearizably. Raises LogUnavailable.
+        After it, reads of this replica's own state are linearizable. Raises LogUnavailable.
         """
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
-        """Let a replica in that runs at `member.address` and waits to join; return the log position of the change.
+        """Add a replica that runs at `member.address` and waits to join. Returns the log position of the change.
 
-        It is counted once it has caught up. Idempotent: an addition under way is waited for, and goes on after
-        `timeout`. A `ticket` lets one member in. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if it
-        has let another one in), LogUnavailable or Ambiguous.
+        The replica becomes a member once it has caught up. Idempotent: a repeated call waits for the addition under
+        way, which continues after `timeout`. A `ticket` lets in one member. Raises NotLeading, ChangeUnderWay,
+        ChangeRefused (TicketSpent if the ticket has let in another member), LogUnavailable or Ambiguous.
         """
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:
-        """Remove a member, or hand over to another leader if it is this one; return the log position of the change.
+        """Remove a member. If this replica is that member, hand over to another leader. Returns the log position of the
+        change.
 
-        Idempotent: who is no member is removed. Raises as `add_member`; NotLeading after a hand-over.
+        Idempotent: the removal of a non-member succeeds. Raises the errors of `add_member`; NotLeading after a
+        hand-over.
         """
 
     async def hand_over(self, *, timeout: float) -> bool:
-        """Have another member lead, if this one does; whether this one does no more. Loses nothing if it fails."""
+        """Have another member lead, if this one leads.
+
+        Returns whether this one leads no more. A failure loses nothing.
+        """
 
     async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:
-        """Have this replica write a snapshot of at least what it has applied by now; the last one, if nothing is new.
+        """Write a snapshot of at least the present applied state. Returns the last snapshot if nothing is new.
 
         Raises LogUnavailable; the snapshot may still be written.
         """
 
     def status(self) -> ReplicationStatus:
-        """This replica's present view; never blocks."""
+        """This replica's present view. Never blocks."""
 
     async def close(self) -> None:
-        """Stop taking part, with everything acknowledged on stable storage."""
+        """Stop taking part. All acknowledged entries are on stable storage."""

@@ -1,1 +1,1 @@
-"""Participants in the directory, their names and leases: pure."""
+"""Peers in the directory: their names, mailboxes and leases. Pure."""

@@ -1,4 +1,4 @@
-"""Checks of a peer's own words, and of who may replace a live peer. Pure."""
+"""Checks the fields that a peer states, and who may replace a live peer. Pure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SUPERNODE_ID_CHARACTERS_MAX = 128
 
 
 def check_proof(proof: bytes) -> None:
-    """A proof as its peer sends it; empty: none. Raises InvalidArgument."""
+    """Check the proof that a peer sends; empty: none. Raises InvalidArgument."""
     if len(proof) not in (0, PROOF_BYTES):
         text = (
             f"proof has {len(proof)} bytes instead of {PROOF_BYTES}; take {PROOF_BYTES} random bytes, or leave it out"
@@ -34,7 +34,7 @@ def check_proof(proof: bytes) -> None:
 
 
 def check_clock(clock: ClockOffset | None) -> None:
-    """The clock report of a peer. Raises InvalidArgument."""
+    """Check the clock report of a peer. Raises InvalidArgument."""
     if clock is None:
         return
     check_text(clock.supernode, "clock.supernode_id", 1, SUPERNODE_ID_CHARACTERS_MAX)
@@ -87,7 +87,7 @@ def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> No
 
 
 def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
-    """Whether `operation` may take the place of a live peer: the same process may, and a caller with its proof.
+    """Check that `operation` may replace a live peer. The same process may, and a caller with the peer's proof may.
 
     A peer without name and proof has nothing to lose, so its id is enough. Raises PEER_EXISTS, PermissionDenied.
     """
@@ -100,9 +100,9 @@ def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
 
 
 def check_owner(peer: PeerRecord, owner: str | None) -> None:
-    """Whether a caller may act as that peer. `owner`: its name in rules; empty: rules do not judge it; None: not known.
+    """Check that a caller may act as that peer.
 
-    Raises PermissionDenied.
+    `owner`: the caller's name in rules; empty: rules do not judge it; None: unknown. Raises PermissionDenied.
     """
     if owner and peer.owner is not None and peer.owner != owner:
         shown = peer.name or peer.peer_id.hex()

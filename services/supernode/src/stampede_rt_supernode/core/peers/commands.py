@@ -10,8 +10,10 @@ from stampede_rt_supernode.core.records import HostRecord, PeerRecord, QueueReco
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RegisterPeer(Operation):
-    """A peer enters. `proof_sha256` empty: it gave no proof; `mailbox` None: it states nothing of it. The new ones are
-    used if a mailbox is made or placed anew. `registration_epoch`: see `registration_epochs`. `owner`: see PeerRecord.
+    """A peer registers.
+
+    `proof_sha256` empty: it gave no proof. `mailbox` None: it states no settings of its mailbox. The `new_` fields are
+    used if a mailbox is created or moves. `registration_epoch`: see `registration_epochs`. `owner`: see PeerRecord.
     """
 
     peer_id: bytes
@@ -32,7 +34,7 @@ class RegisterPeer(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeregisterPeer(Operation):
-    """A peer leaves of its own accord."""
+    """A peer deregisters by itself."""
 
     peer_id: bytes
     boot_incarnation: int
@@ -49,7 +51,7 @@ class PeerLease:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ExpirePeers(Operation):
-    """These leases have ended, says the leader of `tenure`."""
+    """The leader of `tenure` notes that these leases have ended."""
 
     leases: tuple[PeerLease, ...]
     tenure: int
@@ -57,7 +59,10 @@ class ExpirePeers(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerRegistered(Success):
-    """The peer is in. `mailbox` and its host are None if it has no name; `mailbox_kept`: with what it held before."""
+    """The peer is registered.
+
+    `mailbox` and its host are None if it has no name. `mailbox_kept`: with its former messages.
+    """
 
     peer: PeerRecord
     mailbox: QueueRecord | None
@@ -68,11 +73,11 @@ class PeerRegistered(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerDeregistered(Success):
-    """The peer has left."""
+    """The peer is deregistered."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeersExpired(Success):
-    """How many leases the command ended; the others had come to an end, or to life, before."""
+    """The number of leases that the command ended. The others had ended or had been renewed before."""
 
     expired: int

@@ -1,4 +1,4 @@
-"""Questions about peers. Pure; O(page), and bounded whatever the pattern."""
+"""Questions about peers. Pure. O(page), for any pattern."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ BEGINNING: PeerKey = (False, "", b"")
 
 @dataclass(frozen=True, slots=True)
 class PeerPage:
-    """Peers in the order of names, the nameless ones last. `last`: the next page begins behind it; None: this was the
-    last."""
+    """Peers by name, those without a name last. The next page begins after `last`; None: this was the last page."""
 
     peers: tuple[PeerRecord, ...]
     last: PeerKey | None
 
 
 def peer_page(tables: Tables, glob: str, after: PeerKey, peers_max: int, *, include_dead: bool) -> PeerPage:
-    """Up to `peers_max` (0: the most) peers behind `after` whose names match; nameless ones match only no pattern.
+    """Up to `peers_max` (0: the limit) peers after `after` with matching names. Without a pattern also nameless ones.
 
-    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern.
+    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
     """
     matches, limit = matcher(glob), min(peers_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     prefix = fixed_prefix(glob)

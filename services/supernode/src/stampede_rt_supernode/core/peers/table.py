@@ -1,4 +1,4 @@
-"""The participants of the directory, by id and by name (paper, sections 3.5 and 4.2). Pure."""
+"""The peers of the directory, by id and by name (paper, sections 3.5 and 4.2). Pure."""
 
 from __future__ import annotations
 
@@ -10,20 +10,24 @@ from stampede_rt_supernode.core.change_ring import ChangeRing
 from stampede_rt_supernode.core.records import ChangeKind, DirectoryChange, PeerRecord
 
 DEAD_PEERS_MAX = 1000
-# How peers are listed: those with names first, by name; then by id.
+# The order of listings: peers with names first, by name; then the others, by id.
 PeerKey = tuple[bool, str, bytes]
 
 
 class PeerTable:
-    """Peers whose lease has ended are kept for people to see, the last DEAD_PEERS_MAX of them. Changes are noted in a
-    ring of their own: thousands of peers that come and go push no channel's changes out."""
+    """The peers. The last DEAD_PEERS_MAX peers whose lease has ended stay, for people to see.
+
+    Changes are noted in a ring of their own. So thousands of peers that come and go do not push out the changes of
+    channels.
+    """
 
     def __init__(self, peers: Iterable[PeerRecord], index: int) -> None:
         self.changes = ChangeRing(index)
         self.by_id: dict[bytes, PeerRecord] = {}
-        self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the live ones that have one
-        self.keys: SortedSet[PeerKey] = SortedSet()  # all, in the order of listings
-        self._dead: dict[bytes, None] = {}  # ids, as their leases ended; those of one entry by id
+        self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the live peers with a name
+        self.keys: SortedSet[PeerKey] = SortedSet()  # all peers, in the order of listings
+        # ids, in the order in which the leases ended; those that ended together by id
+        self._dead: dict[bytes, None] = {}
         for peer in sorted(peers, key=lambda one: (one.ended_index, one.peer_id)):
             self._link(peer)
 
@@ -32,20 +36,20 @@ class PeerTable:
 
     @property
     def live_count(self) -> int:
-        """How many live."""
+        """The number of live peers."""
         return len(self.by_id) - len(self._dead)
 
     def live(self) -> Iterator[PeerRecord]:
-        """Those whose lease has not ended, in no order that means anything."""
+        """The live peers, in no particular order."""
         return (peer for peer in self.by_id.values() if peer.alive)
 
     def live_named(self, name: str) -> PeerRecord | None:
-        """The live peer of that name, if there is one."""
+        """The live peer of that name; None: there is none."""
         found = self.ids.get(name)
         return None if found is None else self.by_id[found]
 
     def put(self, peer: PeerRecord, index: int) -> None:
-        """The peer of that id is now like this, as of log position `index`; no other live one has its name."""
+        """Add or replace the peer of that id, as of log position `index`. No other live peer may have its name."""
         before = self.by_id.get(peer.peer_id)
         if before is not None:
             self._unlink(before)
@@ -55,7 +59,7 @@ class PeerTable:
             self.remove(self.by_id[next(iter(self._dead))], index)
 
     def remove(self, peer: PeerRecord, index: int) -> None:
-        """Forget a peer that is there."""
+        """Remove a peer that exists."""
         self._unlink(peer)
         del self.by_id[peer.peer_id]
         self._note(index, ChangeKind.REMOVED, peer)
@@ -79,5 +83,5 @@ class PeerTable:
 
 
 def key_of(peer: PeerRecord) -> PeerKey:
-    """Where it comes in a listing."""
+    """The place of a peer in a listing."""
     return not peer.name, peer.name, peer.peer_id

@@ -1,7 +1,7 @@
-"""The effects on the tables of a peer's coming, going and vanishing (paper, sections 3.5 and 4.2). Pure.
+"""Registers, deregisters and expires peers in the tables (paper, sections 3.5 and 4.2). Pure.
 
-As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. A named peer
-has a mailbox from the step that registers it to the step that ends it.
+As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. A named peer has
+a mailbox from the step that registers it to the step that ends it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,10 @@ PEERS_MAX = 100_000  # live ones
 
 
 def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, cluster_id: str) -> PeerRegistered:
-    """A peer enters, or enters again. Whoever proves to be the holder of the name takes it over with its mailbox."""
+    """Register a peer, perhaps again.
+
+    A caller that proves to be the holder of the name takes over the name and mailbox.
+    """
     check_register_peer(operation)
     holder = tables.peers.live_named(operation.name) if operation.name else None
     replaced = _replaced(tables, operation, holder)
@@ -60,7 +63,7 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
 
 
 def _replaced(tables: Tables, operation: RegisterPeer, holder: PeerRecord | None) -> list[PeerRecord]:
-    """The live peers whose place this one takes: that of its id, and that of its name. Raises PEER_EXISTS."""
+    """The live peers that this one replaces: that of its id, and that of its name. Raises PEER_EXISTS."""
     same_id = tables.peers.by_id.get(operation.peer_id)
     found = {one.peer_id: one for one in (same_id, holder) if one is not None and one.alive}
     for before in found.values():
@@ -73,7 +76,7 @@ def _mailbox_of(tables: Tables, peer: PeerRecord) -> QueueRecord | None:
 
 
 def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: QueueRecord | None) -> QueueRecord:
-    """The mailbox as it will be. Where it is already, it stays, unless that host is gone."""
+    """The mailbox after the registration. An existing mailbox stays at its host, unless that host is gone."""
     shown = f"the mailbox of peer {operation.name}"
     if former is None:
         check_room(tables, shown)
@@ -109,7 +112,9 @@ def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Qu
 
 
 def _clear_away(tables: Tables, before: PeerRecord, peer_id: bytes, *, kept: QueueRecord | None) -> None:
-    """Another registration takes this one's place: its mailbox goes unless it is kept, and so does another id."""
+    """Remove what a replaced registration leaves: its mailbox unless it is kept, and its record if the id
+    is another.
+    """
     mailbox = _mailbox_of(tables, before)
     if mailbox is not None and (kept is None or mailbox.queue_id != kept.queue_id):
         tables.remove_queue(mailbox)
@@ -135,9 +140,9 @@ def _peer(tables: Tables, operation: RegisterPeer, mailbox: QueueRecord | None, 
 
 
 def deregister_peer(tables: Tables, operation: DeregisterPeer) -> None:
-    """A peer leaves: its name is free and its mailbox gone. Who is not there has left already.
+    """Deregister a peer: its name is free and its mailbox gone. A peer that is not registered has left already.
 
-    Raises LeaseExpired for another boot.
+    Raises LeaseExpired for another boot incarnation.
     """
     check_id(operation.peer_id, "peer_id")
     peer = tables.peers.by_id.get(operation.peer_id)
@@ -160,7 +165,10 @@ def check_peer_boot(peer: PeerRecord, boot_incarnation: int) -> None:
 
 
 def expire_peers(tables: Tables, operation: ExpirePeers, tenure: int) -> int:
-    """End the leases for which the words do not come too late: `tenure` is the one in force. Returns how many."""
+    """End the stated leases, except those that have changed since.
+
+    `tenure` is the present one. Returns their number.
+    """
     if operation.tenure != tenure:
         return 0
     return sum(_expire(tables, lease) for lease in sorted(operation.leases, key=attrgetter("peer_id")))

@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import HostRecord, QueueRecord, QueueSpe
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenQueue(Creation):
-    """Get or create a queue; the new ones are used if it is made or placed anew."""
+    """Get or create a queue. The `new_` fields are used if it is created or gets a new owner."""
 
     name: str
     spec: QueueSpec = field(default_factory=QueueSpec)
@@ -31,14 +31,14 @@ class UpdateQueue(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeleteQueue(Operation):
-    """Forget a queue."""
+    """Delete a queue."""
 
     queue_id: bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueOpened(Success):
-    """The queue and its owner; `created` by this very command."""
+    """The queue and its owner. `created`: this command created it."""
 
     queue: QueueRecord
     host: HostRecord
@@ -54,6 +54,6 @@ class QueueUpdated(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueDeleted(Success):
-    """The queue as it was last."""
+    """The queue as it was before its deletion."""
 
     queue: QueueRecord

@@ -1,7 +1,7 @@
-"""Where queues and mailboxes live, and what becomes of them when their host goes. Pure.
+"""The hosts of queues and mailboxes, and the effects of the loss of a host. Pure.
 
-A queue whose host is lost waits, like a channel, until somebody opens it. Nobody opens a mailbox, so that gets another
-live host in the very step that ends the lease, and those who send to it find it there.
+If the host of a queue is lost, the queue waits, like a channel, until somebody opens it. Nobody opens a mailbox. So the
+step that ends the host's lease moves its mailboxes to other live hosts, where senders find them.
 """
 
 from __future__ import annotations
@@ -15,8 +15,12 @@ from stampede_rt_supernode.core.tables import Tables
 
 
 def choose_host(tables: Tables, queue: str, host_name: str, former: str | None = None) -> HostRecord:
-    """The live host asked for; else the one that bears the `former` owner's name; else the one with the fewest channels
-    and queues, the first by name of several. Raises InvalidName, HostNotFound, or Unavailable with reason NO_HOST."""
+    """The host for a new or orphaned queue.
+
+    The requested live host; else the live host with the `former` owner's name; else the live host with the fewest
+    channels and queues, among equals the first by name. Raises InvalidName, HostNotFound, or Unavailable with reason
+    NO_HOST.
+    """
     if host_name:
         return host_by_name(tables, host_name)
     successor = tables.live_host_named(former) if former is not None else None
@@ -38,29 +42,34 @@ def _least_loaded(tables: Tables) -> HostRecord | None:
 
 
 def begun_anew(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueRecord:
-    """`queue` at `host`, empty: under the next epoch and another incarnation, `incarnation` unless it had that."""
+    """`queue` at `host`, empty, with the next epoch and another incarnation: `incarnation`, unless it had
+    that already.
+    """
     if incarnation == queue.incarnation:
         incarnation = (incarnation + 1) % 2**64 or 1
     return replace(queue, host_id=host.host_id, epoch=queue.epoch + 1, incarnation=incarnation)
 
 
 def renew_queues(tables: Tables, host: HostRecord, incarnation: int) -> None:
-    """A host has started anew: what it held is gone, and its queues and mailboxes begin anew where they are."""
+    """Begin the queues and mailboxes of a host anew at the same host, because a new start has lost their messages."""
     for queue in tables.queues.at(host.host_id):
         tables.put_queue(begun_anew(queue, host, incarnation))
 
 
 def rehouse_mailboxes(tables: Tables, host_id: bytes) -> None:
-    """The lease of a host has ended: its mailboxes go to live hosts, if there are any, and are empty there."""
+    """Move the mailboxes of a host whose lease has ended to live hosts, if there are any.
+
+    The mailboxes are empty there.
+    """
     for queue in tables.queues.at(host_id):
         host = _least_loaded(tables)
         if queue.mailbox_peer_id is not None and host is not None:
-            # The incarnation is random at first, and counted on.
+            # The incarnation is random at first and then counted up.
             tables.put_queue(begun_anew(queue, host, queue.incarnation))
 
 
 def house_waiting_mailboxes(tables: Tables) -> None:
-    """A live host is there again after there was none: the mailboxes of the lost ones need wait no longer."""
+    """Move the mailboxes of lost hosts to a live host, because there is one again after there was none."""
     lost = [host.host_id for host in tables.hosts.values() if not host.alive]
     for host_id in sorted(lost):
         rehouse_mailboxes(tables, host_id)

@@ -1,4 +1,4 @@
-"""Questions about queues: pages of many, and those of one host. Pure; O(page), and bounded whatever the pattern."""
+"""Questions about queues: pages of many, and those of one host. Pure. O(page), for any pattern."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from stampede_rt_supernode.core.records import HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 
 HOST_QUEUES_MAX = 1000
-# A position in a listing: whether it is among the mailboxes, which come last, and the name of the queue or of the peer.
+# A position in a listing: whether it is among the mailboxes, which come last, and the name of the queue or peer.
 Position = tuple[bool, str]
 BEGINNING: Position = (False, "")
 
 
 @dataclass(frozen=True, slots=True)
 class QueuePage:
-    """Queues in the order of names, then mailboxes in the order of their peers' names. `last`: the next page begins
-    behind it; None: this was the last."""
+    """Queues by name, then mailboxes by their peers' names.
+
+    The next page begins after `last`; None: this was the last.
+    """
 
     queues: tuple[QueueRecord, ...]
     hosts: tuple[HostRecord, ...]
@@ -28,9 +30,9 @@ class QueuePage:
 
 
 def queue_page(tables: Tables, glob: str, after: Position, queues_max: int, *, mailboxes: bool) -> QueuePage:
-    """Up to `queues_max` (0: the most) queues behind `after` whose names match, and their owners, each once.
+    """Up to `queues_max` (0: the limit) queues after `after` with matching names, and their owners, each once.
 
-    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for a bad pattern.
+    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
     """
     matches, limit = matcher(glob), min(queues_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     found: list[QueueRecord] = []
@@ -57,7 +59,7 @@ def _behind(tables: Tables, glob: str, after: Position, mailboxes: bool) -> Iter
 
 
 def _mailbox_of(tables: Tables, peer_name: str) -> QueueRecord:
-    """Of a live peer, which has a mailbox since it has a name."""
+    """The mailbox of a live peer. Every live peer with a name has one."""
     mailbox_id = tables.peers.by_id[tables.peers.ids[peer_name]].mailbox_queue_id
     assert mailbox_id is not None
     return tables.queues.by_id[mailbox_id]
@@ -68,5 +70,5 @@ def _owners(tables: Tables, queues: list[QueueRecord]) -> tuple[HostRecord, ...]
 
 
 def queues_of(tables: Tables, host_id: bytes) -> tuple[QueueRecord, ...]:
-    """The queues and mailboxes that a host owns, 1000 at most."""
+    """The queues and mailboxes that a host owns, at most 1000."""
     return tuple(islice(tables.queues.at(host_id), HOST_QUEUES_MAX))

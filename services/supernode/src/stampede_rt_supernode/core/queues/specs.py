@@ -1,7 +1,7 @@
-"""Which set-ups of a queue make sense, and which of two agree (paper, section 3.5). Pure.
+"""Checks which set-ups of a queue are possible, and which of two agree (paper, section 3.5). Pure.
 
-As for channels: a field that is None was never stated. What is stated holds from then on: opening the queue again may
-repeat it or leave it out, and only an update changes it.
+The rules are those of channels. A field that is None was never stated. A stated value holds from then on. A later open
+may repeat it or leave it out. Only an update changes it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from stampede_rt_supernode.core.validation import check_id
 ON_FULL = ("block", "reject", "drop_oldest")
 LIMITS = ("max_items", "max_bytes")
 MAILBOX_UNSTATED = QueueSpec(max_items=1024)
-# What holds for a field that was not stated; content_type has none, it binds nobody's items.
+# The values of unstated fields. content_type has none, because it binds no messages.
 IN_EFFECT_UNSTATED = {
     "max_bytes": 256 * 2**20,
     "on_full": "block",
@@ -36,7 +36,7 @@ _RANGES = {
 
 
 def check_queue_spec(queue: str, spec: QueueSpec) -> None:
-    """Raises InvalidArgument if a stated field can hold for no queue. `queue`: its name, or id."""
+    """Raises InvalidArgument if a stated field is possible for no queue. `queue`: its name or id."""
     for name, (low, high, allowed) in _RANGES.items():
         value = getattr(spec, name)
         if value is not None and not low <= value <= high:
@@ -61,7 +61,7 @@ def _invalid(queue: str, field: str, text: str) -> InvalidArgument:
 
 
 def stated(spec: QueueSpec) -> dict[str, int | str | bytes]:
-    """The fields that were stated."""
+    """The stated fields."""
     named = {field.name: getattr(spec, field.name) for field in fields(spec)}
     return {name: value for name, value in named.items() if value is not None}
 
@@ -72,10 +72,10 @@ def merge(held: QueueSpec, changes: QueueSpec) -> QueueSpec:
 
 
 def agree(queue: str, held: QueueSpec, asked: QueueSpec) -> QueueSpec:
-    """The set-up of `queue` after somebody opened it with `asked`, or QUEUE_EXISTS naming what contradicts.
+    """The set-up of `queue` after an open with the set-up `asked`. Raises QUEUE_EXISTS with the contradicting field.
 
-    A field stated before must be repeated or left out. One never stated is taken on while no limit was stated; later it
-    must be what is in effect, since taking it on would change what others put in and take out.
+    A stated field must be repeated or left out. A field that was never stated is taken over while no limit was stated.
+    Later it must equal the value in effect, because another value would affect other producers and takers.
     """
     provisional = all(getattr(held, name) is None for name in LIMITS)
     for name, value in stated(asked).items():
@@ -101,7 +101,7 @@ def _contradiction(queue: str, field: str, before: object, in_effect: object, va
 
 
 def _shown(field: str, value: object) -> str:
-    """A value as callers write it."""
+    """A value in the form in which callers write it."""
     if value is None:
         return "none"
     if isinstance(value, bytes):

@@ -12,14 +12,17 @@ Note = Callable[[ChangeKind, QueueRecord], None]
 
 
 class QueueTable:
-    """`note` is told of every change. Edit it through `Tables`, which forgets hosts that nothing belongs to."""
+    """The queues.
+
+    `note` is called with every change. Edit them through `Tables`, which removes hosts without channels.
+    """
 
     def __init__(self, queues: Iterable[QueueRecord], note: Note) -> None:
         self._note = note
         self.by_id: dict[bytes, QueueRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the queues that are no mailboxes
         self._ids_at: dict[bytes, set[bytes]] = {}  # by host id; only hosts that own a queue
-        self._feeding: dict[bytes, set[bytes]] = {}  # by the id of a dead-letter queue: the queues that name it
+        self._feeding: dict[bytes, set[bytes]] = {}  # by the id of a dead-letter queue: the queues that use it
         for queue in queues:
             self._link(queue)
 
@@ -27,24 +30,24 @@ class QueueTable:
         return len(self.by_id)
 
     def named(self, name: str) -> QueueRecord | None:
-        """The queue of that name, if there is one."""
+        """The queue of that name; None: there is none."""
         found = self.ids.get(name)
         return None if found is None else self.by_id[found]
 
     def at(self, host_id: bytes) -> list[QueueRecord]:
-        """The queues and mailboxes that a host owns, in the order of their ids."""
+        """The queues and mailboxes that a host owns, by id."""
         return [self.by_id[one] for one in sorted(self._ids_at.get(host_id, ()))]
 
     def count_at(self, host_id: bytes) -> int:
-        """How many queues and mailboxes a host owns."""
+        """The number of queues and mailboxes that a host owns."""
         return len(self._ids_at.get(host_id, ()))
 
     def feeding(self, queue_id: bytes) -> list[QueueRecord]:
-        """The queues whose dead-letter queue this is, in the order of their ids."""
+        """The queues whose dead-letter queue this is, by id."""
         return [self.by_id[one] for one in sorted(self._feeding.get(queue_id, ()))]
 
     def put(self, queue: QueueRecord) -> None:
-        """The queue of that id, which keeps its name if it is there, is now like this."""
+        """Add or replace the queue of that id, which keeps its name."""
         before = self.by_id.get(queue.queue_id)
         if before == queue:
             return
@@ -54,7 +57,7 @@ class QueueTable:
         self._note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, queue)
 
     def remove(self, queue: QueueRecord) -> None:
-        """Forget a queue that is there, and that is nobody's dead-letter queue."""
+        """Remove a queue that exists and that is no dead-letter queue of another."""
         self._unlink(queue)
         del self.by_id[queue.queue_id]
         self.ids.pop(queue.name, None)

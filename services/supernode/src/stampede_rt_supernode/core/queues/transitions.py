@@ -1,7 +1,7 @@
-"""The effects on the tables of opening, changing and forgetting a queue (paper, section 3.5). Pure.
+"""Opens, changes and deletes queues in the tables (paper, section 3.5). Pure.
 
-As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. Mailboxes
-come and go with their peers, see `peers.transitions`.
+As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. Mailboxes come
+and go with their peers, see `peers.transitions`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
 
 QUEUES_MAX = 200_000  # mailboxes included
-DEAD_LETTER_STEPS_MAX = 16  # from a queue to its dead-letter queue, to that one's, and so on
+DEAD_LETTER_STEPS_MAX = 16  # from a queue to its dead-letter queue, to the dead-letter queue of that one, and so on
 
 
 def check_open_queue(operation: OpenQueue) -> None:
@@ -45,7 +45,10 @@ def check_update_queue(operation: UpdateQueue) -> None:
 
 
 def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
-    """Get or create; a queue whose owner's lease has ended gets a new owner, epoch and incarnation, and no items."""
+    """Get or create a queue.
+
+    A queue whose owner's lease has ended gets a new owner, epoch and incarnation, and no messages.
+    """
     check_open_queue(operation)
     queue = tables.queues.named(operation.name)
     if queue is None:
@@ -60,7 +63,10 @@ def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
 
 
 def open_queue_unchanged(tables: Tables, operation: OpenQueue) -> QueueOpened | None:
-    """The answer to `operation` if it changes nothing, else None. Raises as `open_queue` does where that is certain."""
+    """The answer to `operation` if it changes nothing, else None.
+
+    Raises the errors of `open_queue` that are certain.
+    """
     check_open_queue(operation)
     queue = tables.queues.named(operation.name)
     if queue is None:
@@ -78,7 +84,7 @@ def _agreed(tables: Tables, queue: QueueRecord, asked: QueueSpec) -> QueueRecord
 
 
 def _with_spec(tables: Tables, queue: QueueRecord, spec: QueueSpec) -> QueueRecord:
-    """`queue` with this set-up, and a new version if it is another one."""
+    """`queue` with this set-up, and with a new version if the set-up differs."""
     if spec == queue.spec:
         return queue
     check_dead_letter(tables, queue.queue_id, queue.name or queue.queue_id.hex(), spec)
@@ -106,14 +112,14 @@ def _create(tables: Tables, operation: OpenQueue) -> QueueOpened:
 
 
 def check_room(tables: Tables, queue: str) -> None:
-    """Raises Overloaded if no further queue or mailbox can be made."""
+    """Raises Overloaded if there is no room for another queue or mailbox."""
     if len(tables.queues) >= QUEUES_MAX:
         text = f"{queue} cannot be created: the directory holds {QUEUES_MAX} queues, the limit; delete some"
         raise Overloaded(text, metadata={"queue": queue})
 
 
 def check_dead_letter(tables: Tables, queue_id: bytes, shown: str, spec: QueueSpec) -> None:
-    """The dead-letter queue is there, is no mailbox, and no item can come back to where it left by going on from it.
+    """Check that the dead-letter queue exists, is no mailbox, and does not lead back to the queue.
 
     Raises QUEUE_NOT_FOUND or InvalidArgument. `queue_id`, `shown`: the queue that names it.
     """
@@ -146,7 +152,7 @@ def update_queue(tables: Tables, operation: UpdateQueue) -> QueueUpdated:
 
 
 def _check_epoch(queue: QueueRecord, epoch: int) -> None:
-    """Raises StaleBinding with reason WRONG_EPOCH."""
+    """Raises StaleBinding with reason WRONG_EPOCH if the queue has another epoch."""
     if epoch != queue.epoch:
         shown = queue.name or queue.queue_id.hex()
         raise StaleBinding(
@@ -157,7 +163,7 @@ def _check_epoch(queue: QueueRecord, epoch: int) -> None:
 
 
 def delete_queue(tables: Tables, operation: DeleteQueue) -> QueueDeleted:
-    """Forget it; its name is free again."""
+    """Delete a queue. Its name is free again."""
     queue = queue_by_id(tables, operation.queue_id)
     shown = queue.name or queue.queue_id.hex()
     if queue.mailbox_peer_id is not None:

@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import HostRecord, ReplicaKind, ReplicaR
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AddReplica(Operation):
-    """Put a copy at a host. `host_id` empty: the directory chooses; `source_host_id` empty: the owner feeds it."""
+    """Add a copy at a host. `host_id` empty: the directory chooses. `source_host_id` empty: the owner feeds it."""
 
     channel_id: bytes
     epoch: int
@@ -22,7 +22,7 @@ class AddReplica(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveReplica(Operation):
-    """Take a copy away."""
+    """Remove a copy."""
 
     channel_id: bytes
     host_id: bytes
@@ -30,7 +30,7 @@ class RemoveReplica(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetReplicaInSync(Operation):
-    """The owner of `epoch` says whether the warm replica of that host and boot is in sync."""
+    """The owner of `epoch` reports whether the warm replica of that host and boot is in sync."""
 
     channel_id: bytes
     epoch: int
@@ -41,7 +41,7 @@ class SetReplicaInSync(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaAdded(Success):
-    """The copy, and the host that is to hold it."""
+    """The copy, and its host."""
 
     replica: ReplicaRecord
     host: HostRecord

@@ -1,7 +1,7 @@
-"""How busy owners and copies are, as their hosts last told the leader (paper, section 4.1). Pure: methods take `now`,
-nanoseconds of a clock that never jumps.
+"""The loads of owners and copies, as their hosts last reported them to the leader (paper, section 4.1).
 
-Nothing of it is in the log: a new leader hears it all within two reports.
+Pure: methods take `now`, nanoseconds of a clock that never jumps. Loads are not in the log. A new leader gets all of
+them within two reports.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ REPORT_LOADS_MAX = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaLoad:
-    """The load of the owner or a copy of a channel at a host; `lag_nanos` is 0 for the owner."""
+    """The load of the owner or a copy of a channel at a host. `lag_nanos` is 0 for the owner."""
 
     channel_id: bytes
     host_id: bytes
@@ -26,34 +26,37 @@ class ReplicaLoad:
 
 
 class ReplicaLoads:
-    """One leader's knowledge. Whoever calls `note` has checked that the host holds what it tells of; so there are never
-    more entries than owners and copies have been within LOAD_AGE_NANOS_MAX."""
+    """One leader's knowledge of loads.
+
+    The caller of `note` must check that the host holds the channels that it reports. So the number of entries is
+    bounded by the owners and copies of the last LOAD_AGE_NANOS_MAX.
+    """
 
     def __init__(self) -> None:
         self._tenure = 0
-        self._loads: dict[bytes, dict[bytes, tuple[int, ReplicaLoad]]] = {}  # channel id -> host id -> when, what
+        self._loads: dict[bytes, dict[bytes, tuple[int, ReplicaLoad]]] = {}  # channel id -> host id -> time, load
         self._swept_nanos = 0
 
     def lead(self, tenure: int) -> None:
-        """Loads from another tenure, or from before this supernode led, are of no worth."""
+        """Forget the loads of another tenure, or of the time before this supernode led."""
         if tenure != self._tenure:
             self._tenure = tenure
             self._loads.clear()
 
     def note(self, loads: Iterable[ReplicaLoad], now: int) -> None:
-        """They were told just now."""
+        """Note loads reported just now."""
         self._sweep(now)
         for load in loads:
             self._loads.setdefault(load.channel_id, {})[load.host_id] = (now, load)
 
     def of(self, channel_id: bytes, host_ids: Iterable[bytes], now: int) -> list[ReplicaLoad]:
-        """The loads that these hosts told of a channel within LOAD_AGE_NANOS_MAX, the least loaded first."""
+        """The loads that these hosts reported for a channel within LOAD_AGE_NANOS_MAX, the least loaded first."""
         told = self._loads.get(channel_id, {})
         fresh = [told[one] for one in host_ids if one in told and now - told[one][0] <= LOAD_AGE_NANOS_MAX]
         return sorted((load for _, load in fresh), key=_weight)
 
     def _sweep(self, now: int) -> None:
-        """Forget what is too old, at most once in LOAD_AGE_NANOS_MAX: O(1) for each load told, in the long run."""
+        """Forget loads that are too old, at most once in LOAD_AGE_NANOS_MAX. Amortised O(1) for each report."""
         if now - self._swept_nanos <= LOAD_AGE_NANOS_MAX:
             return
         self._swept_nanos = now

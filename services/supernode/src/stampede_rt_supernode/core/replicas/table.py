@@ -9,25 +9,27 @@ from stampede_rt_supernode.core.records import ReplicaRecord
 
 
 class ReplicaTable:
-    """One copy of a channel at a host, never at its owner. Whoever edits it keeps `Channel.proxy_host_ids` in step;
-    see `replica_transitions.store`."""
+    """At most one copy of a channel at a host, and none at its owner.
+
+    The editor must keep `Channel.proxy_host_ids` equal to it; see `transitions.store`.
+    """
 
     def __init__(self, replicas: Iterable[ReplicaRecord] = ()) -> None:
-        self._by_channel: dict[bytes, tuple[ReplicaRecord, ...]] = {}  # never an empty tuple; as they were added
+        self._by_channel: dict[bytes, tuple[ReplicaRecord, ...]] = {}  # never an empty tuple; in the order of addition
         self._channel_ids_at: dict[bytes, set[bytes]] = {}  # by host id; only hosts that hold a copy
         for replica in replicas:
             self.store(replica.channel_id, (*self.of(replica.channel_id), replica))
 
     def of(self, channel_id: bytes) -> tuple[ReplicaRecord, ...]:
-        """The copies of a channel, as they were added."""
+        """The copies of a channel, in the order of addition."""
         return self._by_channel.get(channel_id, ())
 
     def entries(self) -> list[tuple[bytes, tuple[ReplicaRecord, ...]]]:
-        """(channel id, its copies) in the order of ids; only channels with a copy."""
+        """(channel id, its copies), by id. Only channels with a copy."""
         return sorted(self._by_channel.items(), key=itemgetter(0))
 
     def at(self, channel_id: bytes, host_id: bytes) -> ReplicaRecord | None:
-        """The copy of a channel at a host, if there is one."""
+        """The copy of a channel at a host; None: there is none."""
         return next((one for one in self.of(channel_id) if one.host_id == host_id), None)
 
     def channel_ids_at(self, host_id: bytes) -> list[bytes]:
@@ -35,11 +37,11 @@ class ReplicaTable:
         return sorted(self._channel_ids_at.get(host_id, ()))
 
     def count_at(self, host_id: bytes) -> int:
-        """How many copies a host holds."""
+        """The number of copies that a host holds."""
         return len(self._channel_ids_at.get(host_id, ()))
 
     def store(self, channel_id: bytes, replicas: tuple[ReplicaRecord, ...]) -> None:
-        """These are the copies of the channel now; perhaps none."""
+        """Set the copies of a channel, perhaps none."""
         for gone in self._by_channel.pop(channel_id, ()):
             held = self._channel_ids_at[gone.host_id]
             held.discard(channel_id)

@@ -1,7 +1,7 @@
-"""The effects on the tables of adding, judging and removing copies of channels (paper, section 4.1). Pure.
+"""Adds, changes and removes copies of channels in the tables (paper, section 4.1). Pure.
 
-As in `channels.transitions`, a function either raises a StampedeError and has changed nothing, or is done. What
-becomes of copies when hosts and owners go is in `takeover`.
+As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. For the effects
+of hosts and owners that go, see `takeover`.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def check_set_in_sync(operation: SetReplicaInSync) -> None:
 
 
 def check_epoch(channel: ChannelRecord, epoch: int) -> None:
-    """Raises StaleBinding with reason WRONG_EPOCH."""
+    """Raises StaleBinding with reason WRONG_EPOCH if the channel has another epoch."""
     if epoch != channel.epoch:
         raise StaleBinding(
             f"channel {channel.name} is at epoch {channel.epoch}, not {epoch}: it has another host now; "
@@ -62,7 +62,7 @@ def check_epoch(channel: ChannelRecord, epoch: int) -> None:
 
 
 def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
-    """Note a copy; one of the same kind that is there already is the answer."""
+    """Add a copy. An existing copy of the same kind is the answer."""
     check_add_replica(operation)
     channel = channel_by_id(tables, operation.channel_id)
     check_epoch(channel, operation.epoch)
@@ -88,7 +88,9 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
 
 
 def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> HostRecord:
-    """The live host asked for; else the live one with the fewest channels and copies that has none of this channel."""
+    """The requested live host; else the live host with the fewest channels and copies that has no copy of
+    this channel.
+    """
     if host_id:
         host = tables.hosts.get(host_id)
         if host is None or not host.alive:
@@ -137,7 +139,7 @@ def _source(tables: Tables, channel: ChannelRecord, operation: AddReplica) -> by
 
 
 def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
-    """Take a copy away, if it is there; what it fed is fed by the owner from now on."""
+    """Remove a copy, if there is one. The owner feeds the copies that it fed."""
     check_remove_replica(operation)
     channel = channel_by_id(tables, operation.channel_id)
     drop_copy(tables, channel, operation.host_id)
@@ -145,7 +147,7 @@ def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
 
 
 def drop_copy(tables: Tables, channel: ChannelRecord, host_id: bytes) -> None:
-    """Forget the copy of `channel` at a host, if there is one."""
+    """Remove the copy of `channel` at a host, if there is one."""
     held = tables.replicas.of(channel.channel_id)
     left = tuple(one for one in held if one.host_id != host_id)
     if left != held:
@@ -158,15 +160,18 @@ def _fed(replica: ReplicaRecord, gone: set[bytes], owner: bytes) -> ReplicaRecor
 
 
 def adopted(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
-    """The copies of a channel that gets another owner or begins anew, as `after` has them: the owner's own is none any
-    more, what the former one fed is fed by the new one, and nobody is in sync with an owner that has just begun."""
+    """The copies of a channel that gets another owner or begins anew as `after`.
+
+    The new owner's own copy is gone. The new owner feeds the copies that the former owner fed. No copy is in sync with
+    an owner that has just begun.
+    """
     left = (one for one in tables.replicas.of(before.channel_id) if one.host_id != after.host_id)
     moved = (_fed(one, {before.host_id, after.host_id}, after.host_id) for one in left)
     return tuple(replace(one, in_sync=False, epoch=after.epoch) for one in moved)
 
 
 def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord, ...]) -> None:
-    """`channel` is now like this, with these copies; watchers hear of it if its record is another."""
+    """Store `channel` with these copies. Notes a change for watchers if its record differs."""
     tables.replicas.store(channel.channel_id, replicas)
     host_ids = tuple(one.host_id for one in replicas)
     told = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
@@ -175,8 +180,11 @@ def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord,
 
 
 def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet:
-    """Compare epoch and boot, and set. Clearing it is in the log before a put is acknowledged without the replica, and
-    a late word of a former owner has another epoch: a replica that takes over has everything that was acknowledged."""
+    """Set or clear "in sync", if epoch and boot incarnation agree.
+
+    The owner clears it in the log before it acknowledges a put without the replica. A late report of a former owner has
+    another epoch. So a replica that becomes the owner has all acknowledged items.
+    """
     check_set_in_sync(operation)
     channel = channel_by_id(tables, operation.channel_id)
     check_epoch(channel, operation.epoch)

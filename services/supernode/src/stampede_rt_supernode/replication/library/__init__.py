@@ -1,5 +1,5 @@
-"""PySyncObj, and all that knows it: no other folder does.
+"""PySyncObj, and all code that knows it. No other folder does.
 
-`pinned_copy` loads the library, `node` gives its Raft node the words of the Raft paper, and `seams` puts our log, our
-snapshots and our transport where the library expects its own.
+`pinned_copy` loads the library. `node` gives its Raft node the names of the Raft paper. `seams` puts our log, our
+snapshots and our transport in the place of the library's own.
 """

@@ -1,4 +1,4 @@
-"""Puts a node of the library together, under rules that stand before its class in the order of methods."""
+"""Builds a node of the library. Our rules stand before the library's class in the order of methods."""
 
 from __future__ import annotations
 
@@ -20,14 +20,17 @@ class Assembly:
 
     def __init__(self, *, clock: Callable[[], float], random_source: RandomSource) -> None:
         self._library = load_library(clock=clock, random_source=random_source)
-        # The library walks over sets of members: a hash of our own keeps that order the same in every process, and a
-        # simulated run replayable.
+        # The library walks over sets of members. This hash gives the same order in every process, so that a simulated
+        # run can be repeated.
         self.make_member: Callable[[str], Any] = type(
             "MemberNode", (self._library.Node,), {"__hash__": lambda member: zlib.crc32(member.id.encode())}
         )
 
     def allocate(self, rules: type) -> Any:
-        """A node without state. The library's constructor already calls back: attach what its methods need first."""
+        """A node without state.
+
+        Attach the objects that its methods need before `construct`: the library's constructor calls back.
+        """
         node_class: Any = type("RaftNode", (rules, self._library.SyncObj), {})
         return node_class.__new__(node_class)
 
@@ -41,14 +44,14 @@ class Assembly:
         keeper: SnapshotKeeper,
         transport: BufferedTransport,
     ) -> None:
-        """Run the library's constructor: a follower with what `log` holds, and no snapshot open yet."""
+        """Run the library's constructor. Makes a follower with the contents of `log`, and no open snapshot."""
         serializer = LibrarySerializer(keeper, log)
         conf = self._conf(settings, LibraryLog(log), serializer)
         self_member = self.make_member(settings.self_member.member_id)
         node.__init__(self_member, others, conf=conf, transport=LibraryTransport(transport))
 
     def _conf(self, settings: ReplicationSettings, log: LibraryLog, serializer: LibrarySerializer) -> Any:
-        """The library's configuration, every value that matters named."""
+        """The library's configuration, with every value that matters."""
         timing = settings.timing
         return self._library.SyncObjConf(
             autoTick=False,

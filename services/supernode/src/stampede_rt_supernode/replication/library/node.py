@@ -1,8 +1,8 @@
-"""The Raft node of PySyncObj in the words of the Raft paper (Ongaro and Ousterhout 2014, figure 2).
+"""The Raft node of PySyncObj with the names of the Raft paper (Ongaro and Ousterhout 2014, figure 2).
 
-This module alone knows the private names of the library: `_SyncObj__raftCurrentTerm` is `term` from here on, and a
-private method that the library calls is a method with a plain name. Without a rule above it, the node does what the
-unchanged library does. pinned_copy.py proves that the library is the one with these names.
+Only this module knows the private names of the library. Other modules use `term` for `_SyncObj__raftCurrentTerm`, and a
+method with a plain name for a private method that the library calls. Without rules above it, the node behaves like the
+unchanged library. pinned_copy.py proves that the installed library has these names.
 """
 
 # The library's own names are in camelCase.
@@ -28,7 +28,7 @@ FOLLOWER, CANDIDATE, LEADER = 0, 1, 2
 
 
 class RandomSource(Protocol):
-    """Where election timeouts get their randomness."""
+    """The source of randomness for election timeouts."""
 
     def random(self) -> float:
         """A number in [0, 1)."""
@@ -37,7 +37,7 @@ class RandomSource(Protocol):
 class Fate(enum.Enum):
     """The fate of a command without a result."""
 
-    # It is certainly not in the log, or was cut off the log before anybody applied it.
+    # It is certainly not in the log, or was cut off the log before any member applied it.
     NOT_TAKEN = enum.auto()
     # It may be in the log.
     UNKNOWN = enum.auto()
@@ -45,9 +45,9 @@ class Fate(enum.Enum):
 
 ProposalDone = Callable[[bytes | Fate], None]
 
-# The library's FAIL_REASON numbers. A command was not taken when its queue was full, no leader was known, its entry was
-# discarded, the leader refused, or the state does not take it yet. Nothing is known after a change of the leader, or
-# when the library says so.
+# The library's FAIL_REASON numbers. A command was not taken in five cases: its queue was full, no leader was known, its
+# entry was discarded, the leader refused it, or the state does not accept it yet. Its fate is unknown after a change of
+# the leader, or if the library says so.
 _SUCCESS = 0
 _REASON_DENIED = 6
 _REASONS_NOT_TAKEN = frozenset((1, 2, 3, 4, _REASON_DENIED))
@@ -72,8 +72,9 @@ class _Private(Generic[T]):
 class LibraryNode:
     """Stands before the library's class in the order of methods. Tick thread only.
 
-    The library's constructor runs last: what its methods need is attached before (see rules/node_builder.py). A member
-    is a node of the library with an `id`; sets and dictionaries of members leave this node out.
+    The library's constructor runs last, so the objects that its methods need are attached before (see
+    rules/node_builder.py). A member is a node of the library with an `id`. Sets and dictionaries of members leave this
+    node out.
     """
 
     term = _Private[int]("raftCurrentTerm")
@@ -81,19 +82,19 @@ class LibraryNode:
     votes_count = _Private[int]("votesCount")
     # FOLLOWER, CANDIDATE or LEADER.
     role = _Private[int]("raftState")
-    # Whom this node follows, itself, or None.
+    # The leader that this node follows, itself, or None.
     leader = _Private[MemberNode | None]("raftLeader")
-    # Everybody who votes with this node.
+    # All members that vote, without this node.
     other_voters = _Private[set[MemberNode]]("otherNodes")
-    # To whom messages leave at present.
+    # The members to which messages can be sent at present.
     connected = _Private[set[MemberNode]]("connectedNodes")
-    # By the clock that was given to `load_library`.
+    # By the clock given to `load_library`.
     election_deadline = _Private[float]("raftElectionDeadline")
     commit_index = _Private[int]("raftCommitIndex")
-    # As the leader said last.
+    # As in the leader's last message.
     leader_commit_index = _Private[int]("leaderCommitIndex")
     last_applied = _Private[int]("raftLastApplied")
-    # Of the leader, by member.
+    # Of a leader, by member.
     next_index = _Private[dict[MemberNode, int]]("raftNextIndex")
     match_index = _Private[dict[MemberNode, int]]("raftMatchIndex")
     last_response_time = _Private[dict[MemberNode, float]]("lastResponseTime")
@@ -119,7 +120,7 @@ class LibraryNode:
 
     @property
     def log(self) -> RaftLog:
-        """Entries, term and vote on their way to the disk."""
+        """The entries, term and vote, including those still on their way to the disk."""
         return self._SyncObj__raftLog.log
 
     @property
@@ -127,80 +128,84 @@ class LibraryNode:
         """Whether this node leads, as far as it knows."""
         return self.role == LEADER
 
-    # -- what the rules have the library do ------------------------------------------------------------------------
+    # -- operations that the rules ask of the library --------------------------------------------------------------
 
     def tick(self) -> None:
-        """Do what is due: stand for election, commit, apply, send, and begin a snapshot."""
+        """Do everything that is due: stand for election, commit, apply, send, and begin a snapshot."""
         self.doTick(0.0)
 
     def set_term(self, term: int, voted_for: str | None) -> None:
-        """Enter a term with a vote, or without one."""
+        """Enter a term, with or without a vote."""
         self._SyncObj__setCurrentTerm(term, voted_for)
 
     def become_follower(self, term: int) -> None:
-        """Follow nobody yet, in `term` if that is newer."""
+        """Become a follower without a known leader, in `term` if that is newer."""
         if term > self.term:
             self.set_term(term, None)
         self.set_role(FOLLOWER)
         self.leader = None
 
     def become_leader(self) -> None:
-        """Lead, and begin with an empty entry of this term."""
+        """Become the leader, and append an empty entry of this term."""
         self._SyncObj__onBecomeLeader()
 
     def put_off_election(self) -> None:
-        """Wait for a new election timeout, drawn at random."""
+        """Wait for a new, random election timeout."""
         self.election_deadline = self.clock() + self._SyncObj__generateRaftTimeout()
 
     def raise_commit_index(self, log_index: int) -> None:
-        """Take everything up to a position for committed."""
+        """Treat all entries up to a position as committed."""
         if log_index > self.commit_index:
             self.commit_index = log_index
             self.log.commit_index = log_index
 
     def propose(self, command: bytes, done: ProposalDone) -> None:
-        """Put a command into the log, or send it to the leader. `done` is called with the result, or with its fate."""
+        """Put a command into the log, or send it to the leader. Calls `done` with the result or the fate."""
         self._applyCommand(command, lambda result, reason: done(_outcome(result, reason)), COMMAND)
 
     def give_up_forwarded(self) -> None:
-        """The leader that this node sent commands to is another one now: their callers learn that nothing is known."""
+        """Report an unknown fate for commands that were sent to the former leader, because there is another
+        leader now.
+        """
         self._SyncObj__onLeaderChanged()
 
     def callers_waiting_count(self) -> int:
-        """Of how many positions callers wait to hear that they are committed."""
+        """The number of positions whose commit callers wait for."""
         return len(self._SyncObj__commandsWaitingCommit)
 
     def disown_forwarded(self, request_id: int) -> None:
-        """The caller of a forwarded command learns that nothing is known."""
+        """Report an unknown fate to the caller of a forwarded command."""
         callback = self._SyncObj__commandsWaitingReply.pop(request_id, None)
         if callback is not None:
             callback(None, _REASON_UNKNOWN)
 
     def give_up_waiting(self, log_index: int) -> None:
-        """A snapshot has jumped over the commands up to a position: their callers learn that nothing is known."""
+        """Report an unknown fate for commands up to a position, because a snapshot has replaced them."""
         waiting = self._SyncObj__commandsWaitingCommit
         for index in [index for index in waiting if index <= log_index]:
             for _, callback in waiting.pop(index):
                 callback(None, _REASON_UNKNOWN)
 
     def put_off_heartbeat(self) -> None:
-        """The next heartbeat is due a period from now."""
+        """Set the next heartbeat to one period from now."""
         self._SyncObj__newAppendEntriesTime = self.clock() + self.conf.appendEntriesPeriod
 
     def request_snapshot(self) -> None:
-        """Take a snapshot with one of the next ticks, however short the log is."""
+        """Take a snapshot in one of the next ticks, however short the log is."""
         self.forceLogCompaction()
 
     def skip_own_restore(self) -> None:
-        """The snapshot is loaded already: the library would do it in its first tick, swallow every failure, and start
-        empty."""
+        """Keep the library from loading the snapshot, which is loaded already.
+
+        The library would load it in its first tick, hide every failure, and start empty.
+        """
         self._SyncObj__needLoadDumpFile = False
 
     def number_forwarded_after(self, request_id: int) -> None:
-        """Commands that this node forwards count from here on."""
+        """Number the commands that this node forwards from here on."""
         self._SyncObj__commandsLocalCounter = request_id
 
-    # -- what the library calls, and rules replace -----------------------------------------------------------------
+    # -- operations that the library calls, and rules replace ------------------------------------------------------
 
     def receive(self, node: MemberNode, message: Message) -> None:
         """Handle a member's message."""
@@ -211,15 +216,15 @@ class LibraryNode:
         super()._SyncObj__setState(role)  # type: ignore[misc]
 
     def send_append_entries(self) -> None:
-        """Send every member what it lacks, or a heartbeat."""
+        """Send every member the entries that it lacks, or a heartbeat."""
         super()._SyncObj__sendAppendEntries()  # type: ignore[misc]
 
     def take_snapshot_if_due(self) -> None:
-        """Begin a snapshot when the log has grown long, and go on with one that was begun."""
+        """Begin a snapshot if the log has grown long, and continue a snapshot under way."""
         super()._SyncObj__tryLogCompaction()  # type: ignore[misc]
 
     def on_connected(self, node: MemberNode) -> None:
-        """Messages to a member leave from now on."""
+        """Messages to a member can be sent from now on."""
         self._SyncObj__onNodeConnected(node)
 
     def on_disconnected(self, node: MemberNode) -> None:
@@ -227,23 +232,23 @@ class LibraryNode:
         self._SyncObj__onNodeDisconnected(node)
 
     def on_stream_opened(self, node: MemberNode) -> None:
-        """A member has opened a new stream; the library does not care."""
+        """A member has opened a new stream. The library needs no action."""
 
     def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
-        """A member has said who the members are; the library does not care."""
+        """A member has told its view of the members. The library needs no action."""
 
     def on_disputed(self, member_id: str, why: str) -> None:
-        """A member refuses this one's store, or takes it again; the library does not care."""
+        """A member refuses this one's store, or accepts it again. The library needs no action."""
 
     def on_introduced(self, member: Member) -> None:
-        """A stranger has said that it is a member; the library does not care."""
+        """An unknown node has said that it is a member. The library needs no action."""
 
     def apply(self, log_index: int, command: bytes) -> bytes:
         """Apply a committed command."""
         return self.state_machine.apply(log_index, command)
 
     def _applyCommand(self, command: bytes, callback: Any, commandType: int | None = None) -> None:
-        # Of this member's callers, or forwarded to it; only the latter has the byte for its kind.
+        # a command of this member, or one forwarded to it; only the latter has a byte for its kind
         if self.state_machine.takes(command if commandType is not None else command[1:]):
             super()._applyCommand(command, callback, commandType)  # type: ignore[misc]
         else:
@@ -259,7 +264,7 @@ class LibraryNode:
         self.take_snapshot_if_due()
 
     def _SyncObj__doApplyCommand(self, command: bytes) -> bytes | None:
-        # The library unpickles here and picks a method by number.
+        # the library unpickles here and picks a method by number
         return self.apply(self.last_applied + 1, command[1:]) if command[0] == COMMAND else None
 
 

@@ -1,8 +1,8 @@
-"""The one door to PySyncObj: its Raft module, pinned, as a private copy whose seams are ours.
+"""Loads PySyncObj: its Raft module, in a pinned version, as a private copy with our own clock, log and so on.
 
-The library binds its clock, its random source, its pickle, its log and its poller as module globals. Running the
-module's code once more in a namespace of our own lets us bind others there, and leaves the copy that anyone
-else may import as it was. Because we override private methods by name, the file itself is pinned.
+The library binds its clock, its random source, its pickle, its log and its poller as module globals. This module runs
+the library's code once more in a namespace of its own, and binds other objects there. The copy that others may import
+stays unchanged. Because we override private methods by name, the version of the file is pinned.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ PINNED_SHA256 = "e8bdf06797085d734df86e24ab4802fe87893dff77268565ec036f7ad4a1cfe
 
 
 class LibraryMismatch(RuntimeError):
-    """The installed PySyncObj is not the one whose faults were studied."""
+    """The installed PySyncObj is not the version whose faults were studied."""
 
 
 class _NoPickle:
-    """Stands where the library expects pickle. Nothing that we configure reaches it; if something does, stop."""
+    """Replaces pickle in the library. Our configuration never reaches it; any use is an error."""
 
     def loads(self, data: object) -> NoReturn:
         raise RuntimeError("the replicated log never unpickles")
@@ -36,7 +36,7 @@ class _NoPickle:
 
 
 class _NoPoller:
-    """Stands where the library expects a socket poller: our transport has no sockets on the tick thread."""
+    """Replaces the library's socket poller. Our transport has no sockets on the tick thread."""
 
     def poll(self, timeout: float) -> None:
         """Return at once."""
@@ -65,11 +65,10 @@ def _pinned_code() -> CodeType:
 
 
 def load_library(*, clock: Callable[[], float], random_source: RandomSource) -> Any:
-    """A private copy of the library's Raft module that reads `clock` (seconds, monotonic) and draws from
-    `random_source`.
+    """A private copy of the library's Raft module.
 
-    Raises LibraryMismatch. RaftLog and snapshot keeper are handed in through the configuration: as
-    `journalFile` and as `serializer`.
+    It reads `clock` (seconds, monotonic) and draws random numbers from `random_source`. Raises LibraryMismatch. The log
+    and the snapshot keeper go in through the configuration: as `journalFile` and as `serializer`.
     """
     module: Any = ModuleType("pysyncobj.stampede_private_copy")
     module.__package__ = "pysyncobj"

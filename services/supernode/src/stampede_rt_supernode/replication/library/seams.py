@@ -1,4 +1,4 @@
-"""Our log, snapshots and transport where the library expects its own.
+"""Our log, snapshots and transport, in the form that the library expects.
 
 The names in camelCase, one of them misspelt, are the library's public ones.
 """
@@ -21,7 +21,7 @@ _NOT_SERIALIZING, _SERIALIZING, _SUCCESS = 0, 1, 2
 
 
 class LibraryLog:
-    """The library's log. It counts entries from the first one held."""
+    """The library's log. It counts entries from the first held one."""
 
     def __init__(self, log: RaftLog) -> None:
         self.log = log
@@ -45,12 +45,12 @@ class LibraryLog:
         self.log.clear()
 
     def deleteEntriesFrom(self, entryFrom: int) -> None:
-        """Forget the entries from one on."""
+        """Remove the entries from position `entryFrom` on."""
         if entryFrom < len(self.log):
             self.log.cut_from(self.log[entryFrom].log_index)
 
     def deleteEntriesTo(self, entryTo: int) -> None:
-        """Nothing: a snapshot that is adopted has cut the log off already."""
+        """Do nothing, because the adoption of a snapshot has already cut the log off."""
         if entryTo > 0:
             raise AssertionError(f"the library wants to cut off {entryTo} entries that no snapshot stands for")
 
@@ -75,21 +75,24 @@ class LibraryLog:
         return self.log.voted_for
 
     def onOneSecondTimer(self) -> None:
-        """Called about once a second; the library's own log saves its commit index here."""
+        """Called about once a second. The library's own log saves its commit index here."""
         self.log.flush_promises()
 
 
 class LibrarySerializer:
-    """The library's serializer. Only the unchanged library has it take in snapshots; our rules do that themselves."""
+    """The library's serializer.
+
+    Only the unchanged library uses it to receive snapshots. Our rules receive them themselves.
+    """
 
     def __init__(self, keeper: SnapshotKeeper, log: RaftLog) -> None:
         self._keeper = keeper
         self._log = log
-        # The snapshot that came in last and is not open yet.
+        # The last received snapshot, as long as it is not open.
         self._received: StoredSnapshot | None = None
 
     def checkSerializing(self) -> tuple[int, int | None]:
-        """How far the present snapshot is, and the first entry that the log keeps once the snapshot is adopted."""
+        """The state of the present snapshot, and the first entry that the log keeps once the snapshot is adopted."""
         first = self._keeper.go_on_taking()
         if first is not None:
             return _SUCCESS, first.log_index
@@ -101,7 +104,7 @@ class LibrarySerializer:
         self._keeper.begin_taking(previous=Entry(*previous), last=Entry(*last))
 
     def setTransmissionData(self, data: Any) -> bool:
-        """Take in a piece; True when the snapshot is whole and its checksum holds."""
+        """Take in a piece. Returns True if the snapshot is complete and its checksum is right."""
         self._received = self._keeper.take_in(data)
         return self._received is not None
 
@@ -113,13 +116,15 @@ class LibrarySerializer:
         return None, snapshot.last, snapshot.previous, []
 
     def cancelTransmisstion(self, id_: Any) -> None:
-        """Start from the beginning with this member next time."""
+        """Next time, send this member the snapshot from the beginning."""
         self._keeper.cancel_sending(id_.id)
 
 
 class LibraryTransport:
-    """The library's transport. What comes in goes to the node past it; the library's remote administration, and
-    anonymous read-only members, are never reached.
+    """The library's transport.
+
+    Incoming messages reach the node another way. The library's remote administration, and anonymous read-only members,
+    are never reached.
     """
 
     ready = True
@@ -128,11 +133,11 @@ class LibraryTransport:
         self._transport = transport
 
     def send(self, node: Any, message: LibraryMessage) -> bool:
-        """Queue a message; False when the member is not connected."""
+        """Queue a message. Returns False if the member is not connected."""
         return self._transport.send(node, from_library(message))
 
     def _ignore(self, *callbacks: Any) -> None:
-        """The library offers to be called; nobody will."""
+        """Ignore the callbacks that the library registers. They are never called."""
 
     setOnMessageReceivedCallback = setOnNodeConnectedCallback = setOnNodeDisconnectedCallback = _ignore
     setOnReadonlyNodeConnectedCallback = setOnReadonlyNodeDisconnectedCallback = setOnUtilityMessageCallback = _ignore

@@ -1,7 +1,7 @@
-"""Between the library's message dictionaries and ours. They leave the library, and enter it, nowhere else.
+"""Converts between the library's message dictionaries and ours, on their way out of and into the library.
 
-Under our rules the library itself asks for votes, and sends and takes in forwarded commands. The unchanged library does
-more, as the tests show that hold its faults against our rules.
+Under our rules the library itself only asks for votes, and sends and receives forwarded commands. The unchanged library
+does more; the tests that compare its faults with our rules need that.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def from_library(message: LibraryMessage) -> Message:
 
 
 def to_library(message: Message) -> LibraryMessage:
-    """The library's message. Raises KeyError for one that it does not know."""
+    """The library's message. Raises KeyError for a message that the library does not know."""
     kind, body = _TO_LIBRARY[type(message)]
     return {"type": kind, **body(message)}
 
