@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-# The first byte of an entry's command. The library's own entries for members, pickles, would also be of kind 2; it is
-# told not to look at them.
+# The first byte of an entry's command. The library's own member entries, which are pickles, would also be of kind 2.
+# The library is configured to ignore them.
 COMMAND, NO_OP, CONFIGURATION = 0, 1, 2
 
 
 class Entry(NamedTuple):
-    """One position of the log. The order of the fields is the library's: it indexes entries by number."""
+    """One position of the log. The order of the fields is the library's, which indexes entries by number."""
 
     command: bytes
     log_index: int

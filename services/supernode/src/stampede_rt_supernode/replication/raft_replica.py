@@ -1,6 +1,6 @@
 """One replica of the log: arrivals, node, log and outbox, driven by `step`.
 
-Clock, random source, network and store come from outside. The simulator therefore runs the code of production.
+Clock, random source, network and store come from outside. So the simulator runs the same code as production.
 """
 
 from __future__ import annotations
@@ -28,26 +28,27 @@ from stampede_rt_supernode.replication.wire.buffered_transport import NetworkEve
 
 
 class RaftNetwork(Protocol):
-    """Where a replica's messages leave."""
+    """Sends a replica's messages."""
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Send in order, at most once; never blocks."""
+        """Send in order, at most once. Never blocks."""
 
     def has_room(self, member_id: str) -> bool:
-        """Whether the queue to this member takes another piece of a snapshot."""
+        """Whether the queue to this member accepts another piece of a snapshot."""
 
     def drop(self, member_id: str, why: str) -> None:
-        """End the stream of a member that does not keep to the rules, and log it; never blocks."""
+        """End the stream of a member that breaks the protocol, and log it. Never blocks."""
 
     def follow(self, roster: MemberRoster) -> None:
-        """Keep a link to every peer from now on, and to nobody else; never blocks."""
+        """From now on keep a link to every peer and to nobody else. Never blocks."""
 
 
 @dataclass(frozen=True, slots=True)
 class MemberRoster:
     """The members that a replica talks to, and those that it knows.
 
-    `members` are those of the newest configuration in the log; `removed` those of the newest one applied, for good.
+    `members` are those of the newest configuration in the log. `removed` are those that the newest applied
+    configuration names as removed for good.
     """
 
     members: tuple[Member, ...]
@@ -56,10 +57,10 @@ class MemberRoster:
 
 
 class RaftReplica:
-    """The synchronous heart of a replica.
+    """The synchronous part of a replica.
 
-    `deliver`, `propose`, `read` and `status` may be called from any thread; everything else on one thread only,
-    the tick thread.
+    Any thread may call `deliver`, `propose`, `read` and `status`. Only one thread, the tick thread, may call the other
+    methods.
     """
 
     def __init__(
@@ -75,16 +76,16 @@ class RaftReplica:
         rules: type = PreVoteElections,
         run_in_background: RunInBackground = run_inline,
     ) -> None:
-        """Load the state; blocks. `run_in_background` encodes and decodes snapshots; tests plant faults by `rules`.
+        """Load the state; blocks. `run_in_background` encodes and decodes snapshots. Tests plant faults by `rules`.
 
-        Raises StoreDamaged, LibraryMismatch and what `restore` raises.
+        Raises StoreDamaged, LibraryMismatch, and the errors of `restore`.
         """
         self._settings = settings
         self._network = network
         self._clock = clock
         self._wake = wake
         self._arrivals = Arrivals(settings)
-        # Results to hand out once what they rest on is durable.
+        # Results to deliver once the entries behind them are durable.
         self._completions: list[Callable[[], None]] = []
         self._log = RaftLog(store, kept_bytes_max=settings.kept_log_bytes_max)
         self._state_machine = state_machine
@@ -94,9 +95,9 @@ class RaftReplica:
         self._snapshots = SnapshotRequests(self._node, self._log, self._completions.append)
         self._roster_version: tuple[object, ...] = ()
         self.roster = MemberRoster((), {}, frozenset())
-        # Whoever opens the store again finds that it was used.
+        # So that the next opener of the store finds that it was used.
         self._log.sync()
-        # (term, last log index) on stable storage: what this member can be held to.
+        # (term, last log index) on stable storage: others hold this member to it.
         self.standing = self._log.end()
         self._publish_roster()
         self._status = self._observe()
@@ -137,40 +138,40 @@ class RaftReplica:
     # -- any thread ----------------------------------------------------------------------------------------------
 
     def deliver(self, event: NetworkEvent) -> None:
-        """Queue a network event. Raises InboxFull for a message too many; links coming and going always fit."""
+        """Queue a network event. Raises InboxFull if too many messages wait. Changes of links always fit."""
         self._arrivals.add_event(event)
         self._wake()
 
     def propose(self, proposal: Proposal) -> None:
-        """Queue a command. Raises LogUnavailable when too many wait, ValueError when it is too large."""
+        """Queue a command. Raises LogUnavailable if too many wait, ValueError if it is too large."""
         self._arrivals.add_proposal(proposal)
         self._wake()
 
     def read(self, read: ConfirmedRead) -> None:
-        """Queue a confirmed read. Raises LogUnavailable when too many wait."""
+        """Queue a confirmed read. Raises LogUnavailable if too many wait."""
         self._arrivals.add_read(read)
         self._wake()
 
     def change_members(self, change: MemberChange | HandOver) -> None:
-        """Queue a change of the members, or a hand-over. Raises LogUnavailable when too many wait."""
+        """Queue a change of the members, or a hand-over. Raises LogUnavailable if too many wait."""
         self._arrivals.add_change(change)
         self._wake()
 
     def take_snapshot(self, request: SnapshotRequest) -> None:
-        """Queue a wish for a snapshot. Raises LogUnavailable when too many wait."""
+        """Queue a request for a snapshot. Raises LogUnavailable if too many wait."""
         self._arrivals.add_snapshot_request(request)
         self._wake()
 
     def changes_are_settled(self) -> bool:
-        """Whether this replica leads and no change of the members is on its way; after the last step."""
+        """Whether this replica leads and no change of the members is under way, as of the last step."""
         return bool(self._node.may_change_members()) and self._changes.is_idle and not self._arrivals.changes
 
     def promise_of(self, member_id: str) -> Promise:
-        """The promise of another member: what it has said that it holds."""
+        """The promise of another member: the term and position that it has said to hold."""
         return self._log.promises.get(member_id, Promise(0, 0))
 
     def status(self) -> ReplicationStatus:
-        """The view after the last step."""
+        """The view as of the last step."""
         return self._status
 
     @property
@@ -180,15 +181,15 @@ class RaftReplica:
 
     @property
     def feature_level(self) -> int:
-        """The state's."""
+        """The state's feature level."""
         return self._state_machine.feature_level
 
     # -- tick thread ---------------------------------------------------------------------------------------------
 
     def step(self) -> bool:
-        """Take in what came, advance, and release what is now on stable storage; blocks on the disk only.
+        """Take in the arrivals, advance, and release everything that is now on stable storage. Blocks only on the disk.
 
-        True when another step is due at once. Whatever it raises, the replica must not go on.
+        Returns True if another step is due at once. After any exception the replica must not go on.
         """
         self._hear()
         self._log.sync()
@@ -216,14 +217,14 @@ class RaftReplica:
             self._at_risk(lambda event=event: self._node.transport.deliver(event))  # type: ignore[misc]
 
     def _at_risk(self, act: Callable[[], None]) -> None:
-        """Do something that rests on what a member has said; who breaks the rules is heard no more, for a while."""
+        """Do something with a member's message. If the member breaks the protocol, refuse it for a while."""
         try:
             act()
         except PeerAtFault as fault:
             self._network.drop(fault.member_id, str(fault))
 
     def close(self) -> None:
-        """End everything that waits, write everything down and let go of the store."""
+        """End all waiting calls, write everything to disk and close the store."""
         for proposal in self._arrivals.proposals:
             self._proposals.add(proposal)
         for request in self._arrivals.snapshot_requests:
@@ -266,7 +267,7 @@ class RaftReplica:
         self._run_completions()
 
     def _run_completions(self) -> None:
-        # In place: Proposals appends to this very list.
+        # In place, because Proposals appends to this list.
         completions = self._completions[:]
         self._completions.clear()
         for complete in completions:
@@ -280,7 +281,7 @@ class RaftReplica:
         return bool(is_self or self._node.transport.is_reachable(leader.id))
 
     def _commits_alone(self) -> bool:
-        """A cluster of one has nobody to wake it up after its own disk."""
+        """Whether a leader without other voters has entries to commit: no message wakes it after its own disk write."""
         node = self._node
         waiting = node.commit_index < self._log.last_index
         return bool(waiting and not node.other_voters and node.is_leader)
@@ -304,7 +305,7 @@ class RaftReplica:
         )
 
     def _publish_roster(self) -> None:
-        """Say whom this node knows, if that is new."""
+        """Publish the members that this node knows, if they have changed."""
         node, configurations = self._node, self._log.configurations
         settled = configurations.at(node.last_applied)
         current = configurations.current

@@ -1,4 +1,4 @@
-"""The replicated log as asyncio sees it: opens a replica, its thread and its network, and bridges to them."""
+"""The replicated log for asyncio: opens a replica, its thread and its network, and passes calls to them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ T = TypeVar("T")
 
 
 class PySyncObjLog:
-    """A ReplicatedLog over PySyncObj. Made by `open_replicated_log`; used on that loop only."""
+    """A ReplicatedLog over PySyncObj, made by `open_replicated_log`. Use it only on that loop."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class PySyncObjLog:
         self._closed = False
 
     def start(self, settings: ReplicationSettings, server: grpc.aio.Server, stores: KnownStores) -> None:
-        """Join the network and begin to tick; once."""
+        """Join the network and begin to tick. Call it once."""
         replica = self._replica
         self._servicer = RaftServicer(settings, replica, stores)
         self._servicer.add_to_server(server)
@@ -90,7 +90,7 @@ class PySyncObjLog:
         self._thread.start(replica)
 
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
-        """See ReplicatedLog. A command that finds no leader waits for one until the time is up."""
+        """See ReplicatedLog. Without a leader a command waits for one, up to `timeout`."""
         self._refuse_when_closed()
         answer: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
         proposal = Proposal(command, time.monotonic() + timeout, self._into(answer))
@@ -111,7 +111,10 @@ class PySyncObjLog:
         raise outcome
 
     async def confirm_read(self, *, timeout: float) -> int:
-        """See ReplicatedLog. Writes nothing; all that wait share a read, and a follower asks the leader once."""
+        """See ReplicatedLog.
+
+        Writes nothing. Waiting calls share a read, and a follower asks the leader once for all.
+        """
         self._refuse_when_closed()
         index = await self._reads.confirm(timeout)
         if index is None:
@@ -122,7 +125,7 @@ class PySyncObjLog:
         """See ReplicatedLog."""
         status, links = self._replica.status(), self._links
         if self._thread.stuck_seconds() > 0.0:
-            # What the last step saw is long past: whoever led then has been replaced, as others tell.
+            # The last step was long ago. Others say that the leader of that time has been replaced.
             status = replace(status, leader_id=None, is_leader=False, tenure=0)
         status = replace(status, retired=self._replica.roster.removed)
         refused = self._servicer.refused() if self._servicer is not None else {}
@@ -188,7 +191,7 @@ class PySyncObjLog:
         return TakenSnapshot(log_index=outcome.last_log_index, record=outcome.record)
 
     async def close(self) -> None:
-        """See ReplicatedLog. Whatever still waits ends LogUnavailable or Ambiguous. Safe to call twice."""
+        """See ReplicatedLog. Waiting calls end with LogUnavailable or Ambiguous. Safe to call twice."""
         if self._closed:
             return
         self._closed = True
@@ -221,12 +224,10 @@ async def open_replicated_log(
 ) -> PySyncObjLog:
     """Load this replica's state, register its service with `server`, and take part in the log.
 
-    The caller binds `server` before, so that its address is known, and starts it after; it keeps the server and
-    stops it after `close`. `dial(address)` gives a new channel with the cluster's credentials and with
-    CHANNEL_OPTIONS; the log closes it. From here on `state_machine` is driven on the log's own thread.
-    `on_fatal` is called when the log cannot go on; by default it ends the process.
-
-    Raises StoreRefused, StoreDamaged and LibraryMismatch.
+    The caller binds `server` before, so that its address is known, and starts it after. The caller also stops it, after
+    `close`. `dial(address)` makes a new channel with the cluster's credentials and with CHANNEL_OPTIONS. The log closes
+    the channel. From now on the log drives `state_machine` on its own thread. `on_fatal` is called if the log cannot go
+    on. By default it ends the process. Raises StoreRefused, StoreDamaged and LibraryMismatch.
     """
     bridge = LoopBridge(asyncio.get_running_loop())
     links = PeerLinks(settings, dial, bridge, on_fatal)

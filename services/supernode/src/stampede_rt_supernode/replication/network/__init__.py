@@ -1,1 +1,1 @@
-"""The streams between members: links out, the service in, and the hello that begins each stream."""
+"""The streams between members: outgoing links, the incoming service, and the hello at the start of each stream."""

@@ -1,4 +1,4 @@
-"""How members introduce themselves to each other, and which introductions are refused. Pure."""
+"""The hellos by which members introduce themselves, and the reasons to refuse one. Pure."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ from stampede_rt_supernode.replication.storage.known_stores import STORE_ID_BYTE
 from stampede_rt_supernode.replication.storage.store import Promise
 from stampede_rt_supernode.replication.wire.records import ADDRESS_BYTES_MAX, MEMBER_ID_BYTES_MAX
 
-# In the refusal of a member that was removed for good.
+# The words that refuse a member that was removed for good.
 REMOVED = "was removed from this cluster"
-# In the refusal of a member that was here before with another store, or with one and now without.
+# The words that refuse a member that came with another store before, or with one and now without.
 ANOTHER_STORE = "has come with another store before"
-# In the refusal of a member whose store lacks what it has promised.
+# The words that refuse a member whose store lacks promises that it has made.
 OLDER_STORE = "comes with an older copy of its store"
-# In the refusal of a member that keeps nothing among members that do.
+# The words that refuse a member without a store, while the others have stores.
 NO_STORE = "keeps nothing, and the others do"
-# In the refusal of one that is of another cluster.
+# The words that refuse a member of another cluster.
 OTHER_CLUSTER = "is of another cluster"
-# In the refusal of one that is not known, as who just joins is not for a moment.
+# The words that refuse an unknown caller. A newcomer is unknown for a moment.
 UNKNOWN = "is no other member of this cluster"
 
 
 class HelloRefusal(NamedTuple):
-    """Why an introduction is not accepted. `hears`: the caller is told of the members; it may come back as one."""
+    """The reason why a hello is refused.
+
+    `hears`: the caller gets the list of members, and may come back as one of them.
+    """
 
     code: grpc.StatusCode
     why: str
@@ -45,7 +48,7 @@ def introduction(
     roster: MemberRoster,
     highest_level: int,
 ) -> pb.RaftHello:
-    """The introduction of this member to another one. `standing`: term and last index on its disk."""
+    """The hello of this member to another one. `standing`: term and last index on this member's disk."""
     own = settings.self_member
     is_member = any(member.member_id == own.member_id for member in roster.members)
     return pb.RaftHello(
@@ -70,7 +73,10 @@ def refusal_of(
     promise: Promise,
     feature_level: int,
 ) -> HelloRefusal | None:
-    """Why this member does not listen to the caller; None if it does. `promise`: what the caller said before."""
+    """The reason why this member refuses the caller's hello; None if it accepts.
+
+    `promise`: the caller's earlier statement.
+    """
     failed, denied = grpc.StatusCode.FAILED_PRECONDITION, grpc.StatusCode.PERMISSION_DENIED
     own, caller = settings.self_member.member_id, hello.member_id
     names = [(name, MEMBER_ID_BYTES_MAX) for name in (caller, hello.peer_member_id, hello.cluster_id)]
@@ -102,7 +108,7 @@ def refusal_of(
 
 
 def other_protocol(member_id: str, version: int) -> str:
-    """Why two members do not understand each other: one speaks PROTOCOL_VERSION, the other one `version`."""
+    """The reason why two members cannot talk: one speaks PROTOCOL_VERSION, the other one `version`."""
     return (
         f"{member_id!r} speaks version {PROTOCOL_VERSION} of the log's protocol, not {version}: stop all supernodes, "
         "and start them with one release and the same folders (runbook: upgrade)"
@@ -110,10 +116,11 @@ def other_protocol(member_id: str, version: int) -> str:
 
 
 def newly_met(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:
-    """The member that an unknown caller is, if it may be one of this cluster of whom this one has not heard yet.
+    """The member that an unknown caller says it is, if it may be a member of this cluster that this one does not know
+    yet.
 
-    Who was away while the others were replaced knows none of them, and must hear the leader all the same (Ongaro's
-    dissertation, section 4.1). A cluster without an id cannot be told from another one.
+    A member that was away while the others were replaced knows none of them, but must accept the leader's messages
+    (Ongaro's dissertation, section 4.1). A cluster without an id cannot be told from another cluster.
     """
     if not (settings.cluster_id and hello.address):
         return None

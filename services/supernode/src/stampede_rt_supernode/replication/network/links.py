@@ -1,4 +1,4 @@
-"""The outgoing half of the network: a link to every other member, and what members say against this one."""
+"""The outgoing half of the network: a link to every other member, and the refusals of this member by others."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from stampede_rt_supernode.replication.wire.codec import encode_message
 
 logger = logging.getLogger(__name__)
 
-# How often the others are asked for their word at most, so that none can keep this member's streams from standing.
+# The shortest time between two questions to all others, so that no member can keep this one's streams from working.
 ASK_OTHERS_SECONDS = 5.0
 OUTDATED_FOLLOWS = "Meanwhile it goes on. It ends"
 REFUSED_FOLLOWS = "Meanwhile it follows the leader, and does not vote. It ends for good"
-# A snapshot is fed to a link only while less than this waits in it.
+# A link accepts pieces of a snapshot only while fewer bytes than this wait in it.
 ROOM_BYTES = 4 << 20
 
-# What gRPC puts before the words of a refusal.
+# The text that gRPC puts before the words of a refusal.
 _STATUS = re.compile(r"^(refused: )?(StatusCode\.)?[A-Z_]+: ")
 
 CANCELLATIONS_MAX = 5
@@ -42,7 +42,7 @@ CANCEL_AGAIN_SECONDS = 1.0
 
 
 class PeerLinks:
-    """The links to everybody whom a replica knows: its production RaftNetwork."""
+    """The links to all members that a replica knows. The RaftNetwork of production."""
 
     def __init__(
         self,
@@ -61,28 +61,28 @@ class PeerLinks:
         self._ending: set[asyncio.Task[None]] = set()
         self._deliver: Callable[[NetworkEvent], None] | None = None
         self._introduce: Introduce | None = None
-        # Who refuses this member for good.
+        # The members that refuse this one for good.
         self.refusals = Refusals()
-        # When the others were asked last whether they take this member, by the clock of durations.
+        # When this member last asked the others whether they accept it, on the monotonic clock.
         self._others_asked_at = float("-inf")
-        # What a member has said that is of another cluster; empty if none has.
+        # The words of a member of another cluster; empty if there was none.
         self.other_cluster = ""
-        # Who says that this one's release does not know the cluster's feature level.
+        # The members that say that this release does not know the cluster's feature level.
         self.outdated = Refusals()
-        # Every other member by the log, and the leader whom it follows.
+        # The other members according to the log, and the leader that this one follows.
         self.see: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
-        # Told once why others refuse this member for good; blocks for one small file.
+        # Called once with the reason if others refuse this member for good. Blocks to write a small file.
         self.on_refusal_confirmed: Callable[[str], None] = lambda why: None
-        # Told of a member that breaks the rules, and how.
+        # Called with a member that breaks the protocol, and the fault.
         self.on_fault: Callable[[str, str], None] = lambda member_id, why: None
 
     def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member], introduce: Introduce) -> None:
-        """Begin to connect to every peer, by what `introduce` says; on the loop."""
+        """Begin to connect to every peer, with the hellos of `introduce`. On the loop."""
         self._deliver, self._introduce = deliver, introduce
         self._follow(peers)
 
     def follow(self, roster: MemberRoster) -> None:
-        """Connect to these peers and to nobody else; from the tick thread."""
+        """Connect to these peers and to no others. From the tick thread."""
         self._bridge.post(lambda: self._follow(roster.peers))
 
     def _follow(self, peers: Mapping[str, Member]) -> None:
@@ -132,7 +132,7 @@ class PeerLinks:
                 self.on_refusal_confirmed(self.refusals.why)
 
     def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
-        """Note what a member says against this one; whether that has confirmed it."""
+        """Note the words of a member against this one. Returns whether that has confirmed the refusal."""
         is_new, was_confirmed = member_id not in refusals.by, refusals.confirmed is not None
         others, leader_id = self.see()
         is_confirmed = refusals.refused(member_id, why, others=others, leader_id=leader_id)
@@ -146,7 +146,9 @@ class PeerLinks:
         return is_confirmed and not was_confirmed
 
     def _ask_the_others(self, refusals: Refusals) -> None:
-        """Have those say their word who have not refused this member: it sends them nothing by which they would."""
+        """Greet again the members that have not refused this one, because only a new hello makes them accept or refuse
+        it.
+        """
         now = time.monotonic()
         if now - self._others_asked_at > ASK_OTHERS_SECONDS:
             self._others_asked_at = now
@@ -155,21 +157,24 @@ class PeerLinks:
                     link.greet_anew()
 
     def drop(self, member_id: str, why: str) -> None:
-        """Have the stream of a member ended that breaks the rules; from the tick thread."""
+        """End the stream of a member that breaks the protocol. From the tick thread."""
         self._bridge.post(lambda: self.on_fault(member_id, why))
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Queue messages on their links; from the tick thread, which encodes them."""
+        """Queue messages on their links. From the tick thread, which encodes them."""
         encoded = [(member_id, encode_message(message)) for member_id, message in messages]
         self._bridge.post(lambda: self._enqueue(encoded))
 
     def has_room(self, member_id: str) -> bool:
-        """Whether little enough waits for this member; from the tick thread."""
+        """Whether the member's queue has room for pieces of a snapshot. From the tick thread."""
         link = self._links.get(member_id)
         return link is not None and link.queued_bytes < ROOM_BYTES
 
     async def close(self) -> None:
-        """End every stream. A cancellation that meets a call's own end can get lost in gRPC: it is said again."""
+        """End every stream.
+
+        Cancels again if a cancellation gets lost in gRPC, because the call ended at the same time.
+        """
         self._deliver = None
         tasks = {*self._tasks.values(), *self._ending}
         for _ in range(CANCELLATIONS_MAX):
@@ -181,7 +186,7 @@ class PeerLinks:
     def _enqueue(self, messages: Sequence[tuple[str, pb.RaftMessage]]) -> None:
         for member_id, message in messages:
             link = self._links.get(member_id)
-            if link is not None:  # else the member is gone, and so is its link
+            if link is not None:  # if not, the member is gone, and so is its link
                 link.enqueue(message)
 
     def _on_end(self, task: asyncio.Task[None]) -> None:

@@ -32,7 +32,7 @@ from stampede_rt_supernode.replication.wire.records import MalformedMessage, dec
 logger = logging.getLogger(__name__)
 
 Dial = Callable[[str], grpc.aio.Channel]
-# What to say to the member with an id.
+# Makes the hello to the member with an id.
 Introduce = Callable[[str], pb.RaftHello]
 
 REQUEST_MESSAGES_MAX = 256
@@ -40,8 +40,8 @@ REQUEST_BYTES = 1 << 20
 HELLO_SECONDS = 2.0
 REASON_CHARACTERS_MAX = 500
 
-# What a dialled channel needs: gRPC would otherwise wait up to two minutes before it tries a dead peer again,
-# and channels with equal arguments share that wait.
+# The options of a channel to a member. Without them gRPC waits up to two minutes before it tries a dead peer again, and
+# channels with equal arguments share that wait.
 CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.initial_reconnect_backoff_ms", 200),
     ("grpc.min_reconnect_backoff_ms", 500),
@@ -49,16 +49,16 @@ CHANNEL_OPTIONS: tuple[tuple[str, int], ...] = (
     ("grpc.use_local_subchannel_pool", 1),
 )
 
-# The generated class carries no types.
+# The generated class has no types.
 _stub_class: Any = raft_service_pb2_grpc.RaftServiceStub
 
 
 class LinkBroken(Exception):
-    """The stream ended, or was ended by us; the link starts again."""
+    """The stream ended, or this member ended it. The link starts again."""
 
 
 class PeerLink:
-    """The stream to one member. Everything here runs on the loop; only `queued_bytes` is read elsewhere."""
+    """The stream to one member. All methods run on the loop. Other threads read only `queued_bytes`."""
 
     def __init__(
         self,
@@ -81,23 +81,23 @@ class PeerLink:
         self.queued_bytes = 0
         self._open = False
         self._overflow = False
-        # Loop time of the first request that no answer has followed.
+        # The loop time of the first request without a later answer.
         self._unanswered_since: float | None = None
-        # Whom the peer has named as members last, on this stream.
+        # The members in the peer's latest list on this stream.
         self._told: tuple[Member, ...] = ()
-        # True when an empty request shall ask for an answer.
+        # True if an empty request should ask for an answer.
         self._probe_due = False
         self._greet_anew = False
         self._work = asyncio.Event()
 
     def greet_anew(self) -> None:
-        """End the stream, if there is one, so that the member says once more whether it takes this one."""
+        """End the stream, if there is one, so that the member decides again whether it accepts this one."""
         if self._open:
             self._greet_anew = True
             self._work.set()
 
     def enqueue(self, message: pb.RaftMessage) -> None:
-        """Queue one message; drop it when the link is down, and the whole link when its queue is full."""
+        """Queue one message. Drops it if there is no stream, and ends the stream if its queue is full."""
         if not self._open:
             return
         size = message.ByteSize()
@@ -109,7 +109,7 @@ class PeerLink:
         self._work.set()
 
     async def run(self) -> None:
-        """Keep the stream up until cancelled."""
+        """Keep the stream open until cancelled."""
         pause = self._settings.timing.reconnect_seconds
         while True:
             try:
@@ -120,8 +120,8 @@ class PeerLink:
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
 
     def _report(self, reason: str) -> None:
-        """Say once why there is no link, not twice a second, nor each time that somebody starts the member again."""
-        # Some words tell log positions, which are others each time.
+        """Log the reason for a missing link once, not at each attempt, nor at each new start of the member."""
+        # Some texts contain log positions, which differ each time.
         if self._reports.is_due((self._member.member_id, grounds_of(reason) or reason), time.monotonic()):
             level = logging.INFO if UNKNOWN in reason else logging.WARNING
             logger.log(level, "no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
@@ -168,7 +168,7 @@ class PeerLink:
 
     def _take_members(self, answer: pb.RaftServiceExchangeResponse) -> None:
         with contextlib.suppress(MalformedMessage):
-            # What cannot be understood is as good as not said: the log says it anyway.
+            # An unreadable list can be ignored, because the log contains the members anyway.
             members = tuple(decode_members(answer.members))
             if members != self._told:
                 self._told = members
@@ -181,7 +181,7 @@ class PeerLink:
         raise LinkBroken(f"the peer ended the stream: {await call.details()}")
 
     async def _watch(self) -> None:
-        """End a stream on which nobody answers: the network may swallow everything for many minutes."""
+        """End a stream without answers, because the network may drop everything for many minutes."""
         limit = self._settings.timing.link_silence_seconds
         while True:
             await asyncio.sleep(limit / 4)

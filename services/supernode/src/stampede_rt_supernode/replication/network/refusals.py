@@ -1,8 +1,8 @@
-"""The refusals of this member by others, and when they hold. Pure.
+"""The refusals of this member by others, and when they are confirmed. Pure.
 
-One of them may be mistaken, or lie. While any refuses its store, this member does not vote: it might have forgotten
-what it has promised. A release that is said to be too old does not hold its vote back: its store is sound. Either ends
-this member by the word of the leader whom it follows, or of most of the others.
+A refusing member may be mistaken, or lie. While any member refuses this one's store, this one does not vote, because it
+might have forgotten its promises. If others say that its release is too old, it still votes, because its store is
+sound. Either refusal ends this member if the leader that it follows says so, or most of the other members.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from stampede_rt_supernode.replication.network.hello import (
 
 
 class Grounds(Enum):
-    """On which a member is refused until somebody acts, each with the words by which a refusal tells it."""
+    """The grounds of a refusal that lasts until a person acts, each with the words that refusals contain."""
 
     REMOVED = REMOVED
     ANOTHER_STORE = ANOTHER_STORE
@@ -30,23 +30,25 @@ class Grounds(Enum):
 
 
 def grounds_of(why: str) -> Grounds | None:
-    """The grounds of a refusal; None if it may be over in a moment."""
+    """The grounds of a refusal; None if it may end by itself."""
     return next((grounds for grounds in Grounds if grounds.value in why), None)
 
 
 class Refusals:
-    """The members that refuse this member's store, or its release, at present, and the confirmed refusal. On one thread
-    only."""
+    """The members that refuse this member's store or release at present, and the confirmed refusal.
+
+    On one thread only.
+    """
 
     def __init__(self) -> None:
-        # Member id -> its words.
+        # member id -> its words
         self.by: dict[str, str] = {}
-        # What holds for good, and the words.
+        # the confirmed grounds, and the words
         self.confirmed: Grounds | None = None
         self.why = ""
 
     def refused(self, member_id: str, why: str, *, others: Collection[str], leader_id: str | None) -> bool:
-        """A member refuses this one; whether that is confirmed by now. `others`: every other member."""
+        """Note a refusal. Returns whether it is confirmed now. `others`: every other member."""
         self.by[member_id] = why
         trusted = [leader_id] if leader_id in self.by else sorted(one for one in self.by if one in others)
         if self.confirmed is None and (trusted == [leader_id] or 2 * len(trusted) > len(others)):
@@ -55,5 +57,5 @@ class Refusals:
         return self.confirmed is not None
 
     def accepted(self, member_id: str) -> bool:
-        """A member takes this one; whether it did not before."""
+        """Note that a member accepts this one. Returns whether it refused before."""
         return self.by.pop(member_id, None) is not None

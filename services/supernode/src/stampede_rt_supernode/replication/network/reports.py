@@ -1,4 +1,4 @@
-"""The recent log messages, so that the log does not say the same over and over. Pure."""
+"""Remembers recent log messages, so that the log does not repeat them. Pure."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ REPORTS_MAX = 256
 
 
 class SparseReports:
-    """Each report is due once in AGAIN_SECONDS. Of more than REPORTS_MAX, the oldest is forgotten."""
+    """Each report is due once in AGAIN_SECONDS. Beyond REPORTS_MAX reports, the oldest is forgotten."""
 
     def __init__(self) -> None:
         self._said_at: dict[Hashable, float] = {}
 
     def is_due(self, report: Hashable, now: float) -> bool:
-        """Whether to say it at `now` (seconds); then it counts as said."""
+        """Whether to log the report at `now` (seconds). If True, it counts as logged."""
         said_at = self._said_at.get(report)
         if said_at is not None and now - said_at < AGAIN_SECONDS:
             return False

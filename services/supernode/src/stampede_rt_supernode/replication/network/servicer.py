@@ -1,6 +1,7 @@
-"""The incoming half of the network: the RaftService of one member. Members only; who they are is claimed in the
-hello, which must agree with their certificate, if the cluster has certificates; the server's interceptors have checked
-the cluster's secret and the certificate's role before.
+"""The incoming half of the network: the RaftService of one member.
+
+It serves only members. A caller states its identity in the hello. If the cluster has certificates, the caller's
+certificate must agree. The server's interceptors have checked the cluster's secret and the certificate's role before.
 """
 
 from __future__ import annotations
@@ -37,29 +38,29 @@ from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.records import MalformedMessage, encode_members
 
 HELLO_SECONDS = 5.0
-# For so long a member that breaks the rules is not heard.
+# How long this member refuses a member that breaks the protocol.
 EXPELLED_SECONDS = 5.0
-# How often a member that sends is told that it is heard.
+# How often a sender gets an answer, as a sign that its messages arrive.
 ANSWER_SECONDS = 0.5
 
 logger = logging.getLogger(__name__)
 
-# The generated function carries no types.
+# The generated function has no types.
 _register: Any = raft_service_pb2_grpc.add_RaftServiceServicer_to_server
 
 
 class RaftServicer:
-    """Takes in the streams of the other members. Runs on the loop."""
+    """Accepts the streams of the other members. Runs on the loop."""
 
     def __init__(self, settings: ReplicationSettings, replica: RaftReplica, stores: KnownStores) -> None:
         self._settings = settings
         self._stores = stores
         self._replica = replica
-        # Member id -> why its store was refused when it came last.
+        # Member id -> why this member refused its store at its latest hello.
         self._refused: dict[str, str] = {}
-        # Member id -> until when it is not heard, by the clock of durations, and why.
+        # Member id -> until when it is refused, on the monotonic clock, and why.
         self._expelled: dict[str, tuple[float, str]] = {}
-        # Member id -> what reads its present stream. At most one each.
+        # Member id -> the task that reads its present stream. At most one each.
         self._readers: dict[str, asyncio.Task[None]] = {}
         self._reports = SparseReports()
         self._closed = False
@@ -69,7 +70,7 @@ class RaftServicer:
         _register(self, server)
 
     async def Exchange(self, request_iterator: Any, context: Context) -> None:  # noqa: N802
-        """Serve one member's stream until it ends, is replaced by a newer one, or this member closes."""
+        """Serve one member's stream until it ends, a newer one replaces it, or this member closes."""
         hello = await self._welcome(context)
         member_id = hello.member_id
         replaced = self._readers.pop(member_id, None)
@@ -88,12 +89,15 @@ class RaftServicer:
         await self._explain(reader, context)
 
     def refused(self) -> dict[str, str]:
-        """Members whose stores were refused when they came last, and why; not those that are heard beside a copy."""
+        """The members whose stores were refused at their latest hello, and why.
+
+        Leaves out members that have a stream as well.
+        """
         members = {member.member_id for member in self._replica.roster.members} - self._readers.keys()
         return {member_id: why for member_id, why in self._refused.items() if member_id in members}
 
     def expel(self, member_id: str, why: str) -> None:
-        """End the stream of a member that breaks the rules, and hear it no more for a while."""
+        """End the stream of a member that breaks the protocol, and refuse it for a while."""
         self._expelled = {one: until for one, until in self._expelled.items() if until[0] > time.monotonic()}
         self._expelled[member_id] = time.monotonic() + EXPELLED_SECONDS, why
         if self._reports.is_due((member_id, "expelled"), time.monotonic()):
@@ -120,7 +124,7 @@ class RaftServicer:
         if request is grpc.aio.EOF or not request.HasField("hello") or request.messages:
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a stream begins with a hello and nothing else")
         await self._check(request.hello, context)
-        # Before anything is heard of this member, and so before anything rests on what it says.
+        # Before any message of this member is processed.
         members = {member.member_id for member in self._replica.roster.members}
         await asyncio.to_thread(self._stores.note, request.hello.member_id, request.hello.store_id, members)
         await context.write(self._greeting(knows_caller=True))
@@ -160,12 +164,15 @@ class RaftServicer:
         if refusal.hears:
             if (met := newly_met(hello, self._settings)) is not None:
                 self._replica.deliver(Introduced(met.member_id, met))
-            # Perhaps it does not know those who know it.
+            # The caller may not know the members that know it.
             await context.write(self._greeting(knows_caller=False))
         await context.abort(refusal.code, refusal.why)
 
     def _note_outcome(self, hello: pb.RaftHello, refusal: HelloRefusal | None, peer: str) -> None:
-        """Remember, and say once, that a member may not come back with the store that it has. `peer`: who calls."""
+        """Remember that a member may not come back with its present store, and log it once.
+
+        `peer`: the caller's address.
+        """
         if refusal is not None and OTHER_CLUSTER in refusal.why:
             self._tell_of_another_cluster(hello)
         if refusal is None or not (ANOTHER_STORE in refusal.why or OLDER_STORE in refusal.why):
@@ -173,7 +180,7 @@ class RaftServicer:
             return
         self._refused[hello.member_id] = refusal.why
         is_heard = hello.member_id in self._readers
-        # By the grounds: the words tell log positions, which are others at each attempt.
+        # By the grounds, because the words contain log positions, which differ at each attempt.
         if not self._reports.is_due((hello.member_id, grounds_of(refusal.why), is_heard), time.monotonic()):
             return
         if is_heard:
@@ -183,7 +190,9 @@ class RaftServicer:
         logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice)
 
     def _tell_of_another_cluster(self, hello: pb.RaftHello) -> None:
-        """Say once who calls here in error, as when this one was started without its folder."""
+        """Log once that a member of another cluster calls, for example because this one was started without
+        its folder.
+        """
         own = self._settings.self_member.member_id
         if self._reports.is_due((hello.member_id, hello.cluster_id), time.monotonic()):
             logger.warning(
@@ -196,7 +205,7 @@ class RaftServicer:
         loop = asyncio.get_running_loop()
         answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
-            # Who was refused under this id was a copy: this one goes on.
+            # The refused caller of this id was a copy; this stream is of the member itself.
             self._refused.pop(member_id, None)
             if member_id not in self._replica.roster.peers:
                 raise MalformedMessage(f"{member_id!r} is no longer a member")

@@ -1,1 +1,1 @@
-"""The rules of Raft: one node, elections, leading, following, members, confirmed reads and proposals."""
+"""The rules of Raft: the node, elections, leading, following, members, confirmed reads and proposals."""

@@ -1,10 +1,9 @@
-"""Confirmed reads: a position that holds every write acknowledged before the read began, without a log entry.
+"""Confirmed reads: they find a log position that includes every write acknowledged before the read, without an entry.
 
-The leader notes its commit index, starts a new round, and waits until a majority has answered a message of
-that round or a later one in the leader's own term: then nobody else led while the read was under way (Raft
-dissertation, section 6.4). A follower asks the leader for the position. Many reads share one round and one
-request. The library has nothing of the kind, and its `lastResponseTime` cannot serve: it is refreshed by
-replies to messages from before the read.
+The leader notes its commit index, starts a new round, and waits until a majority has answered a message of that round
+or a later one in the leader's own term. Then no other node has led during the read (Raft dissertation, section 6.4). A
+follower asks the leader for the position. Many reads share one round and one request. The library has no such reads.
+Its `lastResponseTime` is not enough, because replies to messages from before the read update it.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, Read
 
 @dataclass(slots=True)
 class ConfirmedRead:
-    """One read under way. `done` is called once: with the applied index, or None when the time is up."""
+    """One read under way. `done` is called once: with the applied index, or with None when the time is up."""
 
     deadline: float
     done: Callable[[int | None], None]
@@ -27,18 +26,18 @@ class ConfirmedRead:
 
 @dataclass(slots=True)
 class _Round:
-    """Reads and remote requests that wait for a majority's echo of one round."""
+    """The reads and remote requests that wait until a majority has echoed one round."""
 
     number: int
     commit_index: int
     reads: list[ConfirmedRead] = field(default_factory=list)
-    # (member, request id) of followers that asked.
+    # (member, request id) of the followers that asked
     requests: list[tuple[MemberNode, int]] = field(default_factory=list)
 
 
 @dataclass(slots=True)
 class _Asked:
-    """Reads that wait for the leader's answer to one request."""
+    """The reads that wait for the leader's answer to one request."""
 
     request_id: int
     reads: list[ConfirmedRead]
@@ -46,7 +45,7 @@ class _Asked:
     leader_id: str
 
     def is_answered_by(self, member_id: str, request_id: int) -> bool:
-        """Whether this is the answer, of whom was asked."""
+        """Whether this is the answer of the asked leader."""
         return (self.leader_id, self.request_id) == (member_id, request_id)
 
 
@@ -64,7 +63,7 @@ class ReadingNode(Protocol):
         """The ids of all other voters."""
 
     def is_majority(self, count: int) -> bool:
-        """Whether so many voters, this one included, are more than half of all."""
+        """Whether `count` voters, this one included, are more than half of all."""
 
 
 class ConfirmedReads:
@@ -87,10 +86,10 @@ class ConfirmedReads:
         self._clock = clock
         self._retry_seconds = retry_seconds
         self._next_request_id = first_request_id
-        # The newest round. The leader puts it on every append message, and the replies echo it.
+        # The newest round. The leader puts it in every append message, and the replies echo it.
         self.round = 0
         self._new: list[ConfirmedRead] = []
-        # Of each member the last one: whoever asks again has given up what it asked before.
+        # The latest request of each member: a member that asks again has given up its earlier request.
         self._new_requests: dict[MemberNode, int] = {}
         self._rounds: list[_Round] = []
         self._echoes: dict[str, int] = {}
@@ -106,7 +105,7 @@ class ConfirmedReads:
         self._new_requests[node] = message.request_id
 
     def on_reply(self, member_id: str, message: ReadIndexReply) -> None:
-        """A member, the leader as a rule, answers."""
+        """A member, usually the leader, answers."""
         if self._asked is not None and self._asked.is_answered_by(member_id, message.request_id):
             asked, self._asked = self._asked, None
             if message.read_index > 0:
@@ -115,11 +114,11 @@ class ConfirmedReads:
                 self._new.extend(asked.reads)
 
     def on_echo(self, member_id: str, round_number: int) -> None:
-        """A member answered a message of this round in the present term."""
+        """A member has answered a message of this round in the present term."""
         self._echoes[member_id] = max(round_number, self._echoes.get(member_id, 0))
 
     def on_leader_lost(self) -> None:
-        """Nothing asked or heard under the last leadership counts: begin again."""
+        """Begin all reads again: requests and answers of the last leadership do not count."""
         self._echoes.clear()
         rounds, self._rounds = self._rounds, []
         for each in rounds:
@@ -130,7 +129,7 @@ class ConfirmedReads:
             self._asked = None
 
     def start_round(self) -> bool:
-        """Begin what can begin; True when the leader must send a message to everybody now."""
+        """Begin the waiting reads, if possible. Returns True if the leader must send a message to all members now."""
         if self._asked is not None and self._clock() >= self._asked.give_up_at:
             self._new.extend(self._asked.reads)
             self._asked = None

@@ -1,14 +1,15 @@
-"""Whether this replica's state is that of most members: digests of what they have applied, compared at one position.
+"""Compares digests of the applied results at one position, to find whether this replica's state is that of most
+members.
 
-Replicas do the same commands in the same order, and so come to the same state, as long as they are of one mind about
-what a command does. A release that does not know one refuses what the others do, and nothing in the log tells.
+Replicas apply the same commands in the same order. So they reach the same state, as long as they agree on the effect of
+each command. But a release that does not know a command refuses it, and the log does not show the difference.
 
-The leader names a position for a while, the members answer with their digests there, and the leader tells what more
-than half of all hold. Who holds another digest has diverged, the leader, too. As long as no digest has so many, a
-member that differs from the leader is only in doubt (decision 0111). Pure.
+The leader names a position for a while. The members answer with their digests at that position. The leader tells all
+members the digest that more than half of them have. A member with another digest has diverged, the leader included.
+While no digest has a majority, a member that differs from the leader is only in doubt (decision 0111). Pure.
 
-A state from a snapshot of an earlier release has no digest. It goes on from the leader's as soon as both are at one
-position, and is compared from there on.
+A state from a snapshot of an earlier release has no digest. It takes over the leader's digest as soon as both are at
+one position. From there on it is compared.
 """
 
 from __future__ import annotations
@@ -19,27 +20,28 @@ from collections.abc import Callable, Collection
 from stampede_rt_supernode.replication.wire.messages import NO_DIGEST, StateDigest
 
 DIGESTS_MAX = 4096
-# How long the leader names one position at least, and at most if not all have answered: who lags may need longer.
+# The shortest time for which the leader names one position, and the longest if some have not answered: slow members may
+# need more.
 ASKED_SECONDS_MIN, ASKED_SECONDS_MAX = 0.5, 5.0
 
 
 class Digests:
-    """The last digests of this replica, and what its leader said last. Tick thread only."""
+    """The latest digests of this replica, and the leader's latest statements. Tick thread only."""
 
     def __init__(self, adopt: Callable[[bytes], None]) -> None:
-        """`adopt` gives a state without a digest the one from which it goes on."""
+        """`adopt` gives the state machine the digest from which it goes on, if it has none."""
         self._adopt = adopt
-        # Where this replica's state was found to differ from that of most members; 0: nowhere. It stays so.
+        # The position at which this replica's state differs from that of most members; 0: none. Never cleared.
         self.diverged_at = 0
-        # Where it was found to differ from the leader's, while nobody knows what most hold; 0: nowhere.
+        # The position at which it differs from the leader's, while nobody knows the state of most; 0: none.
         self.doubtful_at = 0
-        # What this replica holds at the position that the leader named last, once it has come so far.
+        # This replica's digest at the position that the leader named last, once this replica has reached it.
         self.answer: StateDigest = NO_DIGEST
-        self._own: dict[int, bytes] = {}  # by position, growing
-        self._told: StateDigest | None = None  # what lies ahead of this replica
+        self._own: dict[int, bytes] = {}  # by position, ascending
+        self._told: StateDigest | None = None  # a statement of the leader about a later position than this replica's
 
     def note(self, index: int, digest: bytes) -> None:
-        """This replica has applied everything up to `index`."""
+        """Note the digest of this replica after all entries up to `index`."""
         self._own[index] = digest
         if len(self._own) > DIGESTS_MAX:
             del self._own[next(iter(self._own))]
@@ -48,14 +50,14 @@ class Digests:
             self.told(*told)
 
     def told(self, index: int, digest: bytes) -> None:
-        """The leader has come to `digest` at `index`. A position that this replica does not know is passed over."""
+        """Take in the leader's digest at `index`. Ignores a position whose digest this replica does not have."""
         own = self._own.get(index)
         last = next(reversed(self._own), 0)
         if own is None:
             if self._told is None and index > last:
                 self._told = (index, digest)
         elif not digest:
-            pass  # the leader's is not known
+            pass  # the leader's digest is unknown
         elif not own:
             self._go_on_from(index, digest, last)
         else:
@@ -63,7 +65,7 @@ class Digests:
             self.doubtful_at = 0 if own == digest or self.diverged_at else self.doubtful_at or index
 
     def told_of_most(self, index: int, digest: bytes) -> None:
-        """More than half of all members have come to `digest` at `index`."""
+        """Take in the digest at `index` of more than half of all members."""
         own = self._own.get(index)
         if not digest or not own:
             return
@@ -78,18 +80,17 @@ class Digests:
 
 
 class DigestPoll:
-    """The digests of the members at the position that this leader names. Anew with each leadership; tick thread
-    only."""
+    """The digests of the members at the position that this leader names. New for each leadership. Tick thread only."""
 
     def __init__(self) -> None:
         self.asked: StateDigest = NO_DIGEST
-        # By member that differs from this leader while nobody knows what most hold, where it was found.
+        # For each member that differs from this leader while nobody knows the state of most: the position.
         self.doubts: dict[str, int] = {}
         self._held: dict[str, bytes] = {}
         self._since = float("-inf")
 
     def ask(self, now: float, state: StateDigest, others: Collection[str]) -> None:
-        """Name the leader's present `state` from now on, if the one before was named long enough for `others`."""
+        """Name the leader's present `state` from now on, if the last one was named long enough for `others`."""
         age = now - self._since
         waited = age >= ASKED_SECONDS_MIN and (age >= ASKED_SECONDS_MAX or self._held.keys() >= set(others))
         if state[0] > self.asked[0] and state[1] and waited:
@@ -97,7 +98,7 @@ class DigestPoll:
             self._held.clear()
 
     def answered(self, member_id: str, answer: StateDigest, voters: Collection[str]) -> None:
-        """A member holds `answer`. `voters`: all others that are counted."""
+        """Take in the answer of a member. `voters`: all other voters."""
         index, digest = answer
         if not digest or index != self.asked[0]:
             return
@@ -108,7 +109,7 @@ class DigestPoll:
         self.doubts = {**held, member_id: self.doubts.get(member_id, index)} if differs else held
 
     def of_most(self, voters: Collection[str]) -> StateDigest:
-        """The digest of more than half of all members, this one included, at the position; NO_DIGEST: nobody knows."""
+        """The digest of more than half of all members, this one included, at the named position; NO_DIGEST: unknown."""
         index, own = self.asked
         if not own:
             return NO_DIGEST
@@ -117,5 +118,5 @@ class DigestPoll:
         return (index, digest) if 2 * count > len(voters) + 1 else NO_DIGEST
 
     def agreeing(self, digest: bytes) -> list[str]:
-        """The members that hold this digest."""
+        """The members that have this digest."""
         return [name for name, held in self._held.items() if held == digest]

@@ -1,8 +1,8 @@
 """Elections, and the full set of rules.
 
-Every election has a trial (PreVote; Ongaro's dissertation, section 9.6): nobody's term moves before a majority would
-vote. Without it a member that cannot hear the leader raises its term again and again, and every time it is heard it
-unseats a leader that serves well. The library has none.
+Every election begins with a trial (PreVote; Ongaro's dissertation, section 9.6): no term changes before a majority
+would vote for the candidate. Without a trial, a member that cannot hear the leader raises its term again and again.
+Whenever the others hear it, it unseats a working leader. The library has no trials.
 """
 
 from __future__ import annotations
@@ -28,24 +28,25 @@ from stampede_rt_supernode.replication.wire.messages import (
     VoteRequest,
 )
 
-# Every leader begins with an entry, so no term is so many elections ahead of the log: at one a second without a pause,
-# they take twelve days.
+# Every leader begins with an entry, so no term is more elections than this ahead of the log: at one election a second
+# without a pause they would take twelve days.
 TERMS_AHEAD_MAX = 1 << 20
-# Nor so many ahead of the own term. Elections go on from wherever a member has come to; a hostile one that raises the
-# term by so much with each message comes to the end of the numbers in a hundred thousand years.
+# No term may be more than this ahead of the own term, either. Elections go on from the term that a member has reached.
+# A hostile member that raises the term by so much with each message needs a hundred thousand years to use up the
+# numbers.
 TERMS_STEP_MAX = 1000
-# A stored term from which elections cannot go on for long.
+# A stored term above this leaves too few terms for further elections.
 TERM_MAX = 1 << 61
 
 
 class RaftRules(Following, Leading):
-    """Hands every message to its rule, and votes. Tick thread only."""
+    """Passes every message to its rule, and votes. Tick thread only."""
 
-    # Who voted for this node, and in which term: a repeated vote counts once.
+    # The voters for this node, and the term: a repeated vote counts once.
     _votes: tuple[int, set[str]] = (0, set())
 
     def receive(self, node: MemberNode, message: Message) -> None:
-        """Hand a member's message to its rule. The library takes messages from anybody."""
+        """Pass a member's message to its rule. The library accepts messages from anybody."""
         if self.transport.find_node(node.id) is None:
             return
         self._check_term(node.id, message)
@@ -73,9 +74,9 @@ class RaftRules(Following, Leading):
                 assert_never(message)
 
     def _check_term(self, member_id: str, message: Message) -> None:
-        """A term that no elections explain is not taken over: it would leave none for the elections to come.
+        """Refuse a term that elections cannot explain, because it would leave too few terms for later elections.
 
-        Who has never held an entry knows no term to measure it by.
+        A newcomer without entries accepts any term, because it cannot compare it.
         """
         claimed, (last_term, _) = _claimed_term(message), self.log_end()
         term_max = max(last_term + TERMS_AHEAD_MAX, self.term + TERMS_STEP_MAX)
@@ -84,9 +85,10 @@ class RaftRules(Following, Leading):
             raise PeerAtFault(member_id, f"speaks of term {claimed}, and this is term {self.term}")
 
     def _note_promise(self, member_id: str, message: Message) -> None:
-        """Remember what a member says of itself: it was on its disk before it was said.
+        """Note a member's statement about itself. The member had it on its disk before it sent it.
 
-        A leader holds all that it calls committed. What followers hold is noted when it is committed.
+        A leader holds everything that it calls committed. The statements of followers are noted when entries are
+        committed.
         """
         match message:
             case AppendEntries() | InstallSnapshot():
@@ -99,7 +101,7 @@ class RaftRules(Following, Leading):
                 self.log.note_promise(member_id, message.voter_term, 0)
 
     def _on_command_answer(self, node: MemberNode, message: ForwardedCommandReply) -> None:
-        """The leader has taken a command of this node's, or not. What it says of the log is waited for in bounds."""
+        """Take the leader's answer to a forwarded command. The command's commit is awaited, within a limit."""
         if node != self.leader:
             return
         if self.callers_waiting_count() >= self.conf.commandsQueueSize:
@@ -108,7 +110,10 @@ class RaftRules(Following, Leading):
             super().receive(node, message)
 
     def _on_timeout_now(self, node: MemberNode, message: TimeoutNow) -> None:
-        """The leader wants this node to lead: stand at once. As safe as an election timeout that ends early."""
+        """Stand for election at once, because the leader wants this node to lead.
+
+        As safe as an early election timeout.
+        """
         may_lead = self.is_voter() and not self.stands_aside()
         if message.term == self.term and node == self.leader and may_lead:
             self.election_deadline = float("-inf")
@@ -127,11 +132,11 @@ class RaftRules(Following, Leading):
         self.transport.send(node, VoteReply(term=message.term))
 
     def _on_vote(self, node: MemberNode, message: VoteReply) -> None:
-        """Count a vote once per node and term. The library counts messages."""
+        """Count a vote, once per node and term. The library counts messages."""
         if message.term != self.term or self.role != CANDIDATE:
             return
         if node not in self.other_voters:
-            return  # no member, or no longer one
+            return  # no voter, or a voter no longer
         if self._votes[0] != message.term:
             self._votes = (message.term, set())
         self._votes[1].add(node.id)
@@ -143,23 +148,24 @@ class RaftRules(Following, Leading):
 class PreVoteElections(RaftRules):
     """The full set of rules: corrected handlers, and a trial before every election. Tick thread only."""
 
-    # A leader heard of within this time is alive, and no trial finds a vote here.
+    # A node that has heard the leader within this time votes in no trial.
     leader_alive_seconds: float
 
-    # The term that is being asked about, and who would vote for this node in it.
+    # The term of the present trial, and the members that would vote for this node in it.
     _pre_vote: tuple[int, set[str]] = (0, set())
     # The last term in which a majority would vote for this node.
     _pre_vote_won_term: int = 0
 
     def before_tick(self) -> None:
-        """Turn an election that is due into a trial, unless its trial was won already."""
+        """Replace a due election by a trial, unless the trial was won already."""
         self.follow_log()
         self.listen_to_strangers()
         due = self.election_deadline < self.clock()
         if not due or self.is_leader:
             return
         if not self.is_voter() or self.stands_aside():
-            # Nobody may vote for a node that is not in yet, or was removed; and a state that differs must not lead.
+            # Nobody may vote for a node that is not yet a voter, or was removed. A node with a diverged state must not
+            # lead.
             self.put_off_election()
             self._lose_leader()
             return
@@ -177,7 +183,7 @@ class PreVoteElections(RaftRules):
             self.transport.send(node, request)
 
     def _lose_leader(self) -> None:
-        """Nothing was heard of the leader for an election timeout: nobody's commands or reads go to it any more."""
+        """Forget the leader after an election timeout without a message. Commands and reads go to it no more."""
         if self.leader is not None:
             self.leader = None
             self.give_up_forwarded()
@@ -211,7 +217,7 @@ class PreVoteElections(RaftRules):
     def _on_timeout_now(self, node: MemberNode, message: TimeoutNow) -> None:
         super()._on_timeout_now(node, message)
         if self.election_deadline == float("-inf"):
-            # Those who hear the leader would refuse a trial; the leader itself has asked for this election.
+            # Members that hear the leader would refuse a trial, but the leader itself has asked for this election.
             self._pre_vote_won_term = self.term + 1
 
     def send_now(self) -> None:
@@ -221,7 +227,7 @@ class PreVoteElections(RaftRules):
 
 
 def _claimed_term(message: Message) -> int:
-    """The highest term that a message speaks of; 0: of none."""
+    """The highest term that a message claims; 0: none."""
     match message:
         case VoteReply():
             return max(message.term, message.voter_term)

@@ -1,4 +1,4 @@
-"""The follower's rules: take in entries and snapshots, and say truly what is held."""
+"""The follower's rules: accept entries and snapshots, and report truthfully which entries it holds."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from stampede_rt_supernode.replication.wire.messages import AppendEntries, Appen
 
 
 class Following(Membership):
-    """Handles what leaders send. Tick thread only."""
+    """Handles the messages of leaders. Tick thread only."""
 
-    # Who has sent the snapshot that is being opened.
+    # The sender of the snapshot that is being opened.
     _snapshot_from: str = ""
 
     def _on_append(self, node: MemberNode, message: FromLeader) -> None:
         if message.term < self.term:
-            # Tells a leader of an older term that it is one; the library is silent.
+            # This reply tells a leader of an older term that its term is over. The library sends none.
             self._reply(node, message, next_index=self.log.last_index + 1)
             return
         self._follow(node, message.term)
         self.leader_commit_index = message.commit_index
-        if not self.is_stranger(node.id):  # whose word must not set this node aside for good
+        if not self.is_stranger(node.id):  # only a known member may set this node aside for good
             self.digests.told(*message.digest)
             self.digests.told_of_most(*message.digest_of_most)
         if isinstance(message, InstallSnapshot):
@@ -51,17 +51,17 @@ class Following(Membership):
         first = self.log[0]
         previous, previous_term, entries = message.previous_index, message.previous_term, message.entries
         if previous < first.log_index:
-            # All up to our first entry is committed, so it agrees; only what follows needs a look.
+            # All entries up to our first one are committed, so they agree. Only later entries need a look.
             entries = [entry for entry in entries if entry.log_index > first.log_index]
             previous, previous_term = first.log_index, first.term
         held = self.log.entry_at(previous)
         if (held is None or held.term != previous_term) and self.keeper.is_opening:
-            # What is lacking is here already, and there in a moment: nothing need be sent again.
+            # The missing entries are in the snapshot that is being opened, so the leader need not send them.
             self._reply(node, message, next_index=self.log.last_index + 1)
         elif held is None:
             self._reply(node, message, next_index=self.log.last_index + 1, reset=True)
         elif held.term != previous_term:
-            # What is committed agrees with every leader; all behind it may not.
+            # Committed entries agree with every leader. Later ones may not.
             self._reply(node, message, next_index=self.commit_index + 1, reset=True)
         else:
             self._merge(entries)
@@ -71,10 +71,10 @@ class Following(Membership):
             self._reply(node, message, next_index=matched + 1, success=True)
 
     def _merge(self, entries: Sequence[Entry]) -> None:
-        """Add what is not held yet; cut off a tail only at a real conflict.
+        """Add the missing entries. Cuts entries off only at a real conflict.
 
-        The library cuts off everything past the previous entry, and with it entries already acknowledged when
-        messages come late or twice.
+        The library cuts off everything after the previous entry. If messages come late or twice, that removes
+        acknowledged entries.
         """
         for entry in entries:
             held = self.log.entry_at(entry.log_index)
@@ -94,19 +94,22 @@ class Following(Membership):
         self.log.cut_from(log_index)
 
     def _on_install_snapshot(self, node: MemberNode, message: InstallSnapshot) -> None:
-        """Take in a piece. The message's commit index says nothing about this log, and is not used.
+        """Take in a piece of a snapshot. Ignores the message's commit index, which says nothing about this log.
 
-        The library takes it over, and so commits whatever the log happens to hold. It also acknowledges a
-        snapshot that it failed to load; here nothing of it is taken over, and its sender is at fault.
+        The library uses that commit index, and so commits whatever its log holds. It also acknowledges a snapshot that
+        it failed to load. Here a damaged snapshot changes nothing, and its sender counts as faulty.
         """
-        # Of two at a time the second is not kept: if it is still needed then, the leader sends it again.
+        # A second snapshot at the same time is not kept. If it is still needed later, the leader sends it again.
         if not self.keeper.is_opening and (received := self.keeper.take_in(message.chunk)) is not None:
             self._snapshot_from = node.id
             self.keeper.open(received)
         self._reply(node, message, next_index=self.log.last_index + 1)
 
     def install_opened(self) -> None:
-        """Go on opening a received snapshot, if there is one. The leader hears of it with its next message."""
+        """Continue to open a received snapshot, if there is one.
+
+        The answer to the leader's next message tells of it.
+        """
         try:
             last = self.keeper.install_opened(newer_than=self.last_applied, term_max=self.term)
         except UnreadableSnapshot as error:

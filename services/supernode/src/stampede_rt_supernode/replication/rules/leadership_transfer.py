@@ -1,4 +1,4 @@
-"""A leader hands over to a member that holds the whole log (dissertation, section 3.10)."""
+"""Hands the leadership over to a member that has the whole log (dissertation, section 3.10)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ HAND_OVER_SECONDS = 1.0
 
 @dataclass(slots=True)
 class HandOver:
-    """A caller wants another leader. `done` is called once: whether this node does not lead (any more)."""
+    """A caller's request for another leader. `done` is called once: whether this node does not lead (any more)."""
 
     done: Callable[[bool], None]
 
 
 @dataclass(slots=True)
 class _Leaving:
-    """Proposals are held back until a successor holds everything; then it is asked to lead."""
+    """Proposals wait until a successor has all entries. Then the leader asks it to lead."""
 
     until: float
     asked: bool = False
@@ -45,11 +45,11 @@ class LeadershipTransfer:
 
     @property
     def under_way(self) -> bool:
-        """Whether a successor is looked for."""
+        """Whether the leader looks for a successor."""
         return self._leaving is not None
 
     def begin(self, wish: HandOver) -> None:
-        """Begin to look for a successor, or join those who wait for one."""
+        """Begin to look for a successor, or join the callers that wait for one."""
         if not self._node.is_leader or not self._node.voter_ids():
             self._answer([wish], not self._node.is_leader)
             return
@@ -58,7 +58,7 @@ class LeadershipTransfer:
         self._leaving.callers.append(wish)
 
     def advance(self) -> None:
-        """Take the next step, if a successor is looked for."""
+        """Take the next step, if the leader looks for a successor."""
         leaving = self._leaving
         if leaving is None:
             return
@@ -72,7 +72,7 @@ class LeadershipTransfer:
             leaving.asked = self._node.send_timeout_now(complete[0])
 
     def end(self) -> None:
-        """Answer everyone who waits: this node no longer leads, or is closing."""
+        """Answer all waiting callers: this node leads no more, or is closing."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             self._answer(leaving.callers, not self._node.is_leader)

@@ -1,4 +1,4 @@
-"""The leader's rules: believe only acknowledgements of the present term, and send what is lacking in bounds."""
+"""The leader's rules: accept only acknowledgements of the present term, and send missing entries within limits."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from stampede_rt_supernode.replication.wire.messages import (
     TimeoutNow,
 )
 
-# How many batches of entries one member is sent at a time.
+# The most batches of entries that one member gets at a time.
 BATCHES_PER_ROUND = 4
 APPEND_BATCH_BYTES = 1 << 20
 
 
 class Leading(Membership):
-    """Handles what followers answer, and sends to them. Tick thread only."""
+    """Handles the answers of followers, and sends to them. Tick thread only."""
 
     def _on_append_reply(self, node: MemberNode, message: AppendReply) -> None:
-        """Take an acknowledgement of this very term. The library's carry no term."""
+        """Take in an acknowledgement, if it is of the present term. The library's acknowledgements have no term."""
         if message.term > self.term:
             self.become_follower(message.term)
         if message.term != self.term or not self.is_leader:
@@ -37,7 +37,7 @@ class Leading(Membership):
                 raise PeerAtFault(node.id, f"acknowledged up to {message.next_index - 1}, past {end}")
             match = max(self.match_index[node], next_index - 1)
             self.match_index[node] = match
-            # Never back: what is on its way need not be sent again.
+            # Never back, so that entries under way are not sent again.
             self.next_index[node] = max(self.next_index[node], match + 1)
         elif message.reset:
             self.next_index[node] = max(next_index, self.match_index[node] + 1, 2)
@@ -46,10 +46,10 @@ class Leading(Membership):
         self.poll.answered(node.id, message.digest, self.voter_ids())
 
     def send_append_entries(self) -> None:
-        """Send every connected member what it lacks, or a heartbeat.
+        """Send every connected member the entries that it lacks, or a heartbeat.
 
-        The library sends a whole log or snapshot in one go, and spins for a heartbeat's time while a snapshot
-        has nothing to send; here both have a bound, and the next heartbeat goes on.
+        The library sends a whole log or snapshot at once. While a snapshot has nothing to send, it loops for the time
+        of a heartbeat. Here both have a limit, and the next heartbeat continues.
         """
         self.put_off_heartbeat()
         connected = [node.id for node in self.other_voters if node in self.connected]
@@ -61,7 +61,10 @@ class Leading(Membership):
                 self._send_entries(node)
 
     def step_down_if_diverged(self) -> None:
-        """Let another lead if most members have come to another state than this leader. They are there, and agree."""
+        """Let another member lead if most members have another state than this leader.
+
+        They are reachable, and agree.
+        """
         if not self.is_leader:
             return
         of_most = self.poll.of_most(self.voter_ids())
@@ -76,7 +79,7 @@ class Leading(Membership):
         self.put_off_election()
 
     def _send_snapshot(self, node: MemberNode) -> bool:
-        """Send the next pieces; True when the last one is among them."""
+        """Send the next pieces of a snapshot. Returns True if the last one is among them."""
         while (chunk := self.keeper.next_chunk(node.id)) is not None:
             self._send_chunk(node, chunk)
             if chunk.is_last:

@@ -1,8 +1,9 @@
-"""Members come and go one at a time: what a leader does for it, step by step.
+"""Adds and removes members, one at a time: the leader's steps.
 
-An addition: the newcomer is sent the log until a round of catching up took less than an election timeout; then the
-configuration with it is put into the log, and holds; once that is committed, it is done (dissertation, section 4.2).
-A removal needs no first step. A leader does not remove itself: it hands over, and its successor does.
+An addition has three steps. The leader sends the newcomer the log until a round of catching up has taken less than an
+election timeout. Then it puts the configuration with the newcomer into the log, which takes effect at once. The
+addition is done when that entry is committed (dissertation, section 4.2). A removal needs no first step. A leader does
+not remove itself: it hands over, and its successor removes it.
 """
 
 from __future__ import annotations
@@ -27,17 +28,19 @@ from stampede_rt_supernode.replication.rules.membership import Membership
 
 ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
 
-# A newcomer that makes no progress for so long is given up, so that others can come.
+# A newcomer without progress for so long is given up, so that others can join.
 STALLED_SECONDS = 30.0
-# One that makes none for so long makes room for another newcomer that waits; one that was given up before, at once.
+# A newcomer without progress for so long gives way to another one that waits. If it was given up before, it gives way
+# at once.
 GIVES_WAY_SECONDS = 5.0
-# One that has not caught up in all this time is given up, whatever progress it makes, and then makes room at once.
+# A newcomer that has not caught up in this time is given up, even if it makes progress. At its next try it gives way at
+# once.
 JOIN_SECONDS_MAX = 600.0
 
 
 @dataclass(slots=True)
 class MemberChange:
-    """The request of a caller: `member` is to come, or, without an address, to go. `done` is called once."""
+    """A caller's request to add `member`, or, if it has no address, to remove it. `done` is called once."""
 
     member: Member
     is_removal: bool
@@ -47,7 +50,7 @@ class MemberChange:
 
 @dataclass(slots=True)
 class _Addition:
-    """A newcomer, and everybody who waits for it."""
+    """A newcomer, and all callers that wait for it."""
 
     member: Member
     callers: list[MemberChange]
@@ -55,7 +58,7 @@ class _Addition:
     round_began: float
     progress_at: float
     began: float
-    # How far it has acknowledged the log, and how much of a snapshot it was sent.
+    # the position up to which it has acknowledged the log, and the bytes of a snapshot that it was sent
     progress: tuple[int, int] = (0, 0)
 
 
@@ -72,8 +75,8 @@ class _Committing:
 class MemberChanges:
     """All changes of one replica. Tick thread only.
 
-    At most one configuration is on its way, and at most one newcomer catches up; a removal does not wait for it.
-    Invariant: both only while this node leads.
+    At most one configuration is uncommitted, and at most one newcomer catches up. A removal does not wait for the
+    newcomer. Invariant: both exist only while this node leads.
     """
 
     def __init__(
@@ -91,21 +94,21 @@ class MemberChanges:
         self._round_seconds = round_seconds
         self._alive_seconds = alive_seconds
         self._addition: _Addition | None = None
-        # The newcomer that was given up last, for want of progress; empty once that one makes some.
+        # the newcomer that was given up last, for lack of progress; empty once a newcomer makes progress
         self._given_up_id = ""
-        # The newcomer that took too long in all; empty once another one has begun to catch up.
+        # the newcomer that took too long; empty once another one begins to catch up
         self._slow_id = ""
         self._committing: _Committing | None = None
         self._transfer = LeadershipTransfer(node, clock, finish, alive_seconds=alive_seconds)
 
     @property
     def hands_over(self) -> bool:
-        """Whether new commands should wait: the next leader takes them."""
+        """Whether new commands should wait for the next leader."""
         return self._transfer.under_way
 
     @property
     def is_idle(self) -> bool:
-        """Whether nobody comes, goes or hands over at present."""
+        """Whether no addition, removal or hand-over is under way."""
         return self._addition is None and self._committing is None and not self._transfer.under_way
 
     def add(self, change: MemberChange) -> None:
@@ -133,7 +136,7 @@ class MemberChanges:
         self._transfer.begin(wish)
 
     def advance(self) -> None:
-        """Take the next step of whatever is under way."""
+        """Take the next step of all that is under way."""
         if not self._leads_on():
             self._end(NotLeading("this replica no longer leads"))
             return
@@ -145,7 +148,7 @@ class MemberChanges:
         self._transfer.advance()
 
     def _leads_on(self) -> bool:
-        """Whether this node leads, and has not ceased to since the change under way began."""
+        """Whether this node leads, and has led without a break since the present change began."""
         node, addition, committing = self._node, self._addition, self._committing
         return bool(
             node.is_leader
@@ -154,7 +157,7 @@ class MemberChanges:
         )
 
     def close(self) -> None:
-        """End everything that waits."""
+        """End all waiting calls."""
         self._end(LogUnavailable("this replica is closing"))
 
     # -- one at a time -------------------------------------------------------------------------------------------
@@ -209,12 +212,12 @@ class MemberChanges:
                 return
             self._addition = None
             configuration = self._node.configuration().with_member(addition.member, addition.callers[0].ticket)
-            # The learner first becomes a voter, and then ceases to be a learner: what it acknowledged stays known.
+            # First a voter, and then no learner any more, so that its acknowledgements stay known.
             self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
 
     def _is_too_old(self, addition: _Addition) -> bool:
-        """Refuse a newcomer whose release does not know the level of the cluster."""
+        """Refuse a newcomer whose release does not know the cluster's feature level. Returns whether it did."""
         newcomer, needed = addition.member.member_id, self._node.level_to_join()
         highest = self._node.known_levels().get(newcomer, 0)
         if highest >= needed:
@@ -225,12 +228,12 @@ class MemberChanges:
         return True
 
     def _gives_way(self, addition: _Addition) -> bool:
-        """Whether a newcomer is stuck, or too slow, so that another one may come first."""
+        """Whether a newcomer is stuck, or too slow, so that another one may go first."""
         stuck_seconds = self._clock() - addition.progress_at
         return stuck_seconds > GIVES_WAY_SECONDS or addition.member.member_id in (self._given_up_id, self._slow_id)
 
     def _give_up(self, addition: _Addition) -> None:
-        """It may try again, and has spent no token."""
+        """Give up a newcomer without progress. It may try again, because its token is not used up."""
         self._given_up_id = addition.member.member_id
         text = (
             f"{addition.member.member_id} at {addition.member.address} took nothing of the log for "
@@ -239,7 +242,7 @@ class MemberChanges:
         self._end_addition(addition, text)
 
     def _give_up_slow(self, addition: _Addition) -> None:
-        """As `_give_up`, for one that makes progress, and too little."""
+        """Give up a newcomer that makes progress, but too little."""
         self._slow_id = addition.member.member_id
         text = (
             f"{addition.member.member_id} at {addition.member.address} has not caught up with the log within "
