@@ -193,18 +193,27 @@ async def test_a_watch_that_is_far_behind_looks_at_one_page_of_changes_in_a_turn
     start = node.log.index
     for number in range(20):
         await node.open(f"cam/{number}")
-    pages: list[int] = []
+    turn = 0
+    turns_with_pages: list[int] = []
     read = change_ring.ChangeRing.read
 
     def counted(ring: change_ring.ChangeRing, position: int, changes_max: int) -> change_ring.ChangePage | None:
-        pages.append(position)
+        turns_with_pages.append(turn)
         return read(ring, position, changes_max)
 
+    async def count_turns() -> None:
+        nonlocal turn
+        while True:
+            turn += 1
+            await asyncio.sleep(0)
+
     monkeypatch.setattr(change_ring.ChangeRing, "read", counted)
+    counting = asyncio.create_task(count_turns())
     stream = begin(node, after_index=start, name_glob="mic")
     await stream.read()
-    per_turn = await until_idle(pages)
-    assert (len(pages), max(per_turn)) == (11, 1)
+    await until_idle(turns_with_pages)
+    counting.cancel()
+    assert (len(turns_with_pages), len(set(turns_with_pages))) == (11, 11)
     await node.open("mic")
     assert await changes(stream, 1) == [(ADDED, "mic")]
     stream.cancel()
