@@ -1,4 +1,4 @@
-"""The settings of a replica; checked here, once."""
+"""The settings of a replica, checked once, here."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _POSITIVE = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RaftTiming:
-    """The log's periods. The defaults serve again within 5 s after the loss of a leader."""
+    """The periods of the log. With the defaults the log serves again within 5 s after the loss of a leader."""
 
     tick_seconds: float = 0.03
     heartbeat_seconds: float = 0.1
@@ -51,12 +51,12 @@ class RaftTiming:
 class ReplicationSettings:
     """One replica of the log.
 
-    `initial_members` holds every member, this one included, or, with `joining`, every member but this one, which is
-    to be added by them; once the log knows better, it is what the log says. `data_dir` is the folder of this
+    `initial_members` holds every member, this one included. With `joining` it holds the present members, without this
+    one, which they will add. Once the log has a configuration, that one counts. `data_dir` is the folder of this
     replica's store; None keeps everything in memory, for development. `create` allows a new store in a folder without
-    one: a member that lost its disk must come back under a new id, so say False where a store must be there.
-    Of each other member `inbox_items_max` messages and `inbox_bytes_max` may wait to be heard.
-    A leader keeps `kept_log_bytes_max` of what a snapshot has cut off its log, for members that lag.
+    one. A member that lost its disk must come back under a new id, so use False if a store must exist.
+    `inbox_items_max` messages and `inbox_bytes_max` bytes of each other member may wait for this replica. A leader
+    keeps `kept_log_bytes_max` of the log entries that a snapshot has replaced, for slow members.
     """
 
     self_member: Member

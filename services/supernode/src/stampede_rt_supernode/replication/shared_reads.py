@@ -1,7 +1,7 @@
-"""Confirmed reads of one event loop: those that come while one is under way share the next.
+"""Confirmed reads of one event loop. Reads that come while one is under way share the next one.
 
-A read costs the log's thread a step and the members a round of messages, however many callers wait for it; a position
-that is confirmed for one that began later holds for all that began before.
+A read costs the log's thread one step and the members one round of messages, however many callers wait for it. The
+position of a read holds for all reads that began before it.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from stampede_rt_supernode.replication.interface import LogUnavailable
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
 
-_Waiting = tuple[float, asyncio.Future[int | None]]  # with its deadline, by time.monotonic
+_Waiting = tuple[float, asyncio.Future[int | None]]  # the deadline by time.monotonic, and the future
 
 
 class SharedReads:
     """Used on one loop. `start` hands a read to the log's thread.
 
-    Invariant: a caller is in `_waiting` or in the read that is under way until it is answered.
+    Invariant: a caller is in `_waiting`, or in the read under way, until it is answered.
     """
 
     def __init__(self, start: Callable[[ConfirmedRead], None], bridge: LoopBridge, *, waiting_max: int) -> None:
@@ -32,9 +32,9 @@ class SharedReads:
         self._closed = False
 
     async def confirm(self, timeout: float) -> int | None:
-        """An applied index that holds every write acknowledged before this call; None if the time is up.
+        """An applied index that includes every write acknowledged before this call; None if the time is up.
 
-        Raises LogUnavailable when too many wait.
+        Raises LogUnavailable if too many callers wait.
         """
         if len(self._waiting) >= self._waiting_max:
             raise LogUnavailable(f"{self._waiting_max} reads wait already: slow down and try again")
@@ -48,7 +48,7 @@ class SharedReads:
             return None
 
     def close(self) -> None:
-        """Answer those who wait with None; no other read begins."""
+        """Answer all waiting callers with None. No other read begins."""
         self._closed = True
         _settle(self._waiting, None)
         self._waiting = []

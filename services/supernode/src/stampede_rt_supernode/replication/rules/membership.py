@@ -1,13 +1,13 @@
-"""The members that this node counts, hears and sends to: always those of the newest configuration in its log.
+"""The members that this node counts, hears and sends to, always by the newest configuration in its log.
 
-Three circles: the *voters* are counted; the *learner* is sent the log, so that it can become a voter soon; every other
-*known* node is heard, since a member that was away does not know yet who leads by now (Ongaro's dissertation,
-section 4.1: requests are taken from servers that are not in the configuration). Whose removal is applied is not heard
-again.
+There are three kinds. The *voters* are counted. The *learner* is sent the log, so that it can become a voter soon.
+Every other *known* node is heard, because a member that was away does not know the present leader yet (Ongaro's
+dissertation, section 4.1: servers accept requests from servers outside their configuration). A member whose removal is
+applied is not heard again.
 
-Known are those whom the log names, and those whom one of these has named as members. Who has only named itself is a
-*stranger*, and heard while this node is locked out: while it has heard no leader for so long that those whom it knows
-may all be gone.
+Known are the members in the log, and the members that one of these has named. A node that has only named itself is a
+*stranger*. This node hears strangers only while it is locked out: it has not heard a leader for so long that all
+members it knows may be gone.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ STRANGERS_MAX = 16
 
 
 class Membership(NodeState):
-    """Follows the configurations of the log. Tick thread only."""
+    """Applies the configurations of the log to this node. Tick thread only."""
 
     self_member: Member
     # Makes the library's node for an id.
     make_member: Callable[[str], MemberNode]
-    # Who is catching up in order to be added; only while this node leads.
+    # The node that catches up in order to be added; only while this node leads.
     learner: Member | None = None
 
-    # When this node followed somebody last, or led; after so long without it is locked out.
+    # When this node last had a leader, or led. Long after it this node is locked out.
     had_leader_at: float
     locked_out_seconds: float
 
-    # Members of whom known ones told us, by id, the last told of last; at first those of whom the settings told.
+    # Members named by known ones, by id, the latest last; at first the members in the settings.
     _told: dict[str, Member]
-    # Who has named itself, or was named by a stranger, by id, the last one last.
+    # Nodes that named themselves, or that a stranger named, by id, the latest last.
     _strangers: dict[str, Member]
     _hears_strangers: bool = False
-    # Known members that do not take this node's store, by id, and why: it does not vote for as long.
+    # Known members that refuse this node's store, by id, and why. As long as there is one, this node does not vote.
     disputed_by: dict[str, str]
-    # Everybody whom this node hears, itself excepted, by id.
+    # All members that this node hears, by id, without itself.
     peers: dict[str, Member]
-    # What was adopted last: the version of the log's configurations, and the one that is applied.
+    # The last adopted state: the version of the log's configurations, and the applied one.
     _adopted: tuple[int, Configuration | None] = (-1, None)
 
     def open_snapshot(self) -> None:
@@ -56,21 +56,26 @@ class Membership(NodeState):
         super().open_snapshot()
         self.follow_log()
         if self.is_voter() and not self.other_voters:
-            # Nobody could object: lead at once.
+            # Nobody could object, so lead at once.
             self.election_deadline = float("-inf")
         else:
             self.put_off_election()
 
     def is_voter(self) -> bool:
-        """Whether this node is a member, by its own log: others neither stand for election nor take snapshots."""
+        """Whether this node is a member by its own log.
+
+        A non-member neither stands for election nor takes snapshots.
+        """
         return self.log.configurations.current.find(self.self_member.member_id) is not None
 
     def voter_ids(self) -> set[str]:
-        """Every other member that is counted."""
+        """The ids of all other voters."""
         return {node.id for node in self.other_voters}
 
     def follow_log(self) -> None:
-        """Adopt the newest configuration in the log, and those removed in the newest applied, if they are others."""
+        """Adopt the newest configuration in the log, and the removals in the newest applied one, if they
+        have changed.
+        """
         configurations = self.log.configurations
         seen = (configurations.version, configurations.at(self.last_applied))
         if seen != self._adopted:
@@ -78,9 +83,9 @@ class Membership(NodeState):
             self._adopt()
 
     def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
-        """Somebody who is heard has said who the members are.
+        """A node that is heard has told its view of the members.
 
-        Those known already are noted, too: a snapshot from before they came may take them off the log's own list.
+        Notes known members, too, because a snapshot of an earlier state may remove them from the log's own list.
         """
         if self.is_stranger(teller_id):
             for member in members:
@@ -90,14 +95,14 @@ class Membership(NodeState):
             self._adopt()
 
     def on_introduced(self, member: Member) -> None:
-        """Somebody unknown has said that it is a member: remember it for the time when nobody else is left."""
+        """An unknown node has said that it is a member. Remember it for the case that this node is locked out."""
         if self._strangers.get(member.member_id) != member:
             _remember(self._strangers, (member,), STRANGERS_MAX)
             if self._hears_strangers:
                 self._adopt()
 
     def listen_to_strangers(self) -> None:
-        """Begin to when this node is locked out; cease to once it leads, or hears a leader whom it knows."""
+        """Begin to hear strangers when this node is locked out. Stop when it leads or hears a known leader."""
         hears = self._hears_strangers
         if self.leader is None:
             hears = hears or self.clock() - self.had_leader_at > self.locked_out_seconds
@@ -115,25 +120,27 @@ class Membership(NodeState):
         return all(member.member_id != member_id for member in self.log.configurations.known_members())
 
     def on_disputed(self, member_id: str, why: str) -> None:
-        """A member does not take this node's store, or, with an empty `why`, takes it again."""
+        """A member refuses this node's store, or, with an empty `why`, accepts it again."""
         if not why:
             self.disputed_by.pop(member_id, None)
         elif member_id in self.peers and not self.is_stranger(member_id):
             self.disputed_by[member_id] = why
 
     def stands_aside(self) -> bool:
-        """Whether this node must not lead: its state differs, or its store may lack what it has promised."""
+        """Whether this node must not lead: its state has diverged, or its store may lack its promises."""
         return bool(self.digests.diverged_at or self.disputed_by)
 
     def doubts(self) -> dict[str, int]:
-        """By id, where a state was found to differ from the leader's, while nobody knows what most members hold."""
+        """By id, the position at which a state differs from the leader's, while nobody knows the state of
+        most members.
+        """
         if self.is_leader:
             return dict(self.poll.doubts)
         at = self.digests.doubtful_at
         return {self.self_member.member_id: at} if at else {}
 
     def set_learner(self, learner: Member | None) -> None:
-        """Begin or end to send the log to a node that is no member yet."""
+        """Begin or end to send the log to a node that is not a member yet."""
         self.learner = learner
         self._adopt()
         if learner is not None:
@@ -142,7 +149,7 @@ class Membership(NodeState):
             self.match_index[node] = 0
 
     def append_configuration(self, configuration: Configuration) -> int:
-        """Put a configuration into the log, as the leader; it holds from now on. Returns its position."""
+        """Put a configuration into the log, as the leader. It takes effect at once. Returns its position."""
         log_index = self.log.last_index + 1
         self.log.append(encode_configuration(configuration), log_index, self.term)
         self.follow_log()
@@ -158,7 +165,7 @@ class Membership(NodeState):
         for member_id in sorted(voters - self.voter_ids()):
             node = self.transport.node(member_id)
             self.other_voters.add(node)
-            # A learner that becomes a voter keeps what it has acknowledged.
+            # A learner that becomes a voter keeps its acknowledged position.
             self.next_index.setdefault(node, self.log.last_index + 1)
             self.match_index.setdefault(node, 0)
             self.last_response_time[node] = self.clock()
@@ -169,10 +176,10 @@ class Membership(NodeState):
         peers = {**strangers, **self._told, **{member.member_id: member for member in known}}
         if self.learner is not None:
             peers[self.learner.member_id] = self.learner
-        # A removal that is not committed may be undone, and by the removed one at that.
+        # A removal that is not committed may be undone, even by the removed member.
         for member_id in self.log.configurations.at(self.last_applied).retired:
             peers.pop(member_id, None)
-        # All of them, also if a hostile leader has named one again that was removed.
+        # All of them, even if a hostile leader has named a removed one again.
         peers.update({member.member_id: member for member in current.members})
         peers.pop(self.self_member.member_id, None)
         for member_id in self.peers.keys() - peers.keys():
@@ -188,29 +195,30 @@ class Membership(NodeState):
                 del progress[node]
 
     def sent_to(self) -> list[MemberNode]:
-        """Everybody whom a leader sends its log to, in the order of the library's set."""
+        """The nodes to which a leader sends its log, in the order of the library's set."""
         learner = self.transport.find_node(self.learner.member_id) if self.learner is not None else None
         others = list(self.other_voters)
         return others if learner is None or learner in self.other_voters else [*others, learner]
 
     def set_role(self, role: int) -> None:
-        """Become FOLLOWER, CANDIDATE or LEADER; only a leader has a learner."""
+        """Become FOLLOWER, CANDIDATE or LEADER. Only a leader has a learner."""
         super().set_role(role)
         if role != LEADER and self.learner is not None:
             self.set_learner(None)
 
     def take_snapshot_if_due(self) -> None:
-        """As a member alone: others may not know yet which configuration held at the beginning of their log."""
+        """Only as a member, because other nodes may not know the configuration at the beginning of their log."""
         applied = self.log.configurations.at(self.last_applied)
         if applied.find(self.self_member.member_id) is not None:
             super().take_snapshot_if_due()
 
-    # -- what member changes ask -------------------------------------------------------------------------------
+    # -- for member changes ------------------------------------------------------------------------------------
 
     def may_change_members(self) -> bool:
-        """Whether this node leads, with an entry of its own term committed, and no change is still on its way.
+        """Whether this node leads, has committed an entry of its own term, and no change is uncommitted.
 
-        Without the second, two changes by leaders of different terms may overlap (Ongaro, raft-dev, July 2015).
+        Without the second condition, two changes by leaders of different terms may overlap (Ongaro, raft-dev, July
+        2015).
         """
         return self.can_confirm_reads() and self.log.configurations.current_index <= self.commit_index
 
@@ -219,52 +227,55 @@ class Membership(NodeState):
         return {**self.transport.highest_levels, self.self_member.member_id: self.state_machine.highest_level}
 
     def level_to_join(self) -> int:
-        """The level that a newcomer's release must know: the cluster's, or the one to which it is about to rise."""
+        """The level that a newcomer's release must know: the cluster's, or the one to which the cluster is about to
+        rise.
+        """
         known = self.known_levels()
         told = [known.get(member.member_id, 0) for member in self.configuration().members]
         return max(self.state_machine.feature_level, min(told))
 
     def configuration(self) -> Configuration:
-        """The one that holds."""
+        """The present configuration."""
         return self.log.configurations.current
 
     def held_by(self, member_id: str) -> int:
-        """Up to where a member or the learner has acknowledged this leader's log; 0 for others."""
+        """The position up to which a member or the learner has acknowledged this leader's log; 0 for others."""
         node = self.transport.find_node(member_id)
         return 0 if node is None else self.match_index.get(node, 0)
 
     def note_promises(self) -> None:
-        """Remember what every follower has acknowledged of what is committed: it must never come back without it."""
+        """Remember the committed entries that each follower has acknowledged. It must never come back without them."""
         for node, match in self.match_index.items():
             held = min(match, self.commit_index)
             self.log.note_promise(node.id, 0, held)
 
     def let_go_of_log(self) -> None:
-        """Keep, of what the log has cut off, only what somebody who is sent it may lack, and the entry before it; as a
-        follower, nothing.
+        """Free the cut-off part of the log, except entries that a receiver may lack, and the entry before them.
+
+        A follower keeps nothing of it.
         """
         held = [self.match_index.get(node, 0) for node in self.sent_to()]
         self.log.keep_after(min(held, default=self.log.last_index) - 1 if self.is_leader else self.log.last_index)
 
     def term_at(self, log_index: int) -> int | None:
-        """The term of an entry, None when it is not held."""
+        """The term of an entry; None if the log does not hold it."""
         entry = self.log.entry_at(log_index)
         return None if entry is None else entry.term
 
     def alive_voters(self, *, within_seconds: float) -> set[str]:
-        """Every other member that has answered this leader lately."""
+        """The ids of all other voters that have answered this leader within the time."""
         since = self.clock() - within_seconds
         heard = self.last_response_time
         return {node.id for node in self.other_voters if heard.get(node, float("-inf")) > since}
 
     def send_timeout_now(self, member_id: str) -> bool:
-        """Ask a member to lead; False when the message cannot leave."""
+        """Ask a member to lead. Returns False if the message cannot be sent."""
         node = self.transport.find_node(member_id)
         return node is not None and self.transport.send(node, TimeoutNow(term=self.term))
 
 
 def _remember(members: dict[str, Member], news: Iterable[Member], members_max: int) -> None:
-    """Put them last, and forget the first of too many."""
+    """Put `news` last, and forget the first members if there are too many."""
     for member in news:
         members.pop(member.member_id, None)
         members[member.member_id] = member

@@ -1,4 +1,4 @@
-"""Puts one node together: the library's class under our rules, and everything it needs around it."""
+"""Builds a node: the library's class under our rules, and the objects that it needs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def build_node(
     rules: type = PreVoteElections,
     run_in_background: RunInBackground = run_inline,
 ) -> PreVoteElections:
-    """A node with its transport, keeper and reads attached; its snapshot is not opened yet.
+    """A node with its transport, snapshot keeper and reads. Its snapshot is not opened yet.
 
     `rules` stands before the library's class in the order of methods. Raises LibraryMismatch.
     """
@@ -51,7 +51,7 @@ def build_node(
         log, state_machine, has_room, run_in_background=run_in_background, chunk_bytes=settings.snapshot_piece_bytes
     )
     node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2
-    # Request ids of an earlier life must not be answered in this one.
+    # so that no answer to a request of a former process fits a request of this one
     first_request_id = int(random_source.random() * 2**52)
     node.transport = BufferedTransport(others)
     node.reads = ConfirmedReads(

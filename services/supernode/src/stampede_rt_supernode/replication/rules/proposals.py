@@ -1,4 +1,4 @@
-"""Commands on their way into the log: which outcome of the library means what to the caller."""
+"""Commands on their way into the log, and the meaning of the library's outcomes for their callers."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ Outcome = bytes | LogUnavailable | Ambiguous
 class Proposal:
     """One command. `done` is called at most once, on the tick thread.
 
-    `handed_over` and `abandoned` are written by one thread each, the tick thread's and the caller's, and read
-    by the other after its own write: so never both "was not handed over" and handed over later.
+    The tick thread writes `handed_over`, and the caller writes `abandoned`. Each reads the other's field after it has
+    written its own. So it cannot happen that the caller finds the command not handed over, and it is handed over later.
     """
 
     __slots__ = ("abandoned", "command", "deadline", "done", "finished", "handed_over")
@@ -31,9 +31,9 @@ class Proposal:
 
 
 class Proposals:
-    """Waits for a leader, hands over, and turns the library's answers into outcomes. Tick thread only.
+    """Waits for a leader, hands commands over, and turns the library's answers into outcomes. Tick thread only.
 
-    Invariant: `_handed` counts the unfinished proposals that the library has; at most `handed_max`.
+    Invariant: `_handed` counts the unfinished proposals in the library, at most `handed_max`.
     """
 
     def __init__(
@@ -52,13 +52,13 @@ class Proposals:
         self._sequence = 0
 
     def add(self, proposal: Proposal) -> None:
-        """Take a proposal in."""
+        """Accept a proposal."""
         self._waiting.append(proposal)
         self._sequence += 1
         heapq.heappush(self._deadlines, (proposal.deadline, self._sequence, proposal))
 
     def advance(self, *, leader_reachable: bool, now: float) -> None:
-        """Give up what is late; hand over what waits when there is somebody to take it."""
+        """Give up proposals whose time is over, and hand over the waiting ones if a leader can take them."""
         while self._deadlines and (self._deadlines[0][0] <= now or self._deadlines[0][2].finished):
             self._expire(heapq.heappop(self._deadlines)[2])
         for _ in range(len(self._waiting)):
@@ -103,7 +103,7 @@ class Proposals:
         self._finish_later(lambda: proposal.done(outcome))
 
     def close(self) -> None:
-        """Finish everything: unavailable or ambiguous."""
+        """Finish all proposals with LogUnavailable or Ambiguous."""
         for _, _, proposal in self._deadlines:
             if proposal.finished:
                 continue

@@ -1,7 +1,7 @@
 """The common parts of the corrected rules of Raft.
 
-The rules are in following.py, leading.py and elections.py. They keep to the Raft paper (Ongaro and Ousterhout 2014,
-figures 2 and 13). Each one says which fault of PySyncObj 0.3.17 it closes.
+The rules are in following.py, leading.py and elections.py. They follow the Raft paper (Ongaro and Ousterhout 2014,
+figures 2 and 13). Each one names the fault of PySyncObj 0.3.17 that it corrects.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTr
 
 
 class InvariantViolation(RuntimeError):
-    """The log broke a promise of Raft. The replica stops before it can do more harm."""
+    """The log broke an invariant of Raft. The replica stops before it can do more harm."""
 
 
 class PeerAtFault(Exception):
-    """A member has broken the rules: its stream is dropped, and this replica goes on."""
+    """A member has broken the protocol: its stream is dropped, and this replica goes on."""
 
     def __init__(self, member_id: str, why: str) -> None:
         super().__init__(f"{member_id} {why}")
@@ -37,11 +37,14 @@ class NodeState(LibraryNode):
     poll: DigestPoll
     reads: ConfirmedReads
 
-    # When this node last heard from a leader of its term, by `clock`.
+    # When this node last heard a leader of its term, by `clock`.
     last_leader_contact: float = float("-inf")
 
     def open_snapshot(self) -> None:
-        """Load the stored snapshot before the first tick. Raises: a node without its state must not take part."""
+        """Load the stored snapshot before the first tick.
+
+        Raises its errors: a node without its state must not take part.
+        """
         self.skip_own_restore()
         last = self.keeper.restore()
         if last is not None:
@@ -50,22 +53,22 @@ class NodeState(LibraryNode):
             self.digests.note(*self.state_machine.digest())
 
     def apply(self, log_index: int, command: bytes) -> bytes:
-        """Apply a committed command, and note what state it has led to."""
+        """Apply a committed command, and note the digest of the new state."""
         result = super().apply(log_index, command)
         self.digests.note(*self.state_machine.digest())
         return result
 
     def on_disconnected(self, node: MemberNode) -> None:
-        """Begin again with this member: pieces of a snapshot may be lost with the link.
+        """Send this member's snapshot from the beginning next time, because pieces may be lost with the link.
 
-        The library would go on in the middle.
+        The library would continue in the middle.
         """
         super().on_disconnected(node)
         self.keeper.cancel_sending(node.id)
         self.on_stream_opened(node)
 
     def on_stream_opened(self, node: MemberNode) -> None:
-        """Our stream to a member broke, or it opened a new one to us: requests or replies may be lost.
+        """A stream to or from a member was opened anew: requests or replies may be lost, so repeat them.
 
         The library lets the callers of forwarded commands wait for ever.
         """
@@ -74,11 +77,11 @@ class NodeState(LibraryNode):
             self.reads.on_leader_lost()
 
     def set_role(self, role: int) -> None:
-        """Become FOLLOWER, CANDIDATE or LEADER; who led lets go of all that only a leader needs."""
+        """Become FOLLOWER, CANDIDATE or LEADER. A former leader frees the state that only a leader needs."""
         led = self.is_leader
         super().set_role(role)
         if self.is_leader and not led:
-            self.digests.doubtful_at = 0  # it was a doubt about this node and a leader of before
+            self.digests.doubtful_at = 0  # the doubt concerned this node and a former leader
         if led and not self.is_leader:
             self.reads.on_leader_lost()
             self.keeper.end_sending()
@@ -86,15 +89,15 @@ class NodeState(LibraryNode):
             self.log.keep_after(self.log.last_index)
 
     def log_end(self) -> tuple[int, int]:
-        """(term, index) of the last entry: the order in which logs are more or less complete."""
+        """(term, index) of the last entry, by which the completeness of logs is compared."""
         last = self.log[-1]
         return last.term, last.log_index
 
     def is_majority(self, count: int) -> bool:
-        """Whether so many members, this one included, are more than half of all."""
+        """Whether `count` members, this one included, are more than half of all."""
         return 2 * count > len(self.other_voters) + 1
 
     def can_confirm_reads(self) -> bool:
-        """Whether this node leads and has applied an entry of its own term: before, it may lack older ones."""
+        """Whether this node leads and has applied an entry of its own term. Before that it may lack older commits."""
         own = self.first_index_of_term
         return self.is_leader and own is not None and own <= self.last_applied

@@ -1,4 +1,4 @@
-"""Requests for a snapshot now, beside those that are taken when the log has grown long."""
+"""Requests for a snapshot now, beside the snapshots that are taken when the log has grown long."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ SnapshotOutcome = StoredSnapshot | LogUnavailable
 
 
 class SnapshotRequest(NamedTuple):
-    """`done` is called once, on the tick thread."""
+    """A request. `done` is called once, on the tick thread."""
 
     done: Callable[[SnapshotOutcome], None]
 
 
 class SnapshotRequests:
-    """Has snapshots taken until one holds what was applied when it was asked for. Tick thread only."""
+    """Has snapshots taken until one covers the position that was applied at the request. Tick thread only."""
 
     def __init__(self, node: NodeState, log: RaftLog, finish: Callable[[Callable[[], None]], None]) -> None:
         self._node = node
         self._log = log
         self._finish_later = finish
-        # (applied index when it was asked for, request)
+        # (applied index at the request, request)
         self._waiting: list[tuple[int, SnapshotRequest]] = []
 
     def add(self, request: SnapshotRequest) -> None:
-        """Take a request in."""
+        """Accept a request."""
         self._waiting.append((self._node.last_applied, request))
 
     def advance(self) -> None:
-        """Answer those whom the present snapshot covers, and have another one taken for the rest."""
+        """Answer the requests that the present snapshot covers, and have another snapshot taken for the rest."""
         snapshot = self._log.snapshot
         if snapshot is not None:
             covered = [one for since, one in self._waiting if since <= snapshot.last_log_index]
@@ -45,7 +45,7 @@ class SnapshotRequests:
             self._node.request_snapshot()
 
     def close(self) -> None:
-        """Finish everything."""
+        """Finish all requests with LogUnavailable."""
         for _, request in self._waiting:
             self._finish(request, LogUnavailable("this replica is closing"))
         self._waiting = []

@@ -1,7 +1,7 @@
-"""A backup: one snapshot as a file that says what it is, and whether it is whole.
+"""A backup: one snapshot as a file with its origin and a checksum.
 
-`MAGIC`, a line of JSON (BackupHeader), the snapshot's record, and the SHA-256 of all that is before it: a file that was
-cut off, or in which a bit has changed, is found out before anything is restored from it.
+The file has `MAGIC`, a line of JSON (BackupHeader), the snapshot's record, and the SHA-256 of all of these. So a file
+that was cut off, or in which a bit has changed, is found out before a restore.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SHA256_BYTES = 32
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BackupHeader:
-    """Where a backup comes from."""
+    """The origin of a backup."""
 
     member_id: str
     cluster_id: str
@@ -32,7 +32,7 @@ class BackupHeader:
 
 @dataclass(frozen=True, slots=True)
 class Backup:
-    """A backup that is about to be sent, without a second copy of the record."""
+    """A backup to be sent, without a second copy of the record."""
 
     head: bytes
     record: bytes
@@ -40,11 +40,11 @@ class Backup:
 
     @property
     def size_bytes(self) -> int:
-        """Of the whole file."""
+        """The bytes of the whole file."""
         return len(self.head) + len(self.record) + SHA256_BYTES
 
     def parts(self) -> Iterator[bytes]:
-        """The file, a part at a time."""
+        """The file, in parts."""
         yield self.head
         for start in range(0, len(self.record), PART_BYTES):
             yield self.record[start : start + PART_BYTES]
@@ -52,7 +52,7 @@ class Backup:
 
 
 def make_backup(header: BackupHeader, record: bytes) -> Backup:
-    """The file for a snapshot; takes a while for a large one."""
+    """The file for a snapshot. Takes a while for a large one."""
     head = MAGIC + json.dumps(asdict(header)).encode() + b"\n"
     digest = hashlib.sha256(head)
     digest.update(record)
@@ -60,9 +60,9 @@ def make_backup(header: BackupHeader, record: bytes) -> Backup:
 
 
 def read_backup(path: Path) -> tuple[BackupHeader, StoredState]:
-    """Where a backup comes from, and what a member would hold that has just its snapshot; blocks.
+    """The origin of a backup, and the state of a member that has only its snapshot. Blocks.
 
-    Raises StoreDamaged for a file that is none, or not whole, and OSError.
+    Raises StoreDamaged for a file that is no backup or not complete, and OSError.
     """
     data = path.read_bytes()
     if not data.startswith(MAGIC):

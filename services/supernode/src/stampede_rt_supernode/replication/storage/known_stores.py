@@ -1,9 +1,9 @@
-"""Which store each member has come with: one whose disk was lost must not come back under its old id.
+"""The store with which each member has come. A member that lost its disk must not come back under its old id.
 
 It would have forgotten its vote and the entries that it acknowledged, and could elect a leader that lacks them. Its own
-empty store cannot tell; those who have met it with another one can. So can those who heard it promise more than an
-older copy of its store holds (`store.Promise`). A member that was refused for either notes that, too, and does not
-start again.
+empty store cannot show that. Members that have met it with another store can. Members that have heard it promise more
+than an older copy of its store holds can, too (`store.Promise`). A member that was refused for one of these reasons
+notes that, and does not start again.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from typing import Any
 from stampede_rt_supernode.replication.storage.store import REJOIN, StoreDamaged
 
 FILE_NAME = "replicated_log.stores"
-# Of those whom the log does not name, beside all whom it does.
+# of members that the log does not name, beside all that it does
 OTHERS_MAX = 32
 ID_BYTES = 8
 STORE_ID_BYTES_MAX = 64
 
 
 class KnownStores:
-    """The stores that one member remembers, in `data_dir`. A member that keeps nothing remembers none, and has no id of
-    its own.
+    """The stores that one member remembers, in `data_dir`. A member without a folder remembers none, and has no store
+    id.
 
-    From any thread.
+    Callable on any thread.
     """
 
     def __init__(
         self, own: str = "", known: Mapping[str, str] | None = None, path: Path | None = None, refused: str = ""
     ) -> None:
         self.own = own
-        # Why others do not take this store any more; empty as long as they do.
+        # Why others refuse this store; empty as long as they accept it.
         self.refused = refused
         self._known = dict(known or {})
         self._path = path
@@ -45,7 +45,7 @@ class KnownStores:
 
     @classmethod
     def open(cls, data_dir: Path | None, *, had_store: bool) -> KnownStores:
-        """Read what was noted, or begin, as with a store that is new; blocks. Raises StoreDamaged or OSError."""
+        """Read the notes, or begin them, as for a new store. Blocks. Raises StoreDamaged or OSError."""
         if data_dir is None:
             return cls()
         path = data_dir / FILE_NAME
@@ -57,23 +57,24 @@ class KnownStores:
         return begun
 
     def admits(self, member_id: str, store_id: str) -> bool:
-        """Whether this is the store with which that member came before, or it was never met.
+        """Whether this is the store with which that member came before, or the member is new.
 
-        Empty: it keeps nothing. Who came with a store once has promised what it must keep.
+        An empty id means no store. A member that came with a store once must keep the promises in it.
         """
         return self._known.get(member_id, store_id) == store_id
 
     def refuse_own(self, why: str) -> None:
-        """Note that others do not take this store any more; blocks. Raises OSError."""
+        """Note that others refuse this store. Blocks. Raises OSError."""
         with self._mutex:
             self.refused = why
             if self._path is not None:
                 self._write()
 
     def note(self, member_id: str, store_id: str, members: Collection[str]) -> None:
-        """Remember an admitted member's store for good; blocks at the first time. Raises OSError.
+        """Remember an admitted member's store for good. Blocks at the first time. Raises OSError.
 
-        `members`: whom the log names. Of the others only the last few are kept, and none takes the entry of a member.
+        `members`: the members in the log. Of other nodes only the last few are kept, and none replaces the entry of a
+        member.
         """
         with self._mutex:
             if self._path is None or not store_id or member_id in self._known:
@@ -118,7 +119,7 @@ def _is_sound(facts: Any) -> bool:
 
 
 def force_folder(folder: Path) -> None:
-    """Have the names in a folder on the disk; blocks."""
+    """Force the names in a folder to the disk. Blocks."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

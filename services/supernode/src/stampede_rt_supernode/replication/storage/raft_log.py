@@ -1,7 +1,7 @@
-"""The log over a store: a list in memory, and what of it is not yet on disk.
+"""The log over a store: a list in memory, and the changes that are not on disk yet.
 
-Nothing is durable before `sync` returns, and everything since the last sync becomes durable together. The
-tick loop calls it before any message or result leaves the process; that is also the group commit.
+Nothing is durable before `sync` returns. All changes since the last sync become durable together. The tick loop calls
+`sync` before any message or result leaves the process, which is also the group commit.
 """
 
 from __future__ import annotations
@@ -23,42 +23,42 @@ from stampede_rt_supernode.replication.storage.store import (
 )
 from stampede_rt_supernode.replication.wire.records import decode_configuration
 
-# More than there can be members at any time; those of removed ones make room.
+# More than there can be members at any time. Promises of removed members go first.
 PROMISES_MAX = 64
-# What an entry costs beside its command.
+# The bytes of an entry beside its command.
 ENTRY_BYTES = 200
 
 
 class RaftLog:
-    """Log, term, vote and commit index. Entries are without gaps; positions count from the first one held."""
+    """Log, term, vote and commit index. Entries have no gaps. Indexes count from the first held entry."""
 
     def __init__(self, store: Store, *, kept_bytes_max: int = 0) -> None:
-        """`kept_bytes_max`: how much of what is cut off at the front is kept for those who lag."""
+        """`kept_bytes_max`: how many bytes of entries that are cut off at the front are kept for slow members."""
         state = store.load()
         self._kept_bytes_max = kept_bytes_max
         self._store = store
         self._entries = state.entries
         self._term = state.term
         self._voted_for = state.voted_for
-        # Reaches the disk with the next change that must: to lose it only means that the leader says it again.
+        # Reaches the disk with the next change that must. If it is lost, the leader sends it again.
         self.commit_index = state.commit_index
         self.snapshot = state.snapshot
         self._promises = dict(state.promises)
         self._promises_changed = False
-        # Who the members are; it follows every change of the entries.
+        # The members; they follow every change of the entries.
         self.configurations = Configurations(Configuration(()))
-        # What was cut off at the front, for those who still lack it: without gaps, up to the first entry held.
+        # Entries cut off at the front, for slow members: without gaps, up to the first held entry.
         self._kept: deque[Entry] = deque()
         self._kept_bytes = 0
-        # Lowest log index from which the store differs from `_entries`; None when they agree.
+        # Lowest log index from which the store differs from `_entries`; None if they agree.
         self._replace_from: int | None = None
         self._pending_pieces: list[SnapshotPiece] = []
         self._pending_seal: SnapshotSeal | None = None
-        # True when term, vote, entries or snapshot wait for the disk. The commit index alone does not count.
+        # True if term, vote, entries or snapshot wait for the disk. The commit index alone does not count.
         self._dirty = False
 
     def track_members(self, base: Configuration) -> None:
-        """Say which configuration held before the first entry; those in the entries follow it."""
+        """Set the configuration before the first entry. The configurations in the entries follow it."""
         self.configurations = Configurations(base)
         for entry in self._entries:
             self._note_configuration(entry)
@@ -68,7 +68,7 @@ class RaftLog:
             self.configurations.note(entry.log_index, decode_configuration(entry.command))
 
     def append(self, command: bytes, log_index: int, term: int) -> None:
-        """Append an entry; `log_index` follows the last one held."""
+        """Append an entry. `log_index` must follow the last held one."""
         if self._entries and log_index != self._entries[-1].log_index + 1:
             raise AssertionError(f"entry {log_index} does not follow {self._entries[-1].log_index}")
         self._entries.append(Entry(command, log_index, term))
@@ -76,14 +76,14 @@ class RaftLog:
         self._differs_from(log_index)
 
     def clear(self) -> None:
-        """Forget every entry."""
+        """Remove every entry."""
         if self._entries:
             self._differs_from(0)
             self.keep_after(self._entries[-1].log_index)
         self._entries = []
 
     def cut_from(self, log_index: int) -> None:
-        """Forget the entries at or past a position; nothing, if there are none."""
+        """Remove the entries at or after a position."""
         position = log_index - self._entries[0].log_index if self._entries else 0
         if position < len(self._entries):
             self._differs_from(log_index)
@@ -107,16 +107,16 @@ class RaftLog:
 
     @property
     def term(self) -> int:
-        """The term noted last."""
+        """The latest term."""
         return self._term
 
     @property
     def voted_for(self) -> str | None:
-        """The vote noted last."""
+        """The vote in that term."""
         return self._voted_for
 
     def set_term(self, term: int, voted_for: str | None) -> None:
-        """Note term and vote, durable with the next sync."""
+        """Note term and vote. They are durable after the next sync."""
         if (term, voted_for) != (self._term, self._voted_for):
             self._term, self._voted_for = term, voted_for
             self._dirty = True
@@ -127,17 +127,17 @@ class RaftLog:
         return self._promises
 
     def note_promise(self, member_id: str, term: int, held: int) -> None:
-        """Remember it, if it is more than before; it reaches the disk with the next change that must, or a flush."""
+        """Remember a greater promise. It reaches the disk with the next change that must, or with a flush."""
         known = self._promises.get(member_id, Promise(0, 0))
         if term > known.term or held > known.held:
-            # A new dictionary: other threads read the one before.
+            # A new dictionary, because other threads read the former one.
             promises = {one: promise for one, promise in self._promises.items() if one != member_id}
             promises[member_id] = Promise(max(term, known.term), max(held, known.held))
             self._promises = self._bounded(promises)
             self._promises_changed = True
 
     def _bounded(self, promises: dict[str, Promise]) -> dict[str, Promise]:
-        """Of too many, those of the oldest that are no members go."""
+        """The promises, without the oldest ones of non-members if there are too many."""
         members = {member.member_id for member in self.configurations.known_members()}
         others = [member_id for member_id in promises if member_id not in members]
         for member_id in others[: max(0, len(promises) - PROMISES_MAX)]:
@@ -145,34 +145,34 @@ class RaftLog:
         return promises
 
     def flush_promises(self) -> None:
-        """Have promises on the disk with the next sync, even if nothing else is."""
+        """Have promises on the disk with the next sync, even if there is no other change."""
         self._dirty = self._dirty or self._promises_changed
 
     def end(self) -> tuple[int, int]:
-        """(term, last index): what this log says for itself wherever it introduces itself."""
+        """(term, last index): the statement of this log in each hello."""
         return self._term, self.last_index
 
     def entry_at(self, log_index: int) -> Entry | None:
-        """The entry at a log index, or None when it is not held."""
+        """The entry at a log index; None if the log does not hold it."""
         position = log_index - self._entries[0].log_index if self._entries else -1
         return self._entries[position] if 0 <= position < len(self._entries) else None
 
-    # -- what a leader sends to those who lag ------------------------------------------------------------------
+    # -- entries for slow members ------------------------------------------------------------------------------
 
     @property
     def first_sendable(self) -> int:
-        """The first entry that can be sent, or come before those that are; 0 for an empty log."""
+        """The position of the first entry that can be sent; 0 for an empty log."""
         return (self._kept[0] if self._kept else self._entries[0]).log_index if self._entries else 0
 
     def sendable_at(self, log_index: int) -> Entry | None:
-        """As `entry_at`, of all that can be sent."""
+        """As `entry_at`, for all entries that can be sent."""
         first = self.first_sendable
         return (
             self._kept[log_index - first] if first <= log_index < first + len(self._kept) else self.entry_at(log_index)
         )
 
     def sendable_from(self, log_index: int, bytes_max: int) -> list[Entry]:
-        """The entries from a position on that can be sent, up to the first with which they are `bytes_max`."""
+        """The sendable entries from a position on, up to and including the one that reaches `bytes_max`."""
         found, size, first = [], 0, self.first_sendable
         kept = islice(self._kept, max(0, log_index - first), None)
         held = islice(self._entries, max(0, log_index - first - len(self._kept)), None)
@@ -184,12 +184,12 @@ class RaftLog:
         return found
 
     def keep_after(self, log_index: int) -> None:
-        """Let go of what is kept at or before a position: everybody has it, or nobody is sent anything."""
+        """Free the kept entries at or before a position: no member needs them."""
         while self._kept and self._kept[0].log_index <= log_index:
             self._let_go_oldest()
 
     def _keep(self, entries: list[Entry]) -> None:
-        """Keep what is cut off at the front, in memory alone: as much of the newest as fits."""
+        """Keep entries that are cut off at the front, only in memory: as many of the newest as fit."""
         for entry in entries:
             if self._kept and self._kept[-1].log_index + 1 != entry.log_index:
                 self.keep_after(entry.log_index)
@@ -204,20 +204,20 @@ class RaftLog:
     # -- snapshots and the disk --------------------------------------------------------------------------------
 
     def write_piece(self, piece: SnapshotPiece) -> None:
-        """Have a piece of a coming snapshot on the disk with the next sync, so that adopting it costs little."""
+        """Have a piece of a coming snapshot on the disk with the next sync, so that its adoption costs little."""
         self._pending_pieces.append(piece)
         self._dirty = True
 
     def adopt_snapshot(
         self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration
     ) -> None:
-        """Let the log begin with the two entries a snapshot ends with; `configuration` held at the last one.
+        """Let the log begin with the last two entries of a snapshot. `configuration` held at the last one.
 
-        All its pieces are written before. What follows `last` stays when this log holds the very same `last`: it may
-        be acknowledged already. The snapshot's seal and the log reach the disk together.
+        All pieces must be written before. Entries after `last` stay if this log holds exactly the same `last`, because
+        they may be acknowledged already. The snapshot's seal and the log reach the disk together.
         """
         held_before = self.entry_at(previous.log_index) is not None
-        # The whole entries: a hostile leader may have made others of the same terms.
+        # Compares whole entries, because a hostile leader may have made others of the same terms.
         if self.entry_at(last.log_index) == last and self.entry_at(previous.log_index) in (None, previous):
             keep_from = last.log_index + 1 - self._entries[0].log_index
             tail = self._entries[keep_from:]
@@ -237,7 +237,7 @@ class RaftLog:
         self._dirty = True
 
     def sync(self) -> bool:
-        """Make everything noted so far durable; blocks on the disk. True when there was anything to write."""
+        """Make all changes so far durable. Blocks on the disk. Returns True if there were any."""
         if not self._dirty:
             return False
         self._store.commit(self._changes())
@@ -246,7 +246,7 @@ class RaftLog:
         return True
 
     def close(self) -> None:
-        """Make everything durable, the commit index too, and let go of the store."""
+        """Make all changes durable, the commit index too, and close the store."""
         self._dirty = True
         self.sync()
         self._store.close()

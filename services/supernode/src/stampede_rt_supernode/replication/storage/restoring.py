@@ -1,7 +1,7 @@
-"""A new cluster from what one member of a lost one has kept, or from a backup: when a majority is gone for good.
+"""Makes a new cluster from the data of one member of a lost cluster, or from a backup, if a majority is gone for good.
 
-What the member holds is taken over; what only the others held is lost, acknowledged or not. The new cluster has an id
-of its own, so that an old member that comes back after all cannot disturb it.
+The new cluster takes over the data of that member. Data that only the others had is lost, acknowledged or not. The new
+cluster has another id, so that an old member that comes back cannot disturb it.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from stampede_rt_supernode.replication.wire.records import decode_configuration,
 
 
 def restore_from(source: Path, new_dir: Path, state_machine: StateMachine, *, founder: Member, cluster_id: str) -> int:
-    """Write a store of one member into `new_dir`, with all that `source` holds; returns its last log position.
+    """Write a store of one member into `new_dir`, with the data of `source`. Returns its last log position.
 
-    `source` is a backup, or the data folder of an old member, which must be stopped; it stays as it is. All of it is
-    applied to `state_machine` first, which is of no use after that: what this release cannot go on from is refused, and
-    nothing is written. Blocks. Raises ReleaseTooOld, StoreRefused, StoreDamaged or OSError.
+    `source` is a backup, or the data folder of an old member, which must be stopped; it stays unchanged. First, all
+    data is applied to `state_machine`, which must not be used after that. So data that this release cannot read is
+    refused, and nothing is written. Blocks. Raises ReleaseTooOld, StoreRefused, StoreDamaged or OSError.
     """
     if source.is_file():
         header, state = read_backup(source)
@@ -58,7 +58,7 @@ def _read_folder(old_dir: Path) -> tuple[str, StoredState]:
 
 
 def _apply(state: StoredState, state_machine: StateMachine) -> None:
-    """Raises ReleaseTooOld, and what the state machine raises for a snapshot that it cannot read."""
+    """Apply a stored state. Raises ReleaseTooOld, and the state machine's errors for an unreadable snapshot."""
     covered = 0
     if state.snapshot is not None:
         snapshot = decode_snapshot(state.snapshot.record)
@@ -71,7 +71,8 @@ def _apply(state: StoredState, state_machine: StateMachine) -> None:
 
 def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:
     last = state.entries[-1]
-    # Nobody else is in this cluster: the votes of the former one do not bind it, and a hostile term ends with it.
+    # A new cluster has no other members, so the votes of the former one do not bind it. A hostile term ends with it,
+    # too.
     term = last.term + 1
     former = {old_member_id, *(member.member_id for member in _last_members(state))} - {founder.member_id}
     configuration = Configuration.of([founder], retired=sorted(former))

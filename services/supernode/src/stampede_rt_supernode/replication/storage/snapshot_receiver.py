@@ -1,7 +1,7 @@
-"""A leader's snapshot on its way in: its pieces, then its decoding on the worker thread, then the disk, then the log.
+"""Receives a leader's snapshot: its pieces come, a worker thread decodes them, and they go to the disk and the log.
 
-None of it is done in one go. With 100,000 channels decoding alone takes half a second; for as long this member would
-answer no leader, confirm no read, and count as lost.
+This is done in steps. With 100,000 channels the decoding alone takes half a second. In one step, this member would
+answer no leader and confirm no read for that time, and would count as lost.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class _Incoming:
 
 @dataclass(frozen=True, slots=True)
 class _Decoded:
-    """A whole snapshot, and what lets the state machine go on from it."""
+    """A complete snapshot, and the function that lets the state machine go on from it."""
 
     stored: StoredSnapshot
     snapshot: records.SnapshotContents
@@ -39,19 +39,19 @@ class _Decoded:
 
 
 class UnreadableSnapshot(Exception):
-    """The snapshot came whole, and yet this member cannot go on from it."""
+    """The snapshot came complete, but this member cannot go on from it."""
 
 
 @dataclass(slots=True)
 class _Opening:
-    """A whole snapshot that another thread decodes; then, piece by piece, on its way to the disk."""
+    """A complete snapshot that another thread decodes, and that then goes to the disk in pieces."""
 
     decoded: Result[_Decoded | UnreadableSnapshot | ReleaseTooOld]
     pieces_written: int = 0
 
 
 class SnapshotReceiver:
-    """Takes in and opens one snapshot at a time. Tick thread only."""
+    """Receives and opens one snapshot at a time. Tick thread only."""
 
     def __init__(self, log: RaftLog, state_machine: StateMachine, run_in_background: RunInBackground) -> None:
         self._log = log
@@ -62,14 +62,14 @@ class SnapshotReceiver:
 
     @property
     def is_opening(self) -> bool:
-        """Whether a whole snapshot is being decoded or written."""
+        """Whether a complete snapshot is being decoded or written."""
         return self._opening is not None
 
     def take_in(self, chunk: SnapshotChunk) -> StoredSnapshot | None:
-        """Take in a piece; the snapshot when it is whole and its checksum holds.
+        """Take in a piece. Returns the snapshot if it is complete and its checksum is right.
 
-        A piece that does not follow the last one drops what there is: the leader starts again when it sees
-        that this replica still lacks the entries.
+        A piece that does not follow the last one drops all pieces. The leader starts again when it sees that this
+        replica still lacks the entries.
         """
         if chunk.offset_bytes == 0:
             self._incoming = _Incoming(chunk.last_log_index, chunk.total_bytes, chunk.sha256, bytearray())
@@ -88,14 +88,14 @@ class SnapshotReceiver:
         )
 
     def open(self, received: StoredSnapshot) -> None:
-        """Begin to open a snapshot. None other is being opened."""
+        """Begin to open a snapshot. No other may be being opened."""
 
         def decode() -> _Decoded | UnreadableSnapshot | ReleaseTooOld:
             try:
                 snapshot = records.decode_snapshot(received.record)
                 restore = self._state_machine.prepare_restore(snapshot.state)
             except ReleaseTooOld as error:
-                return error  # the snapshot is sound, and so is its sender
+                return error  # the snapshot is sound, so its sender is not at fault
             except Exception as error:  # noqa: BLE001 - a peer has made it, and whatever it holds must end nobody
                 return UnreadableSnapshot(f"it cannot be read: {error!r}")
             return _Decoded(replace(received, last_log_index=snapshot.last.log_index), snapshot, restore)
@@ -103,11 +103,12 @@ class SnapshotReceiver:
         self._opening = _Opening(self._run_in_background(decode))
 
     def advance(self, *, newer_than: int, term_max: int) -> Entry | None:
-        """Go on, a piece to the disk at a time; the last entry once state and log begin with the snapshot.
+        """Continue: write one piece to the disk at a time. Returns the last entry once state and log begin with the
+        snapshot.
 
-        One that ends at or before `newer_than` is dropped: going back would undo what was applied. Raises
-        UnreadableSnapshot for one that is none, or of a later term than `term_max`, and ReleaseTooOld; then the log is
-        as before.
+        A snapshot that ends at or before `newer_than` is dropped, because it would undo applied entries. Raises
+        UnreadableSnapshot for an invalid snapshot, or one of a later term than `term_max`, and ReleaseTooOld. Then the
+        log is unchanged.
         """
         opening = self._opening
         if opening is None or not opening.decoded.done():
@@ -129,7 +130,7 @@ class SnapshotReceiver:
             return None
         self._opening = None
         decoded.restore()
-        # Without one the sender has never seen a change, and neither has this log.
+        # Without one neither the sender nor this log has ever seen a change.
         configuration = snapshot.configuration or self._log.configurations.current
         self._log.adopt_snapshot(stored, snapshot.previous, snapshot.last, configuration)
         return snapshot.last

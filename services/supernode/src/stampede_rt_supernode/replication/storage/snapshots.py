@@ -1,4 +1,4 @@
-"""Snapshots over the log: in the store's own transaction, and in pieces on the wire."""
+"""Snapshots of the log: in the store's own transactions, and in pieces on the wire."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 
 @dataclass(slots=True)
 class _Taking:
-    """A snapshot on its way to bytes, and then, piece by piece, to the disk."""
+    """A snapshot that is being encoded, and that then goes to the disk in pieces."""
 
     encoded: Result[StoredSnapshot]
     previous: Entry
@@ -29,7 +29,7 @@ class _Taking:
 
 @dataclass(slots=True)
 class _Sending:
-    """A snapshot on its way to a member. A newer one does not take its place: the transfer would never end."""
+    """A snapshot that is being sent to a member. A newer one does not replace it: else the transfer might never end."""
 
     snapshot: StoredSnapshot
     sent_bytes: int = 0
@@ -53,10 +53,10 @@ class SnapshotKeeper:
         self._has_room = has_room
         self._chunk_bytes = chunk_bytes
         self._chunks_per_step = chunks_per_step
-        # What is still allowed in this step, for all members together: the library would send all in one go.
+        # The pieces that this step may still send, for all members together. The library would send all at once.
         self._chunks_left = chunks_per_step
         self._run_in_background = run_in_background
-        # The snapshot that another thread encodes, and what it is of.
+        # The snapshot that another thread encodes, and its entries.
         self._taking: _Taking | None = None
         # Member id -> the snapshot that it is being sent.
         self._sending: dict[str, _Sending] = {}
@@ -67,17 +67,18 @@ class SnapshotKeeper:
         self._chunks_left = self._chunks_per_step
 
     def go_on_taking(self) -> Entry | None:
-        """Go on with the snapshot that was begun; the first entry that the log keeps, once it is adopted.
+        """Continue the snapshot under way. Returns the first entry that the log keeps once the snapshot is adopted;
+        else None.
 
-        It is encoded on another thread; then one piece is written in each step, so that nobody waits for more. The seal
-        and the log's new beginning reach the disk together. Raises what encoding it has raised.
+        Another thread encodes it. Then each step writes one piece, so that nobody waits longer. The seal and the log's
+        new beginning reach the disk together. Raises the errors of the encoding.
         """
         taking = self._taking
         if taking is None or not taking.encoded.done():
             return None
         stored = taking.encoded.result()
         present = self._log.snapshot
-        if present is None or stored.last_log_index > present.last_log_index:  # else a leader has sent a newer one
+        if present is None or stored.last_log_index > present.last_log_index:  # if not, a leader has sent a newer one
             if taking.pieces_written < stored.pieces_count:
                 self._log.write_piece(stored.piece(taking.pieces_written))
                 taking.pieces_written += 1
@@ -88,12 +89,15 @@ class SnapshotKeeper:
 
     @property
     def is_taking(self) -> bool:
-        """Whether a snapshot is on its way."""
+        """Whether a snapshot is being taken."""
         return self._taking is not None
 
     @property
     def is_busy(self) -> bool:
-        """Whether a snapshot is taken, or a leader's is opened: no other is begun, as both might end with one entry."""
+        """Whether a snapshot is being taken, or a leader's opened.
+
+        Then no other begins, because both might end with one entry.
+        """
         return self.is_taking or self.is_opening
 
     def begin_taking(self, *, previous: Entry, last: Entry) -> None:
@@ -115,9 +119,10 @@ class SnapshotKeeper:
         return snapshot
 
     def restore(self) -> Entry | None:
-        """Open the stored snapshot into the state machine and return the last entry it covers; None without one.
+        """Open the stored snapshot into the state machine, and return the last entry that it covers; None without a
+        snapshot.
 
-        Raises what decoding and the state machine raise: a replica must not go on without its state.
+        Raises the errors of the decoding and of the state machine: a replica must not go on without its state.
         """
         if self._log.snapshot is None:
             return None
@@ -131,30 +136,30 @@ class SnapshotKeeper:
 
     @property
     def is_opening(self) -> bool:
-        """Whether a received snapshot is on its way into the state machine."""
+        """Whether a received snapshot is being opened into the state machine."""
         return self._receiver.is_opening
 
     def take_in(self, chunk: SnapshotChunk | None) -> StoredSnapshot | None:
-        """Take in a piece, if there is one; the snapshot when it is whole and its checksum holds."""
+        """Take in a piece, if there is one. Returns the snapshot if it is complete and its checksum is right."""
         return None if chunk is None else self._receiver.take_in(chunk)
 
     def open(self, received: StoredSnapshot) -> None:
-        """Begin to open a snapshot that has come in; see `install_opened`."""
+        """Begin to open a received snapshot; see `install_opened`."""
         self._receiver.open(received)
 
     def install_opened(self, *, newer_than: int, term_max: int) -> Entry | None:
-        """Go on with what is opened; see `SnapshotReceiver.advance`."""
+        """Continue to open a snapshot; see `SnapshotReceiver.advance`."""
         last = self._receiver.advance(newer_than=newer_than, term_max=term_max)
         if last is not None:
             self.end_sending()
         return last
 
     def end_sending(self) -> None:
-        """Let go of all snapshots that are being sent: this member does not lead any more."""
+        """Drop all snapshots that are being sent, because this member leads no more."""
         self._sending.clear()
 
     def next_chunk(self, member_id: str) -> SnapshotChunk | None:
-        """The next piece for a member; None while its link or this step is full, or there is no snapshot."""
+        """The next piece for a member; None if its link or this step is full, or there is no snapshot."""
         if self._chunks_left == 0 or not self._has_room(member_id):
             return None
         sending = self._sending_to(member_id)
@@ -175,7 +180,7 @@ class SnapshotKeeper:
         )
 
     def _sending_to(self, member_id: str) -> _Sending | None:
-        """The snapshot on its way to a member: the present one, or an older one behind which the log is kept."""
+        """The snapshot for a member: the present one, or an older one while the log after it is kept."""
         sending, present = self._sending.get(member_id), self._log.snapshot
         if sending is not None and sending.snapshot.last_log_index >= self._log.first_sendable:
             return sending
@@ -185,10 +190,10 @@ class SnapshotKeeper:
         return self._sending[member_id]
 
     def sent_bytes(self, member_id: str) -> int:
-        """How much a member was sent of the snapshot that it is being sent; 0 if it is sent none."""
+        """The bytes of a snapshot that a member was sent so far; 0 if it is sent none."""
         sending = self._sending.get(member_id)
         return sending.sent_bytes if sending is not None else 0
 
     def cancel_sending(self, member_id: str) -> None:
-        """Start from the beginning with this member next time."""
+        """Next time, send this member the snapshot from the beginning."""
         self._sending.pop(member_id, None)

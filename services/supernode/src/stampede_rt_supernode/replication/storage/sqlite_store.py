@@ -1,12 +1,12 @@
 """The store on disk: one SQLite database for log, term, vote, commit index and snapshot.
 
-Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. Everything carries a checksum, the
-first and the last entry are written down with term and vote, and every commit is counted: so damage is found when the
-store is opened, and never applied.
+Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. All data has checksums. The first and
+the last entry are recorded with term and vote, and every commit is counted. So damage is found when the store is
+opened, and damaged data is never applied.
 
-A snapshot is written piece by piece, in commits of its own; the one that seals it also drops the entries it stands for.
-Until then the one before is whole, and its pieces go, a few with each commit, after that. Whenever the process is
-killed, one snapshot is sealed, and the log goes on where it ends.
+A snapshot is written in pieces, in commits of its own. The commit that seals it also drops the entries that it
+replaces. Until then the former snapshot is complete. After that its pieces go, a few with each commit. So whenever the
+process is killed, one snapshot is sealed, and the log begins where that snapshot ends.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ CREATE TABLE snapshot_piece (
 """
 
 _HARD_STATE = "term, voted_for, commit_index, commits, first_index, last_index, last_term, promises, checksum"
-# What SQLite and a row in which a bit has changed may raise.
+# The errors of SQLite, and of a row in which a bit has changed.
 _UNREADABLE = (sqlite3.Error, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
 class _HardState(NamedTuple):
-    """The row that every commit writes anew: what is voted, and between which entries the log lies."""
+    """The row that every commit writes anew: term, vote, and the first and last entry of the log."""
 
     term: int
     voted_for: str | None
@@ -77,13 +77,14 @@ class _HardState(NamedTuple):
     promises: str
 
     def checksum(self) -> int:
-        """Of all of it."""
+        """The checksum of the whole row."""
         return zlib.crc32(repr(tuple(self)).encode())
 
 
 def make_private(path: Path) -> None:
-    """Let only the user who runs the process read the database. SQLite gives its journals the same mode."""
-    if not path.exists():  # else it may be open, and whoever closes a second descriptor gives up SQLite's locks
+    """Make the database readable only by the user of the process. SQLite gives its journals the same mode."""
+    # an existing file may be open, and to close a second descriptor of it would release SQLite's locks
+    if not path.exists():
         path.touch(mode=0o600)
     for file in path.parent.glob(f"{path.name}*"):
         file.chmod(0o600)
@@ -115,14 +116,14 @@ def read_identity(data_dir: Path) -> tuple[str, str]:
 
 
 class SqliteStore:
-    """One replica's store in `data_dir`. Opening locks it against every other process."""
+    """One replica's store in `data_dir`. An open store is locked against every other process."""
 
     def __init__(self, data_dir: Path, *, cluster_id: str, member_id: str, create: bool) -> None:
-        """Open or create; blocks. Raises StoreRefused or StoreDamaged with the way out."""
+        """Open or create the store. Blocks. Raises StoreRefused or StoreDamaged, with the way out."""
         self._path = data_dir / DATABASE_NAME
-        # How many transactions the store has seen; also beside the database, see watermark.py.
+        # The number of the store's transactions; also in a file beside the database, see watermark.py.
         self._commits = 0
-        # Whether there may be pieces of earlier snapshots, this process's or a killed one's.
+        # Whether there may be pieces of earlier snapshots, of this process or a killed one.
         self._has_old_pieces = True
         existed = holds_store(data_dir)
         if not existed and not create:
@@ -132,7 +133,7 @@ class SqliteStore:
             )
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         self._watermark = Watermark(data_dir / WATERMARK_NAME)
-        # A store that was used once holds something: whoever began it has forced that to the disk before the rest.
+        # A store that was used once is not empty: the notes of its first use are forced to the disk before all else.
         notes = data_dir / NOTES_NAME
         self._was_used = not create or notes.exists() or self._watermark.read() > 0
         with contextlib.ExitStack() as undo:
@@ -140,13 +141,13 @@ class SqliteStore:
             self._open(cluster_id, member_id, undo)
             undo.pop_all()
         if not existed:
-            # The files are on the disk; their names must be too.
+            # The files are on the disk; their names must be, too.
             force_folder(data_dir)
             force_folder(data_dir.parent)
 
     def _open(self, cluster_id: str, member_id: str, undo: contextlib.ExitStack) -> None:
         try:
-            # The log hands the store to its own thread, and nobody else uses it then.
+            # The log hands the store to its own thread. No other thread uses it after that.
             make_private(self._path)
             self._db = sqlite3.connect(self._path, isolation_level=None, check_same_thread=False, timeout=0.2)
             undo.callback(self._db.close)
@@ -167,7 +168,7 @@ class SqliteStore:
         if not has_schema:
             if self._was_used:
                 raise StoreDamaged(f"{self._path} is empty and was not: {REJOIN}")
-            # A file without a schema was left by a crash within the very first transaction: nothing was promised.
+            # A crash within the very first transaction leaves a file without a schema. Nothing was promised then.
             for statement in _SCHEMA.split(";")[:-1]:
                 self._db.execute(statement)
             self._db.execute("INSERT INTO identity VALUES (1, ?, ?, ?)", (FORMAT_VERSION, cluster_id, member_id))
@@ -187,7 +188,7 @@ class SqliteStore:
             )
 
     def load(self) -> StoredState:
-        """Read everything and check it; blocks. Raises StoreDamaged."""
+        """Read and check everything. Blocks. Raises StoreDamaged."""
         try:
             return self._load()
         except _UNREADABLE as error:
@@ -263,7 +264,10 @@ class SqliteStore:
         return StoredSnapshot(last_log_index=seal.last_log_index, record=record, sha256=seal.sha256)
 
     def commit(self, changes: StoreChanges) -> None:
-        """One transaction, on the disk when this returns. Raises sqlite3.Error, after which nothing is certain."""
+        """Perform one transaction, which is on the disk when this returns.
+
+        After sqlite3.Error its outcome is unknown.
+        """
         db = self._db
         db.execute("BEGIN IMMEDIATE")
         if changes.replace_from is not None:
@@ -284,7 +288,7 @@ class SqliteStore:
         self._watermark.note(self._commits)
 
     def _write_pieces(self, pieces: Iterable[SnapshotPiece]) -> None:
-        # One that a killed process has left behind under the same position is not counted, and goes.
+        # A piece that a killed process has left at the same position does not count, and is replaced.
         self._db.executemany("INSERT OR REPLACE INTO snapshot_piece VALUES (?, ?, ?)", pieces)
 
     def _write_seal(self, seal: SnapshotSeal) -> None:
@@ -292,7 +296,7 @@ class SqliteStore:
         self._has_old_pieces = True
 
     def _drop_old_pieces(self) -> None:
-        """A few of those before the present snapshot: snapshots only grow, so nobody will ask for them."""
+        """Drop a few pieces of earlier snapshots. Snapshot positions only grow, so nobody needs these."""
         old = "SELECT rowid FROM snapshot_piece WHERE last_log_index < (SELECT last_log_index FROM snapshot)"
         dropped = self._db.execute(
             f"DELETE FROM snapshot_piece WHERE rowid IN ({old} LIMIT ?)", (OLD_PIECES_PER_COMMIT,)
@@ -300,7 +304,7 @@ class SqliteStore:
         self._has_old_pieces = dropped == OLD_PIECES_PER_COMMIT
 
     def close(self) -> None:
-        """Let go of the database and its lock."""
+        """Close the database and release its lock."""
         self._db.close()
         self._watermark.close()
 

@@ -9,21 +9,21 @@ from typing import NamedTuple, Protocol
 
 from stampede_rt_supernode.replication.log_entries import Entry
 
-# So much of a snapshot is written at once: a few milliseconds on a disk, for whoever waits for the log.
+# The part of a snapshot that is written at once: a few milliseconds of a disk, for which the log waits.
 PIECE_BYTES = 1 << 20
 
 
 class Promise(NamedTuple):
     """The promise of another member: its term, and committed entries up to `held`.
 
-    Both only grow. A store of that member that has less is an older copy of it.
+    Both only grow. A store of that member with less is an older copy.
     """
 
     term: int
     held: int
 
     def is_kept_by(self, term: int, last_index: int) -> bool:
-        """Whether a store with this term and this last entry can be the one that was spoken of."""
+        """Whether a store with this term and this last entry can be the store of the promise."""
         return term >= self.term and last_index >= self.held
 
 
@@ -31,15 +31,15 @@ REJOIN = "empty the folder and let this member join again under a new id"
 
 
 class StoreDamaged(RuntimeError):
-    """The disk holds something else than was written. The member must rejoin under a new id with an empty folder."""
+    """The disk holds other data than was written. The member must rejoin under a new id with an empty folder."""
 
 
 class StoreRefused(RuntimeError):
-    """The folder cannot serve this replica: none there, another member's, or in use."""
+    """The folder cannot serve this replica: it has no store, another member's store, or a store in use."""
 
 
 class SnapshotPiece(NamedTuple):
-    """A part of an encoded snapshot on its way to the disk; it counts once the seal is there, too."""
+    """A part of an encoded snapshot. It counts once the seal is on the disk, too."""
 
     last_log_index: int
     number: int
@@ -56,22 +56,22 @@ class StoredSnapshot:
 
     @classmethod
     def of(cls, last_log_index: int, record: bytes) -> StoredSnapshot:
-        """With the checksum of the record; takes a while for a large one."""
+        """The snapshot of a record, with its checksum. Takes a while for a large one."""
         return cls(last_log_index=last_log_index, record=record, sha256=hashlib.sha256(record).digest())
 
     @property
     def pieces_count(self) -> int:
-        """How many pieces it is written in."""
+        """The number of pieces in which it is written."""
         return -(-len(self.record) // PIECE_BYTES)
 
     def piece(self, number: int) -> SnapshotPiece:
-        """One of them, from 0 on."""
+        """The piece of a number, from 0 on."""
         return SnapshotPiece(
             self.last_log_index, number, self.record[number * PIECE_BYTES : (number + 1) * PIECE_BYTES]
         )
 
     def pieces(self) -> Iterator[SnapshotPiece]:
-        """All of them."""
+        """All pieces."""
         return map(self.piece, range(self.pieces_count))
 
     def seal(self) -> SnapshotSeal:
@@ -80,7 +80,9 @@ class StoredSnapshot:
 
 
 class SnapshotSeal(NamedTuple):
-    """Which pieces are the present snapshot: the first so many of that position, with this checksum in all."""
+    """Names the pieces of the present snapshot: the first `pieces_count` of that position, with this
+    checksum over all.
+    """
 
     last_log_index: int
     pieces_count: int
@@ -89,7 +91,7 @@ class SnapshotSeal(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StoredState:
-    """All that survives a crash. `entries` are without gaps, in order; empty in a new store."""
+    """All data that survives a crash. `entries` have no gaps and are in order; empty in a new store."""
 
     entries: list[Entry] = field(default_factory=list)
     term: int = 0
@@ -103,9 +105,9 @@ class StoredState:
 class StoreChanges:
     """The changes that one sync makes durable, all or nothing.
 
-    Entries at or past `replace_from` are replaced by `entries`; then those before `first_index` are dropped. Pieces of
-    a snapshot may come with any number of commits before, and at the latest with, the one that has its seal. The log
-    then ends with the entry of `last_index` and `last_term`. `promises` are those of the other members, by id.
+    `entries` replace the entries at or after `replace_from`. Then the entries before `first_index` are dropped. Pieces
+    of a snapshot may come in earlier commits, or at the latest with its seal. The log then ends with the entry of
+    `last_index` and `last_term`. `promises` are those of the other members, by id.
     """
 
     replace_from: int | None
@@ -122,27 +124,27 @@ class StoreChanges:
 
 
 class Store(Protocol):
-    """Stable storage of one replica. Used from one thread at a time; every method blocks on the disk."""
+    """Stable storage of one replica. Used from one thread at a time. Every method blocks on the disk."""
 
     def load(self) -> StoredState:
-        """The state that was committed last. Raises StoreDamaged."""
+        """The state of the last commit. Raises StoreDamaged."""
 
     def commit(self, changes: StoreChanges) -> None:
         """Make the changes durable, all or nothing, before returning."""
 
     def close(self) -> None:
-        """Let go of the storage."""
+        """Close the storage."""
 
 
 class MemoryStore:
-    """For development: forgets everything with the process."""
+    """A store in memory, for development: its data ends with the process."""
 
     def load(self) -> StoredState:
         """A new, empty state."""
         return StoredState()
 
     def commit(self, changes: StoreChanges) -> None:
-        """Nothing to do: the log itself is the only copy."""
+        """Do nothing: the log itself is the only copy."""
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is nothing to close."""

@@ -1,11 +1,11 @@
-"""How many commits a store has seen, in a file beside the database.
+"""The number of commits of a store, in a file beside the database.
 
-SQLite takes a damaged frame of its write-ahead log for the end of the log, and says that all is well with what
-is left: committed entries are gone without a word. So every commit also counts, in the database and here, and a
-database that has seen fewer commits than this file is damaged.
+SQLite treats a damaged frame of its write-ahead log as the end of the log, and reports no error: committed entries are
+lost in silence. So every commit is also counted, in the database and in this file. A database with fewer commits than
+the file is damaged.
 
-The file is forced to the disk about once a second, not with every commit: it is a lower bound, and after a
-power failure an older one still finds every loss that reaches further back.
+The file is forced to the disk about once a second, not with every commit, so it is a lower bound. After a power failure
+an older number still detects every loss that reaches further back.
 """
 
 from __future__ import annotations
@@ -21,15 +21,17 @@ _RECORD = struct.Struct("<QI")
 
 
 class Watermark:
-    """The count beside a database. One writer."""
+    """The number beside a database. Has one writer."""
 
     def __init__(self, path: Path) -> None:
-        """Open or create; raises OSError."""
+        """Open or create the file. Raises OSError."""
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         self._forced_at = float("-inf")
 
     def read(self) -> int:
-        """The highest count noted; 0 when there is none or the file itself is damaged: it accuses nobody then."""
+        """The highest number noted; 0 if there is none, or if the file itself is damaged, which must not accuse the
+        database.
+        """
         record = os.pread(self._file, _RECORD.size, 0)
         if len(record) != _RECORD.size:
             return 0
@@ -37,13 +39,13 @@ class Watermark:
         return int(commits) if checksum == zlib.crc32(b"%d" % commits) else 0
 
     def note(self, commits: int) -> None:
-        """Note a count that the database holds; blocks on the disk about once a second."""
+        """Note the number in the database. Blocks on the disk about once a second."""
         os.pwrite(self._file, _RECORD.pack(commits, zlib.crc32(b"%d" % commits)), 0)
         if time.monotonic() - self._forced_at >= FORCE_SECONDS:
             os.fdatasync(self._file)
             self._forced_at = time.monotonic()
 
     def close(self) -> None:
-        """Force the count to the disk and let go."""
+        """Force the number to the disk and close the file."""
         os.fdatasync(self._file)
         os.close(self._file)

@@ -1,1 +1,1 @@
-"""The log's own thread, the thread beside it, and the way back to the event loop."""
+"""The log's own thread, a thread for long work, and the way back to the event loop."""

@@ -1,4 +1,4 @@
-"""From the log's thread to the asyncio loop, in order, with one wake-up for many calls."""
+"""Passes calls from the log's thread to the asyncio loop, in order, with one wake-up for many calls."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 
 class LoopBridge:
-    """Calls functions on a loop. Bounded by what its users bound: proposals, reads, and outbox per step."""
+    """Calls functions on a loop. Its users bound the number of calls: proposals, reads, and the outbox of a step."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
@@ -18,7 +18,7 @@ class LoopBridge:
         self._lock = threading.Lock()
 
     def post(self, call: Callable[[], None]) -> None:
-        """Have `call` run on the loop; from any thread. Dropped when the loop is gone: nobody is left to hear it."""
+        """Run `call` on the loop. Callable on any thread. Drops the call if the loop has ended."""
         with self._lock:
             self._calls.append(call)
             if self._scheduled:

@@ -1,5 +1,7 @@
-"""The one thread that the log runs on. It sleeps until something comes in, and ticks now and then anyway. Beside it,
-another one looks whether a step comes to an end: a disk that hangs gives no error, and holds the log's thread for ever.
+"""The one thread on which the log runs. It sleeps until something arrives, and also ticks from time to time.
+
+A second thread watches whether each step ends. A disk that hangs gives no error, and would hold the log's thread for
+ever.
 """
 
 from __future__ import annotations
@@ -19,21 +21,21 @@ from stampede_rt_supernode.replication.interface import ReleaseTooOld
 logger = logging.getLogger(__name__)
 
 EXIT_CODE = 70
-# As of sysexits(3), EX_IOERR: the data folder cannot be written.
+# As in sysexits(3), EX_IOERR: the data folder cannot be written.
 EXIT_DISK = 74
-# As of a service that cannot go on for a reason that its user can mend.
+# The exit code of a service that stops for a reason that its user can remove.
 EXIT_TOO_OLD = 1
-# A step that takes longer waits for a disk that hangs: the others have a new leader by then.
+# A step that takes longer waits for a hanging disk. The others have a new leader by then.
 STUCK_SECONDS = 3.0
 LOOK_SECONDS = 0.5
 
 
 def end_process(error: BaseException) -> NoReturn:
-    """Say why and end the process at once: a replica that failed half-way must not answer anybody any more."""
+    """Log the reason and end the process at once: a replica that failed half-way must not answer anybody."""
     code = EXIT_CODE
     if isinstance(error, ReleaseTooOld):
         why, code = str(error), EXIT_TOO_OLD
-    elif isinstance(error, sqlite3.OperationalError):  # of the disk, not of the program
+    elif isinstance(error, sqlite3.OperationalError):  # an error of the disk, not of the program
         code = EXIT_DISK
         why = (
             f"its data folder cannot be written ({error}), so it ends at once; make room there, or mend the disk, and "
@@ -48,17 +50,17 @@ def end_process(error: BaseException) -> NoReturn:
 
 
 class Ticked(Protocol):
-    """The part that the thread drives: a replica of the log."""
+    """The object that the thread drives: a replica of the log."""
 
     def step(self) -> bool:
-        """Do what is due; True when another step is due at once. Whatever it raises ends the thread."""
+        """Do everything that is due. Returns True if another step is due at once. An exception ends the thread."""
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Free all resources."""
 
 
 class TickThread:
-    """Drives a replica. `wake` may be called from any thread; `start` and `stop` from the one that owns it."""
+    """Drives a replica. Any thread may call `wake`. Only the owner's thread may call `start` and `stop`."""
 
     def __init__(self, *, tick_seconds: float, on_fatal: Callable[[BaseException], None]) -> None:
         self._tick_seconds = tick_seconds
@@ -67,27 +69,27 @@ class TickThread:
         self._stopping = False
         self._thread: threading.Thread | None = None
         self._ended = threading.Event()
-        # When the present step began; None between two.
+        # the start of the present step; None between two steps
         self._step_began: float | None = None
 
     def stuck_seconds(self) -> float:
-        """For how long the present step has lasted, if that is too long; 0 if all is well. From any thread."""
+        """The seconds that the present step has lasted, if that is too long; else 0. Callable on any thread."""
         began = self._step_began
         lasted = 0.0 if began is None else time.monotonic() - began
         return lasted if lasted > STUCK_SECONDS else 0.0
 
     def wake(self) -> None:
-        """Have the next step done now."""
+        """Do the next step now."""
         self._work.set()
 
     def start(self, replica: Ticked) -> None:
-        """Begin to tick; from now on the replica belongs to this thread."""
+        """Begin to tick. From now on the replica belongs to this thread."""
         self._thread = threading.Thread(target=self._run, args=(replica,), name="replicated-log", daemon=True)
         self._thread.start()
         threading.Thread(target=self._watch, name="replicated-log-watch", daemon=True).start()
 
     def stop(self) -> None:
-        """Stop ticking and close the replica; blocks until both are done."""
+        """Stop ticking and close the replica. Blocks until both are done."""
         self._stopping = True
         self.wake()
         if self._thread is not None:
@@ -96,7 +98,7 @@ class TickThread:
     def _run(self, replica: Ticked) -> None:
         try:
             while not self._stopping:
-                # Cleared before the step: whatever comes in during it has the next one done at once.
+                # cleared before the step, so that an arrival during the step causes the next one at once
                 self._work.clear()
                 self._step_began = time.monotonic()
                 again = replica.step()
@@ -110,9 +112,9 @@ class TickThread:
             self._ended.set()
 
     def _watch(self) -> None:
-        """Say once that the disk hangs, and once that it goes on.
+        """Log once that the disk hangs, and once that it answers again.
 
-        Looks are counted, not seconds: while the whole process is stopped, its disk is not slow.
+        Counts looks, not seconds, because a stopped process does not mean a slow disk.
         """
         stuck_since: float | None = None
         last_began, looks = None, 0

@@ -1,4 +1,4 @@
-"""Long work on a thread of its own, so that the log's thread goes on meanwhile."""
+"""Runs long work on a thread of its own, so that the log's thread goes on."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ class Result(Protocol[T_co]):
         """Whether the work is finished."""
 
     def result(self) -> T_co:
-        """The result of the work, once it is finished. Raises what the work raised."""
+        """The result of the work, once it is finished. Raises the error of the work."""
 
 
 class RunInBackground(Protocol):
     """Has another thread do work, one piece after the other."""
 
     def __call__(self, work: Callable[[], T], /) -> Result[T]:
-        """Begin; never blocks."""
+        """Begin the work. Never blocks."""
 
 
 def run_inline(work: Callable[[], T], /) -> Result[T]:
-    """Do the work here and now."""
+    """Do the work at once, on this thread."""
     finished: Future[T] = Future()
     finished.set_result(work())
     return finished
 
 
 class WorkerThread:
-    """One thread for long work, which gives way to the other threads soon.
+    """One thread for long work, which lets other threads run soon.
 
-    The log's thread waits for the disk many times in a step, and after each for the thread that computes: with the 5 ms
-    of Python's default the longest step beside the encoding of 100,000 channels took 200 ms, now 20. At other times the
-    default stays, since more switches cost the service a tenth of its speed.
+    The log's thread waits for the disk many times in a step, and after each wait also for the computing thread. With
+    Python's default of 5 ms the longest step during the encoding of 100,000 channels took 200 ms; now it takes 20.
+    Without long work the default stays, because more switches cost the service a tenth of its speed.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class WorkerThread:
         return self._executor.submit(_giving_way, work)
 
     def close(self) -> None:
-        """Begin no more work. The thread ends with the process, and its results are thrown away."""
+        """Begin no more work. The thread ends with the process, and its results are dropped."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 

@@ -1,1 +1,1 @@
-"""The traffic between members: messages, their encoding, and the buffer in which they wait."""
+"""The messages between members, their encoding, and the buffer in which they wait."""

@@ -1,7 +1,7 @@
-"""The node's transport without a network: messages come in from an inbox, and leave into an outbox.
+"""The node's transport, without a network: events come in through `deliver`, and messages leave through an outbox.
 
-Both ends are on the tick thread. Whoever owns the network empties the outbox after each sync, and so nothing
-is said before it is on stable storage.
+Both ends are on the tick thread. The owner of the network empties the outbox after each sync. So no message leaves
+before its contents are on stable storage.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from stampede_rt_supernode.replication.wire.messages import Message
 
 @dataclass(frozen=True, slots=True)
 class Connected:
-    """The link to a member is up: from now on it can be sent to."""
+    """The link to a member is up: messages can be sent to it."""
 
     member_id: str
 
 
 @dataclass(frozen=True, slots=True)
 class Disconnected:
-    """The link to a member is gone, and all that was queued on it."""
+    """The link to a member is gone, with all messages queued on it."""
 
     member_id: str
 
 
 @dataclass(frozen=True, slots=True)
 class StreamOpened:
-    """A member has opened a new stream to us: what it sent before and we have not received is lost.
+    """A member has opened a new stream to this one. Messages of its former stream that did not arrive are lost.
 
     `highest_level`: the highest feature level that its release knows.
     """
@@ -41,7 +41,7 @@ class StreamOpened:
 
 @dataclass(frozen=True, slots=True)
 class StreamEnded:
-    """A member's stream to us has ended, and no newer one has taken its place."""
+    """A member's stream to this one has ended, and no newer one has replaced it."""
 
     member_id: str
 
@@ -57,7 +57,7 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class MembersTold:
-    """A member has said, on greeting us, who the members are."""
+    """A member has told its view of the members, in its answer to a hello."""
 
     member_id: str
     members: tuple[Member, ...]
@@ -65,7 +65,7 @@ class MembersTold:
 
 @dataclass(frozen=True, slots=True)
 class Introduced:
-    """Somebody unknown has said that it is a member of this cluster, and where it listens."""
+    """An unknown node has said that it is a member of this cluster, and its address."""
 
     member_id: str
     member: Member
@@ -73,7 +73,7 @@ class Introduced:
 
 @dataclass(frozen=True, slots=True)
 class Disputed:
-    """A member has refused our store, and `why`; empty: it takes it."""
+    """A member has refused this node's store, for the reason `why`; empty: it accepts the store."""
 
     member_id: str
     why: str
@@ -84,62 +84,62 @@ Outgoing = tuple[str, Message]
 
 
 class MemberNode(Protocol):
-    """Another member, as the sets and dictionaries of the library hold it."""
+    """Another member, as it stands in the library's sets and dictionaries."""
 
     @property
     def id(self) -> str:
         """The member's id."""
 
     def __hash__(self) -> int:
-        """The same in every process."""
+        """A hash that is the same in every process."""
 
 
 class Handler(Protocol):
-    """The receiver of the events: a node of the log. `node` is the member that an event is about."""
+    """The receiver of the events: a node of the log. `node` is the member concerned."""
 
     def receive(self, node: MemberNode, message: Message) -> None:
         """A member has sent a message."""
 
     def on_connected(self, node: MemberNode) -> None:
-        """Messages to a member leave from now on."""
+        """Messages to a member can be sent from now on."""
 
     def on_disconnected(self, node: MemberNode) -> None:
         """Messages to a member are lost from now on."""
 
     def on_stream_opened(self, node: MemberNode) -> None:
-        """A member has opened a new stream to us."""
+        """A member has opened a new stream to this node."""
 
     def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
-        """A member has said who the members are."""
+        """A member has told its view of the members."""
 
     def on_disputed(self, member_id: str, why: str) -> None:
-        """A member refuses our store, or, with an empty `why`, takes it again."""
+        """A member refuses this node's store, or, with an empty `why`, accepts it again."""
 
     def on_introduced(self, member: Member) -> None:
-        """A stranger has said that it is a member."""
+        """An unknown node has said that it is a member."""
 
 
 class BufferedTransport:
-    """The messages of one node, in and out. Tick thread only."""
+    """The incoming and outgoing messages of one node. Tick thread only."""
 
     def __init__(self, nodes: Iterable[MemberNode]) -> None:
-        # Whom we know: whoever is not in here is neither heard nor sent to.
+        # The known members. Others are neither heard nor sent to.
         self._nodes: dict[str, MemberNode] = {node.id: node for node in nodes}
-        # To whom our links are up, known or not: links come and go a little later than members.
+        # Members, known or not, to which there is a link: links come and go a little later than members.
         self._connected: set[str] = set()
-        # Whose answers reach us at present, likewise.
+        # Members, known or not, that have a stream to this node, so that their answers arrive.
         self._heard: set[str] = set()
-        # The highest feature levels of whoever has opened a stream to us and is still known.
+        # The highest feature levels of the known members that have opened a stream to this node.
         self.highest_levels: dict[str, int] = {}
         self._outbox: list[Outgoing] = []
         self._handler: Handler | None = None
 
     def attach(self, handler: Handler) -> None:
-        """Hand what comes in to this node; once."""
+        """Pass incoming events to this node. Call it once."""
         self._handler = handler
 
     def deliver(self, event: NetworkEvent) -> None:
-        """Hand one network event to the node; events about strangers are dropped."""
+        """Pass one network event to the node. Drops events about unknown members."""
         self._note_links(event)
         if self._handler is None:
             return
@@ -176,23 +176,23 @@ class BufferedTransport:
                 self._heard.discard(event.member_id)
 
     def _note_level(self, member_id: str, highest_level: int) -> None:
-        # A new dictionary: other threads read the one before.
+        # A new dictionary, because other threads read the former one.
         known = {one: level for one, level in self.highest_levels.items() if one in self._nodes}
         self.highest_levels = {**known, member_id: highest_level}
 
     def send(self, node: MemberNode, message: Message) -> bool:
-        """Queue a message for the next release; False when the member is not connected. Never blocks."""
+        """Queue a message for the next release. Returns False if the member is not connected. Never blocks."""
         if node.id not in self._connected or node.id not in self._nodes:
             return False
         self._outbox.append((node.id, message))
         return True
 
     def is_reachable(self, member_id: str) -> bool:
-        """Whether this member can be asked something: our messages leave, and its answers arrive."""
+        """Whether this member can answer: messages to it can be sent, and its answers arrive."""
         return member_id in self._nodes and member_id in self._connected and member_id in self._heard
 
     def take_outbox(self) -> list[Outgoing]:
-        """Everything queued since the last call, in order."""
+        """The messages queued since the last call, in order."""
         outbox, self._outbox = self._outbox, []
         return outbox
 
@@ -205,12 +205,12 @@ class BufferedTransport:
         return self._nodes.get(member_id)
 
     def add_node(self, node: MemberNode) -> None:
-        """Hear and send to one more member."""
+        """Hear one more member, and send to it."""
         self._nodes[node.id] = node
         if node.id in self._connected and self._handler is not None:
             self._handler.on_connected(node)
 
     def drop_node(self, node: MemberNode) -> None:
-        """Neither hear nor send to this member any more."""
+        """Neither hear this member nor send to it any more."""
         if self._nodes.pop(node.id, None) is not None and self._handler is not None:
             self._handler.on_disconnected(node)

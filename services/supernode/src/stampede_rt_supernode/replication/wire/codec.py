@@ -1,6 +1,6 @@
-"""Messages between members as protobuf; nothing else crosses a port.
+"""Converts messages between members from and to protobuf, the only form on the wire.
 
-Decoding checks every number, size and kind: what it returns cannot make a rule raise.
+Decoding checks every number, size and kind, so that no decoded message can make a rule raise.
 """
 
 from __future__ import annotations
@@ -277,7 +277,7 @@ _DECODERS: dict[str, Callable[[Any], Message]] = {
 
 
 def encode_message(message: Message) -> pb.RaftMessage:
-    """The message as it travels."""
+    """The protobuf form of a message."""
     return _ENCODERS[type(message)](message)
 
 

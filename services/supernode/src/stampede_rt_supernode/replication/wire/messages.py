@@ -1,4 +1,4 @@
-"""The messages between members, as values. Pure. `codec` gives them their form on the wire.
+"""The messages between members, as values. Pure. `codec` converts them from and to their wire form.
 
 The names are those of the Raft paper (Ongaro and Ousterhout 2014, figures 2 and 13), and of Ongaro's dissertation.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from stampede_rt_supernode.replication.log_entries import Entry
 
-# The position up to which a state was reached, and the digest of that state; empty: not known.
+# A log position, and the digest of the state at that position; empty: unknown.
 StateDigest = tuple[int, bytes]
 
 NO_DIGEST: StateDigest = (0, b"")
@@ -19,7 +19,7 @@ NO_DIGEST: StateDigest = (0, b"")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AppendEntries:
-    """A leader's entries after `previous_index`, or a heartbeat. The reply echoes `round`: see `ConfirmedReads`."""
+    """A leader's entries after `previous_index`, or a heartbeat. The reply echoes `round`, see `ConfirmedReads`."""
 
     term: int
     commit_index: int
@@ -33,7 +33,10 @@ class AppendEntries:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SnapshotChunk:
-    """A part of an encoded snapshot, whose last entry is at `last_log_index`. The checksum is that of the whole."""
+    """A part of an encoded snapshot, whose last entry is at `last_log_index`.
+
+    The checksum is that of the whole snapshot.
+    """
 
     last_log_index: int
     offset_bytes: int
@@ -43,13 +46,15 @@ class SnapshotChunk:
 
     @property
     def is_last(self) -> bool:
-        """Whether the snapshot ends with it."""
+        """Whether this is the last part of the snapshot."""
         return self.offset_bytes + len(self.data) == self.total_bytes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InstallSnapshot:
-    """A part of a leader's snapshot for a member that lacks what the log no longer holds; without one, a heartbeat."""
+    """A part of a leader's snapshot, for a member that lacks entries no longer in the log; without a part,
+    a heartbeat.
+    """
 
     term: int
     commit_index: int
@@ -61,10 +66,10 @@ class InstallSnapshot:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AppendReply:
-    """The entries that a member holds: everything before `next_index`, if `success`. `reset`: the leader is to go back
-    to there.
+    """The entries that a member holds: all before `next_index`, if `success`.
 
-    `digest`: its own at the position that the leader named last.
+    `reset`: the leader must go back to `next_index`. `digest`: the member's own at the position that the leader named
+    last.
     """
 
     term: int
@@ -77,7 +82,7 @@ class AppendReply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteRequest:
-    """A candidate asks for a vote in `term`; in a `pre_vote`, whether it would get one."""
+    """A candidate asks for a vote in `term`, or, with `pre_vote`, whether it would get one."""
 
     term: int
     last_log_index: int
@@ -87,7 +92,7 @@ class VoteRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteReply:
-    """A vote in `term`, or in a `pre_vote` of it. `voter_term` is the voter's own, in a trial."""
+    """A vote in `term`, or in its trial, if `pre_vote`. In a trial `voter_term` is the voter's own term."""
 
     term: int
     pre_vote: bool = False
@@ -103,14 +108,14 @@ class TimeoutNow:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForwardedCommand:
-    """A command on its way from a follower to the leader."""
+    """A command that a follower passes on to the leader."""
 
     request_id: int
     command: bytes
 
 
 class ForwardRefusal(enum.Enum):
-    """Why a command that was forwarded is certainly not in the log."""
+    """The reason why a forwarded command is certainly not in the log."""
 
     QUEUE_FULL = enum.auto()
     MISSING_LEADER = enum.auto()
@@ -120,7 +125,7 @@ class ForwardRefusal(enum.Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForwardedCommandReply:
-    """Where a forwarded command is in the leader's log, or why it is not there."""
+    """The position of a forwarded command in the leader's log, or the reason why it is not there."""
 
     request_id: int
     log_index: int = 0
@@ -130,14 +135,14 @@ class ForwardedCommandReply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReadIndexRequest:
-    """A follower asks the leader for a position that holds every acknowledged write."""
+    """A follower asks the leader for a position that includes every acknowledged write."""
 
     request_id: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReadIndexReply:
-    """That position; 0: whoever was asked cannot tell."""
+    """That position; 0: the asked member cannot tell."""
 
     request_id: int
     read_index: int

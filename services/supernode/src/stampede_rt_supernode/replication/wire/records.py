@@ -1,4 +1,4 @@
-"""Entries, configurations and snapshots as bytes: alike on the wire and in the store.
+"""Entries, configurations and snapshots as bytes, in the same form on the wire and in the store.
 
 Decoding checks every number, size and kind.
 """
@@ -16,17 +16,17 @@ from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import COMMAND, CONFIGURATION, NO_OP, Entry
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX
 
-# Twice as much fits the disk: whatever is counted on from here stays within it for ever.
+# Half of the greatest number that the disk format allows, so that numbers counted up from here stay within it.
 INT_MAX = 2**62
 MEMBER_ID_BYTES_MAX, ADDRESS_BYTES_MAX = 512, 512
 
 
 class MalformedMessage(ValueError):
-    """A peer sent something that no member of this version sends."""
+    """A member sent bytes that no member of this version sends."""
 
 
 def checked_number(value: int) -> int:
-    """A number that this version works with. Raises MalformedMessage."""
+    """The number, if this version can process it. Raises MalformedMessage."""
     if value > INT_MAX:
         raise MalformedMessage(f"{value} is past 2^62")
     return value
@@ -44,7 +44,7 @@ def check_command(command: bytes) -> bytes:
 
 
 def encode_members(members: Iterable[Member]) -> list[pb.RaftMember]:
-    """Members as they travel."""
+    """The protobuf form of members."""
     return [pb.RaftMember(member_id=member.member_id, address=member.address) for member in members]
 
 
@@ -61,7 +61,7 @@ def decode_members(members: Iterable[pb.RaftMember]) -> list[Member]:
 
 
 def encode_configuration(configuration: Configuration) -> bytes:
-    """The log command that puts a configuration into force."""
+    """The log command that puts a configuration into effect."""
     return bytes((CONFIGURATION,)) + _configuration_message(configuration).SerializeToString(deterministic=True)
 
 
@@ -95,7 +95,7 @@ def _configuration(message: pb.RaftConfiguration) -> Configuration:
 
 
 def encode_entry(entry: Entry) -> pb.RaftLogEntry:
-    """An entry as it travels and rests in snapshots."""
+    """The protobuf form of an entry, on the wire and in snapshots."""
     return pb.RaftLogEntry(log_index=entry[1], term=entry[2], command=entry[0])
 
 
@@ -108,7 +108,7 @@ def decode_entry(entry: pb.RaftLogEntry) -> Entry:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SnapshotContents:
-    """A snapshot taken apart. `configuration` is None in one from before members could change."""
+    """The parts of a snapshot. `configuration` is None in a snapshot from before members could change."""
 
     previous: Entry
     last: Entry
@@ -117,7 +117,7 @@ class SnapshotContents:
 
 
 def encode_snapshot(*, previous: Entry, last: Entry, configuration: Configuration, state: bytes) -> bytes:
-    """A snapshot as it rests and travels."""
+    """An encoded snapshot, for the store and the wire."""
     return pb.RaftSnapshot(
         previous=encode_entry(previous),
         last=encode_entry(last),
@@ -128,7 +128,7 @@ def encode_snapshot(*, previous: Entry, last: Entry, configuration: Configuratio
 
 
 def decode_snapshot(record: bytes) -> SnapshotContents:
-    """An encoded snapshot, taken apart and checked. Raises MalformedMessage."""
+    """The checked parts of an encoded snapshot. Raises MalformedMessage."""
     try:
         snapshot = pb.RaftSnapshot.FromString(record)
     except DecodeError as error:
