@@ -1,1 +1,1 @@
-"""The gRPC services of a supernode: check, ask or command the directory, encode."""
+"""The gRPC services of a supernode: they check requests, ask or command the directory, and encode responses."""

@@ -1,4 +1,4 @@
-"""AccessService, thinly: check, ask the core or the log, encode (proto/stampede_rt/v1/access_service.proto)."""
+"""AccessService (proto/stampede_rt/v1/access_service.proto): checks requests, asks the core or the log, encodes."""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -40,7 +40,7 @@ SERIAL_BYTES = 8
 
 
 class _Change(NamedTuple):
-    """The rules before and after, and what that does. `version`: of the last change before."""
+    """The rules before and after a change, and its effects. `version`: of the last change before."""
 
     version: int
     before: AccessRules
@@ -49,7 +49,7 @@ class _Change(NamedTuple):
 
 
 class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
-    """One supernode's answers about who may do what."""
+    """One supernode's answers about rights."""
 
     def __init__(self, calls: DirectoryCalls, time_unix_nano: Callable[[], int]) -> None:
         self._calls = calls
@@ -59,7 +59,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     async def CreateClientToken(
         self, request: pb.CreateClientTokenRequest, context: Context
     ) -> pb.CreateClientTokenResponse:
-        """A cluster that was founded before there were client tokens gets its key with the first one."""
+        """Creates the cluster's token key at the first token, if the cluster is older than client tokens."""
         check_id(request.request_id, "request_id")
         valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else VALID_NANOS_DEFAULT
         roles = check_claims(request.name, request.roles, valid_nanos)
@@ -82,7 +82,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
 
     @errors_as_status
     async def AddAccessRule(self, request: pb.AddAccessRuleRequest, context: Context) -> pb.AddAccessRuleResponse:
-        """With dry_run a question, which needs no entry in the log."""
+        """With dry_run it only answers, without a log entry."""
         operation = commands.AddAccessRule(rule=rule_from(request.rule))
         change = await self._change(context, operation, lambda rules: with_rule(rules, operation.rule))
         added, version = change.after is not change.before, change.version
@@ -98,7 +98,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     async def RemoveAccessRule(
         self, request: pb.RemoveAccessRuleRequest, context: Context
     ) -> pb.RemoveAccessRuleResponse:
-        """With dry_run a question, which needs no entry in the log."""
+        """With dry_run it only answers, without a log entry."""
         operation = commands.RemoveAccessRule(rule=rule_from(request.rule))
         change = await self._change(context, operation, lambda rules: without_rule(rules, operation.rule))
         removed, version = len(change.after.rules) < len(change.before.rules), change.version
@@ -116,7 +116,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         operation: commands.AddAccessRule | commands.RemoveAccessRule,
         change: Callable[[AccessRules], AccessRules],
     ) -> _Change:
-        """What it would do now. Raises InvalidArgument for a rule that can match nothing."""
+        """The effects of a change at present. Raises InvalidArgument for a rule that can match nothing."""
         check_operation(operation)
 
         def judge(directory: Directory) -> _Change:
@@ -134,7 +134,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
 
     @errors_as_status
     async def CheckAccess(self, request: pb.CheckAccessRequest, context: Context) -> pb.CheckAccessResponse:
-        """Judged as a client of that name would be."""
+        """Judges as for a client of that name."""
         verb, kind = verb_from(request.verb), kind_from(request.kind)
         check_rule(AccessRule(request.who, (verb,), kind, request.name))
         rules = await self._calls.read(context, lambda directory: directory.access.rules)

@@ -28,7 +28,8 @@ from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.submission import Submission
 
 WAIT_SECONDS_MAX = 10.0
-ANSWER_SECONDS = 0.1  # kept back from the caller's deadline, so that it hears the reason and not just the deadline
+# subtracted from the caller's deadline, so that the caller gets the reason and not only a deadline error
+ANSWER_SECONDS = 0.1
 
 T = TypeVar("T")
 S = TypeVar("S", bound=commands.Success)
@@ -36,7 +37,7 @@ Op = TypeVar("Op", bound=commands.Operation)
 
 
 def seconds_left(context: Context) -> float:
-    """How long this call may wait for the other supernodes."""
+    """The seconds that this call may wait for the other supernodes."""
     left = context.time_remaining()
     if left is None:
         return WAIT_SECONDS_MAX
@@ -44,7 +45,7 @@ def seconds_left(context: Context) -> float:
 
 
 def check_age(context: Context) -> None:
-    """Raises InvalidArgument for a request that was first sent longer ago than its answer is remembered."""
+    """Raises InvalidArgument for a request that was first sent so long ago that its answer is forgotten."""
     age_nanos = request_age_nanos(context.invocation_metadata())
     if age_nanos >= REPEAT_NANOS_MAX:
         raise InvalidArgument(
@@ -55,7 +56,10 @@ def check_age(context: Context) -> None:
 
 
 class DirectoryCalls:
-    """Reads, linearizable unless `stale_ok`, and updates, done once for each request id, of one supernode."""
+    """The reads and updates of one supernode.
+
+    Reads are linearizable unless `stale_ok`. Updates are done once per request id.
+    """
 
     def __init__(self, replica: DirectoryReplica, submission: Submission) -> None:
         self._replica = replica
@@ -76,10 +80,9 @@ class DirectoryCalls:
         op_id: bytes,
         as_of_index: int | None = None,
     ) -> S:
-        """The result of `operation`, as in `Submission.submit`. Raises InvalidArgument for an operation that cannot be
-        meant.
+        """The result of `operation`, as in `Submission.submit`. Raises InvalidArgument for an impossible operation.
 
-        `as_of_index`: what `reached` gave when the request came, if it was not just now.
+        `as_of_index`: the result of `reached` when the request came, if that was not just now.
         """
         check_id(op_id, "request_id")
         check_operation(operation)
@@ -100,11 +103,13 @@ class DirectoryCalls:
         unchanged: Callable[[Tables, Op], S | None],
         check: Callable[[Op], object],
     ) -> S:
-        """As `submit`. A first request that changes nothing is answered from a confirmed read, without a log entry.
+        """As `submit`, for an open. A first request that changes nothing gets its answer from a confirmed read, without
+        an entry.
 
-        A repeated one gets its entry all the same: the network may hold the request before it. That one then finds the
-        answer, and opens nothing after somebody has deleted the thing. `unchanged`: what opening gives if the thing is
-        there as it should be. `check` is called before the entry, and raises what the caller may not do.
+        A repeated request always gets an entry, because the network may still delay its first attempt. The delayed
+        attempt then finds the answer. So it opens nothing after somebody has deleted the thing. `unchanged`: the answer
+        if the thing exists in the requested form. `check` is called before the entry, and raises for forbidden
+        operations.
         """
         check_id(op_id, "request_id")
         is_repeated = request_age_nanos(context.invocation_metadata()) > 0
@@ -122,15 +127,22 @@ class DirectoryCalls:
         return await self.submit(context, operation, kind, op_id, as_of_index)
 
     async def confirm(self, context: Context) -> None:
-        """After it, the local state holds every update acknowledged before. Raises Unavailable with NO_QUORUM."""
+        """Wait until the local state includes every update acknowledged before.
+
+        Raises Unavailable with reason NO_QUORUM.
+        """
         await self._submission.confirm(seconds=seconds_left(context))
 
     def reached(self) -> int:
-        """How far this replica's state reaches, at least 1: taken when a request comes in, see `core.answered`."""
+        """The log position of this replica's state, at least 1.
+
+        Call it when a request comes in, see `core.answered`.
+        """
         return max(1, self._replica.read(lambda directory: directory.applied_index))
 
     def check_opening(self, kind: AccessKind, operation: OpenChannel | OpenQueue | OpenGroup) -> bool:
-        """Whether the caller may make the thing, or state more of it, if that is what opening it does; whether it is.
+        """Check that the caller may create the thing or state more settings, if the open does that. Returns whether it
+        does.
 
         Raises PermissionDenied.
         """
@@ -140,13 +152,16 @@ class DirectoryCalls:
         return verb is not None
 
     def check_thing(self, verb: AccessVerb, kind: AccessKind, thing_id: bytes) -> None:
-        """As `check_access`, for what has that id. What is not there is left to whoever looks for it."""
+        """As `check_access`, for the thing with that id.
+
+        Ignores a missing thing, for which the operation itself has an error.
+        """
         name = self._replica.read(lambda directory: name_of(directory.tables, kind, thing_id))
         if name is not None:
             check_access(verb, kind, name)
 
     def holder_of(self, name: str) -> PeerRecord | None:
-        """The live peer of that name, as this replica knows it."""
+        """The live peer of that name, as this replica knows it; None: there is none."""
         return self._replica.read(lambda directory: directory.tables.peers.live_named(name))
 
     def check_peer(self, peer_id: bytes) -> None:
@@ -158,7 +173,7 @@ class DirectoryCalls:
     def check_host(self, context: Context, host_id: bytes, name: str | None = None) -> None:
         """Raises PermissionDenied if the caller's certificate is that of another host, and for clients.
 
-        `name`: the one that the host wants.
+        `name`: the name that the host wants.
         """
         caller = caller_identity(context)
         known = self._replica.read(lambda directory: directory.tables.hosts.get(host_id))

@@ -1,4 +1,6 @@
-"""DirectoryService, thinly: check, ask the core or the log, encode (proto/stampede_rt/v1/directory_service.proto)."""
+"""DirectoryService (proto/stampede_rt/v1/directory_service.proto): checks requests, asks the core or the
+log, encodes.
+"""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -51,7 +53,7 @@ LOST_SHOWN_NANOS = 3600 * 10**9
 
 
 class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
-    """One supernode's answers. Reads are linearizable unless `stale_ok`; updates are done once for each request id."""
+    """One supernode's answers. Reads are linearizable unless `stale_ok`. Updates are done once for each request id."""
 
     def __init__(
         self,
@@ -75,7 +77,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         self._access = access
 
     async def Ping(self, request: pb.DirectoryServicePingRequest, context: Context) -> pb.DirectoryServicePingResponse:
-        """Say what this supernode knows by itself. The answer needs no leader."""
+        """Answers from this supernode's own knowledge. Needs no leader."""
         return pb.DirectoryServicePingResponse(
             time_unix_nano=self._clock.time_unix_nano(),
             supernode_id=self._members.self_id,
@@ -92,7 +94,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Context) -> pb.OpenChannelResponse:
-        """An update that changes nothing is answered from a confirmed read, without an entry in the log."""
+        """If nothing changes, answers from a confirmed read, without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.CHANNEL, request.name)
         operation = OpenChannel(
@@ -167,7 +169,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Context) -> pb.RegisterHostResponse:
-        """The lease begins when the leader sees the registration, later than it was sent."""
+        """The lease begins when the leader sees the registration, which is later than its sending."""
         check_protocol(request.protocol_version, request.version)
         self._calls.check_host(context, request.host_id, request.name)
         operation = RegisterHost(
@@ -193,7 +195,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Context) -> pb.RenewHostLeaseResponse:
-        """Leaves no entry in the log."""
+        """Makes no log entry."""
         self._calls.check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
             request.host_id, request.boot_incarnation, seconds=seconds_left(context)
@@ -239,7 +241,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         )
 
     async def ListSupernodes(self, request: pb.ListSupernodesRequest, context: Context) -> pb.ListSupernodesResponse:
-        """Local knowledge, since it must be had when there is no majority, too."""
+        """Answers from local knowledge, so that it also works without a majority."""
         records, term = self._members.records()
         index = self._replica.read(lambda directory: directory.applied_index)
         return pb.ListSupernodesResponse(
@@ -266,7 +268,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
 
 def _owned(directory: Directory, host_id: bytes) -> tuple[int, tuple[ChannelRecord, ...], tuple[QueueRecord, ...]]:
-    """The TTL of leases, and what the host is to serve."""
+    """The TTL of leases, and the channels and queues that the host must serve."""
     return directory.lease_ttl_nanos, channels_of(directory.tables, host_id), queues_of(directory.tables, host_id)
 
 

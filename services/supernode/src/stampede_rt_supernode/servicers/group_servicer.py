@@ -1,4 +1,6 @@
-"""GroupDirectoryService, thinly (proto/stampede_rt/v1/group_directory_service.proto)."""
+"""GroupDirectoryService (proto/stampede_rt/v1/group_directory_service.proto): checks, asks the core or the log,
+encodes.
+"""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -40,7 +42,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
 
     @errors_as_status
     async def OpenGroup(self, request: pb.OpenGroupRequest, context: Context) -> pb.OpenGroupResponse:
-        """A group that is there is answered from a confirmed read, without an entry in the log."""
+        """If the group exists, answers from a confirmed read, without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.GROUP, request.name)
         operation = OpenGroup(
@@ -132,6 +134,6 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
         )
 
     def _check_members(self, channel_ids: Iterable[bytes]) -> None:
-        """A group tells the times of its channels."""
+        """Check that the caller may read the channels, because a group tells their times."""
         for channel_id in channel_ids:
             self._calls.check_thing(AccessVerb.READ, AccessKind.CHANNEL, channel_id)

@@ -1,5 +1,6 @@
-"""The leader's care for the leases of hosts and peers: it takes them over, prolongs them, ends them. The thin shell
-around `lease`.
+"""Manages the leases of hosts and peers as the leader: takes them over, prolongs them, ends them.
+
+A thin shell around `core.lease`.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ T = TypeVar("T", HostRecord, PeerRecord)
 
 
 class PeerRenewal(NamedTuple):
-    """A peer's lease holds on; with the leader's time, by which the peer measures its own clock."""
+    """A peer's prolonged lease, and the leader's time, by which the peer measures its own clock."""
 
     ttl_nanos: int
     tenure: int
@@ -54,7 +55,7 @@ class PeerRenewal(NamedTuple):
 
 
 class LeaseKeeper:
-    """`tick` is called again and again; `renew` and `renew_peer` for each renewal that arrives. On one event loop."""
+    """Call `tick` again and again, and `renew` or `renew_peer` for each renewal. On one event loop."""
 
     def __init__(
         self,
@@ -72,13 +73,13 @@ class LeaseKeeper:
         self._founding_ttl_nanos = founding_ttl_nanos
         self._hosts = LeaseTable()
         self._peers = LeaseTable()
-        # Up to which change the peers' table has followed, of which state (`restored`); None: of no state yet.
+        # The change and the state (`restored`) up to which the peers' table has followed; None: no state yet.
         self._peers_followed: tuple[int, int] | None = None
-        # The last mark of time, and when this leader saw it first, or began to lead.
+        # The last mark of time, and when this leader first saw it, or began to lead.
         self._last_mark = self._marked_nanos = 0
-        # The id that the founder gave the cluster, and whether this one takes the place of a restored one.
+        # The id that the founder gave the cluster, and whether this cluster replaces a restored one.
         self.founding_cluster_id, self.takes_over = "", False
-        # Whether the cluster ends with its processes: its id says so, if the first leader makes it.
+        # Whether the cluster ends with its processes, which the id tells if the first leader makes it.
         self.in_memory = False
 
     async def run(self) -> None:
@@ -88,7 +89,7 @@ class LeaseKeeper:
             await asyncio.sleep(TICK_SECONDS)
 
     async def tick(self) -> None:
-        """Follow the leadership; under one's own, end what is due. What fails is tried again at the next tick."""
+        """Follow the leadership. As the leader, end the due leases. The next tick repeats failed work."""
         status = self._log.status()
         try:
             if not status.is_leader:
@@ -114,7 +115,7 @@ class LeaseKeeper:
             supernode_id=status.self_id,
             new_cluster_id=self.founding_cluster_id or new_cluster_id(in_memory=self.in_memory),
             new_lease_ttl_nanos=self._founding_ttl_nanos,
-            # Front-ends tell clusters apart by it: they must not take one that comes back for the restored one.
+            # so that front-ends do not mistake a former cluster that comes back for the restored one
             founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
             takes_over=self.takes_over,
             new_feature_level=max(FIRST_LEVEL, status.level_of_members),
@@ -137,7 +138,7 @@ class LeaseKeeper:
             logger.warning("the cluster was founded with another lease TTL, which holds", extra=extra)
 
     async def _mark_time(self) -> None:
-        """Let the directory know that time has passed, while there is anything that it may then forget."""
+        """Mark the time in the log, as long as the directory has anything to forget later."""
         now = self._clock.boottime_nanos()
         kept, last_mark = self._replica.read(lambda one: (len(one.answered), one.answered.last_mark))
         if last_mark != self._last_mark:
@@ -178,8 +179,8 @@ class LeaseKeeper:
             logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
 
     async def _follow_peers(self, now: int) -> None:
-        """Take note of the peers that came and went, a part in each turn; of all of them if too many did."""
-        while True:  # ends where the changes do
+        """Follow the peers that came and went, a part in each turn; all peers, if too many came and went."""
+        while True:  # ends with the last change
             page = self._replica.read(self._changed_peers)
             if page is None:
                 await self._follow_all_peers(now)
@@ -192,7 +193,7 @@ class LeaseKeeper:
             await self._give_way()
 
     def _changed_peers(self, directory: Directory) -> ChangePage | None:
-        """The next changes; None: they are not kept any more, or another state has taken the place of that one."""
+        """The next changes; None: they are gone, or the whole state was replaced."""
         restored, position = self._peers_followed or (-1, 0)
         ring = directory.tables.peers.changes
         return ring.read(position, PEERS_PER_TURN) if restored == self._replica.restored else None
@@ -225,7 +226,7 @@ class LeaseKeeper:
         await asyncio.sleep(0)
 
     async def renew(self, host_id: bytes, boot_incarnation: int, *, seconds: float) -> tuple[int, int]:
-        """Prolong the lease of a host; returns its TTL in nanoseconds and the tenure.
+        """Prolong the lease of a host. Returns its TTL in nanoseconds and the tenure.
 
         Raises NotLeader, LeaseExpired (register again), or Unavailable with reason NO_QUORUM.
         """
@@ -234,13 +235,14 @@ class LeaseKeeper:
     async def renew_peer(
         self, peer_id: bytes, boot_incarnation: int, clock: ClockOffset | None, *, seconds: float
     ) -> PeerRenewal:
-        """As `renew`, for a peer, which tells of its clock (None: it does not know)."""
+        """As `renew`, for a peer, which also reports its clock (None: unknown)."""
         received = self._clock.boottime_nanos()
         ttl_nanos, tenure = await self._renew(
             self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds, clock
         )
         self_id = self._log.status().self_id
-        held = self._clock.boottime_nanos() - received  # before the time is told: rather too short than too long
+        # taken before the time in the answer, so that the peer's estimate is rather too short than too long
+        held = self._clock.boottime_nanos() - received
         return PeerRenewal(ttl_nanos, tenure, self._clock.time_unix_nano(), self_id, held)
 
     def note_clock(self, peer: PeerRecord, clock: ClockOffset | None) -> None:
@@ -266,7 +268,7 @@ class LeaseKeeper:
         return table.ttl_nanos, tenure
 
     def check_leads(self, since: int = 0) -> int:
-        """The tenure under which leases are granted; another one than `since` (0: any) is not good enough.
+        """The tenure under which this supernode grants leases. If it is not `since` (0: any), it does not count.
 
         Raises NotLeader, or Unavailable with reason NO_QUORUM while this supernode takes over.
         """
@@ -300,7 +302,7 @@ class LeaseKeeper:
 
 
 def not_leader(status: ReplicationStatus) -> StampedeError:
-    """The error that sends the caller to the leader, or away if there is none."""
+    """The error that sends the caller to the leader, or to another supernode if there is none."""
     leader = next((member for member in status.members if member.member_id == status.leader_id), None)
     if leader is None or leader.member_id == status.self_id:
         text = f"supernode {status.self_id} knows no leader at present; try another supernode, or again in a moment"

@@ -1,4 +1,4 @@
-"""The leader's care for the cluster's feature level: it raises the level once all members know a higher one."""
+"""Manages the cluster's feature level as the leader: raises it once all members know a higher one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROPOSAL_SECONDS = 5.0
 
 
 class LevelKeeper:
-    """`tick` is called again and again, on the event loop."""
+    """Call `tick` again and again, on the event loop."""
 
     def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, submission: Submission) -> None:
         self._log = log

@@ -1,5 +1,7 @@
-"""The leader's care for the loads of owners and copies: it takes the reports of hosts, and gives them to callers. The
-thin shell around `replica_loads`."""
+"""Manages the loads of owners and copies as the leader: accepts the hosts' reports, and gives them to callers.
+
+A thin shell around `core.replicas.loads`.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ from stampede_rt_supernode.servicers.lease_keeper import not_leader
 
 
 class LoadKeeper:
-    """On one event loop. Loads come every 2 s or so for each host, so nothing here waits."""
+    """On one event loop. Loads come about every 2 s for each host, so no method waits."""
 
     def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, *, clock: HostClock) -> None:
         self._log = log
@@ -27,8 +29,10 @@ class LoadKeeper:
         self._loads = ReplicaLoads()
 
     def report(self, host_id: bytes, boot_incarnation: int, loads: Sequence[ReplicaLoad]) -> None:
-        """Note what a host tells; what it neither owns nor holds a copy of is passed over, since it may just have been
-        taken away. Raises InvalidArgument, NotLeader or LeaseExpired."""
+        """Note the loads that a host reports. Raises InvalidArgument, NotLeader or LeaseExpired.
+
+        Ignores channels that the host neither owns nor holds a copy of, because they may just have been taken away.
+        """
         if len(loads) > REPORT_LOADS_MAX:
             raise InvalidArgument(f"the report has {len(loads)} loads; {REPORT_LOADS_MAX} at most, send the rest apart")
         for load in loads:
@@ -44,8 +48,9 @@ class LoadKeeper:
         self._loads.note(held, self._clock.boottime_nanos())
 
     def of(self, channel_id: bytes, host_ids: Sequence[bytes]) -> list[ReplicaLoad]:
-        """The loads that these hosts told of a channel, the least loaded first; nothing if this supernode does not
-        lead."""
+        """The loads that these hosts reported for a channel, the least loaded first; empty if this supernode does not
+        lead.
+        """
         self._loads.lead(self._log.status().tenure)
         return self._loads.of(channel_id, host_ids, self._clock.boottime_nanos())
 

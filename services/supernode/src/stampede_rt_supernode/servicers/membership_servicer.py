@@ -1,4 +1,4 @@
-"""MembershipService, thinly: check, ask the log, encode (proto/stampede_rt/v1/membership_service.proto)."""
+"""MembershipService (proto/stampede_rt/v1/membership_service.proto): checks requests, asks the log, encodes."""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -30,14 +30,15 @@ from stampede_rt_supernode.servicers.lease_keeper import not_leader
 
 PROTOCOL_VERSION = 1
 WAIT_SECONDS_MAX = 60.0
-ANSWER_SECONDS = 0.1  # kept back from the caller's deadline, so that it hears the reason and not just the deadline
+# subtracted from the caller's deadline, so that the caller gets the reason and not only a deadline error
+ANSWER_SECONDS = 0.1
 MEMBER_ID_CHARACTERS_MAX = 128
 SNAPSHOTS_MAX = 4
-QUORUM_SECONDS = 5.0  # a majority that is there answers at once, or elects a leader within 4 s
+QUORUM_SECONDS = 5.0  # a reachable majority answers at once, or elects a leader within 4 s
 
 
 class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
-    """One supernode's answers; only the leader changes the members."""
+    """One supernode's answers. Only the leader changes the members."""
 
     def __init__(
         self,
@@ -97,7 +98,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             self._snapshots_under_way -= 1
 
     async def _taken(self, *, stale_ok: bool, seconds: float) -> tuple[replication.Backup, pb.TakeSnapshotResponse]:
-        """A snapshot as a file, and what is said of it. Raises Unavailable."""
+        """A snapshot as a file, and the response that describes it. Raises Unavailable."""
         began, status = self._clock.boottime_nanos(), self._log.status()
         if status.diverged_at:
             text = f"{why_diverged(status)}; its snapshot is no backup of the directory; take one of another supernode"
@@ -160,12 +161,12 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             raise InvalidArgument(f"{member_id} is a member already; a newcomer, or a wiped supernode, needs a new id")
 
     def _tokens(self) -> JoinTokens:
-        """Raises Unavailable before the cluster is founded."""
+        """The join tokens of this cluster. Raises Unavailable before the cluster is founded."""
         self._cluster_id()
         return JoinTokens(self._replica.read(lambda directory: directory.join_key))
 
     async def _done(self, change: Awaitable[int]) -> int:
-        """The log position of a change. Raises what the contract names."""
+        """The log position of a change. Raises the errors that the contract names."""
         try:
             return await change
         except replication.NotLeading as error:
@@ -191,7 +192,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
 
 
 def _member(id_field: str, supernode_id: str, target_field: str, target: str) -> Member:
-    """Raises InvalidArgument."""
+    """The member of a request. Raises InvalidArgument."""
     if not 0 < len(supernode_id) <= MEMBER_ID_CHARACTERS_MAX:
         raise InvalidArgument(f"{id_field} must have 1 to {MEMBER_ID_CHARACTERS_MAX} characters")
     try:
@@ -201,7 +202,7 @@ def _member(id_field: str, supernode_id: str, target_field: str, target: str) ->
 
 
 def _seconds(context: Context) -> float:
-    """How long this call may wait for the newcomer and the other supernodes."""
+    """The seconds that this call may wait for the newcomer and the other supernodes."""
     left = context.time_remaining()
     if left is None:
         return WAIT_SECONDS_MAX

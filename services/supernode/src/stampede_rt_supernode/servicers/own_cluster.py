@@ -1,4 +1,4 @@
-"""Which cluster this supernode is of, and whose callers it serves."""
+"""The cluster of this supernode, and the callers that it serves."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from stampede_rt_supernode.replica import DirectoryReplica
 
 
 class OwnCluster:
-    """The id is known from the data folder, unless the cluster was founded by a list: then the directory says it."""
+    """The data folder tells the id, unless the cluster was founded with a list. Then the directory tells it."""
 
     def __init__(self, replica: DirectoryReplica) -> None:
         self._replica = replica
         self._known = ""
 
     def learn(self, log_cluster_id: str) -> None:
-        """The cluster's id among its members: found at the start, before anybody is served."""
+        """Take the cluster's id among its members, at the start, before any call is served."""
         self._known = cluster_id_of(log_cluster_id)
 
     def id(self) -> str:
-        """Which cluster this is, or is about to be, once its founder has begun to lead; empty: not known yet."""
+        """The id of this cluster, or the one that it will have once its founder leads; empty: unknown yet."""
         return self._known or self._replica.read(_id_of)
 
     def judge(self, callers: str) -> StampedeError | None:
-        """Why a caller of that cluster is not served; None: it is.
+        """The error for a caller of the cluster `callers`; None: the supernode serves it.
 
-        While the state here is still that of another cluster, of which this one was restored, or of none, nobody is:
-        what is read or done then might be another cluster's.
+        While the state here is still that of another cluster, from which this one was restored, or of none, no caller
+        is served, because reads and updates would concern that cluster.
         """
         own, held = self.id(), self._replica.read(_id_of)
         if not own or held != own:

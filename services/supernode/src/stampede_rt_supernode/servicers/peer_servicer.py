@@ -1,4 +1,4 @@
-"""PeerService, thinly (proto/stampede_rt/v1/peer_service.proto)."""
+"""PeerService (proto/stampede_rt/v1/peer_service.proto): checks requests, asks the core or the log, encodes."""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -32,7 +32,7 @@ from stampede_rt_supernode.servicers.watch import Watches
 
 
 class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
-    """One supernode's answers about participants."""
+    """One supernode's answers about peers."""
 
     def __init__(self, calls: DirectoryCalls, leases: LeaseKeeper, watches: Watches) -> None:
         self._calls = calls
@@ -41,9 +41,9 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
 
     @errors_as_status
     async def RegisterPeer(self, request: pb.RegisterPeerRequest, context: Context) -> pb.RegisterPeerResponse:
-        """The lease begins when the leader sees the registration, later than it was sent.
+        """The lease begins when the leader sees the registration, which is later than its sending.
 
-        In a cluster with certificates only a host itself may register as the peer that it is.
+        In a cluster with certificates only a host itself may register as the peer of that host.
         """
         if request.HasField("host_id"):
             self._calls.check_host(context, request.host_id)
@@ -68,7 +68,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
 
     @errors_as_status
     async def RenewPeerLease(self, request: pb.RenewPeerLeaseRequest, context: Context) -> pb.RenewPeerLeaseResponse:
-        """Leaves no entry in the log."""
+        """Makes no log entry."""
         self._calls.check_peer(request.peer_id)
         renewed = await self._leases.renew_peer(
             request.peer_id, request.boot_incarnation, _clock_told(request), seconds=seconds_left(context)
@@ -148,7 +148,7 @@ def _clock_told(request: pb.RegisterPeerRequest | pb.RenewPeerLeaseRequest) -> C
 
 
 def _entering(request: pb.RegisterPeerRequest) -> RegisterPeer:
-    """The command; the proof stays here, and only what it can be recognised by is kept."""
+    """The operation of a request. It contains only a hash of the proof."""
     check_proof(request.proof)
     return RegisterPeer(
         peer_id=request.peer_id,

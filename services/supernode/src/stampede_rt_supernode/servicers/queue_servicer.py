@@ -1,4 +1,6 @@
-"""QueueDirectoryService, thinly (proto/stampede_rt/v1/queue_directory_service.proto)."""
+"""QueueDirectoryService (proto/stampede_rt/v1/queue_directory_service.proto): checks, asks the core or the log,
+encodes.
+"""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -39,7 +41,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
 
     @errors_as_status
     async def OpenQueue(self, request: pb.OpenQueueRequest, context: Context) -> pb.OpenQueueResponse:
-        """An update that changes nothing is answered from a confirmed read, without an entry in the log."""
+        """If nothing changes, answers from a confirmed read, without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.QUEUE, request.name)
         operation = OpenQueue(
@@ -126,7 +128,9 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         )
 
     def _check_dead_letter(self, spec: QueueSpec) -> None:
-        """What leaves the queue is sent there by its host, which rules do not judge."""
+        """Check that the caller may send to the dead-letter queue, because the host that sends there later is not
+        judged.
+        """
         if spec.HasField("dead_letter_queue_id"):
             self._calls.check_thing(AccessVerb.SEND, AccessKind.QUEUE, spec.dead_letter_queue_id)
 

@@ -1,4 +1,4 @@
-"""The services of the directory's other records, on the port of DirectoryService."""
+"""Registers the services of the directory's other records, on the port of DirectoryService."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from stampede_rt_supernode.servicers.watch import Watches
 def register_record_services(
     server: grpc.aio.Server, calls: DirectoryCalls, loads: LoadKeeper, leases: LeaseKeeper, watches: Watches
 ) -> None:
-    """Before the server is started."""
+    """Register the services. Call it before the server starts."""
     groups.add_GroupDirectoryServiceServicer_to_server(GroupDirectoryServicer(calls), server)
     replicas.add_ReplicaDirectoryServiceServicer_to_server(ReplicaDirectoryServicer(calls, loads), server)
     queues.add_QueueDirectoryServiceServicer_to_server(QueueDirectoryServicer(calls), server)

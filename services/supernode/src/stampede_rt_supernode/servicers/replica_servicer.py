@@ -1,4 +1,6 @@
-"""ReplicaDirectoryService, thinly (proto/stampede_rt/v1/replica_directory_service.proto)."""
+"""ReplicaDirectoryService (proto/stampede_rt/v1/replica_directory_service.proto): checks, asks the core or log,
+encodes.
+"""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -34,7 +36,7 @@ from stampede_rt_supernode.servicers.load_keeper import LoadKeeper
 
 
 class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirectoryServiceServicer):
-    """One supernode's answers about copies."""
+    """One supernode's answers about copies of channels."""
 
     def __init__(self, calls: DirectoryCalls, loads: LoadKeeper) -> None:
         self._calls = calls
@@ -67,7 +69,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     async def SetReplicaInSync(
         self, request: pb.SetReplicaInSyncRequest, context: Context
     ) -> pb.SetReplicaInSyncResponse:
-        """In a cluster with certificates only the owner may say so."""
+        """In a cluster with certificates only the owner may call it."""
         channel_id = channel_id_of(request.subject)
         owner = await self._calls.read(context, lambda directory: channel_by_id(directory.tables, channel_id).host_id)
         self._calls.check_host(context, owner)
@@ -85,7 +87,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     async def ReportReplicaLoads(
         self, request: pb.ReportReplicaLoadsRequest, context: Context
     ) -> pb.ReportReplicaLoadsResponse:
-        """Leaves no entry in the log."""
+        """Makes no log entry."""
         self._calls.check_host(context, request.host_id)
         self._loads.report(request.host_id, request.boot_incarnation, [load_from(load) for load in request.loads])
         return pb.ReportReplicaLoadsResponse()
@@ -110,7 +112,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
 class _Found:
     channel: ChannelRecord
     replicas: tuple[ReplicaRecord, ...]
-    hosts: tuple[HostRecord, ...]  # the owner, then those of the copies
+    hosts: tuple[HostRecord, ...]  # the owner, then the hosts of the copies
     applied_index: int
 
 

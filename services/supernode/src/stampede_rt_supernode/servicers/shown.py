@@ -1,4 +1,4 @@
-"""Which changes of the directory a caller is told: those of what it may list."""
+"""Decides which changes of the directory a caller gets: changes of the things that it may list."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from stampede_rt_supernode.core.records import ChannelRecord, DirectoryChange, G
 
 
 def shown_to_caller() -> Callable[[DirectoryChange], bool]:
-    """By the rules as they are at each change. Hosts are shown to all, and so is that the rules have changed."""
+    """A function that tells whether the caller gets a change, by the rules at that time.
+
+    Everybody gets changes of hosts, and the news that the rules have changed.
+    """
     may_list = {kind: allowed_to(AccessVerb.LIST, kind) for kind in AccessKind}
 
     def is_shown(change: DirectoryChange) -> bool:

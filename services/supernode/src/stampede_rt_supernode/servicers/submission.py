@@ -1,4 +1,4 @@
-"""Commands and confirmed reads, carried through leader changes: the same operation again until its outcome is known."""
+"""Commands and confirmed reads that survive changes of the leader: repeats an operation until its outcome is known."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ R = TypeVar("R", bound=Success)
 
 
 class Submission:
-    """The way into the log. Every wait ends within the `seconds` that the caller gives."""
+    """Submits commands to the log. Every wait ends within the `seconds` that the caller gives."""
 
     def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, *, time_unix_nano: Callable[[], int]) -> None:
         self._log = log
@@ -33,23 +33,22 @@ class Submission:
         self._closed = False
 
     def close(self) -> None:
-        """From now on nothing is tried again: what is under way ends with SHUTTING_DOWN, unless it succeeds now."""
+        """Repeat nothing from now on: calls under way end with SHUTTING_DOWN, unless they succeed now."""
         self._closed = True
 
     async def submit(
         self, operation: Operation, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0
     ) -> R:
-        """Replicate `operation` and return what came of it, a `kind`. Repeated with the same `op_id`, it is done once.
+        """Replicate `operation` and return its result, a `kind`. Repeated with the same `op_id`, it is done once.
 
-        `as_of_index`: see Command.
-
-        Raises the error that the directory refuses it with; VersionMismatch if not all supernodes know such a command;
-        LogUnavailable with reason AMBIGUOUS if it may or may not be done, NO_QUORUM if it certainly is not.
+        `as_of_index`: see Command. Raises the directory's refusal; VersionMismatch if not all supernodes know such a
+        command; LogUnavailable with reason AMBIGUOUS if it may or may not be done, NO_QUORUM if it is certainly not
+        done.
         """
         now = self._time_unix_nano()
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))
         if not self._replica.takes(encoded):
-            await self.confirm(seconds=seconds)  # the level may have risen, and this one lag behind
+            await self.confirm(seconds=seconds)  # the level may have risen, and this supernode may be behind
             self._check_level(encoded)
         result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds)
         if isinstance(result, Refused):
@@ -66,15 +65,18 @@ class Submission:
     async def _propose(self, encoded: bytes, timeout: float) -> Result:
         result = decode_result(await self._log.propose(encoded, timeout=timeout))
         if isinstance(result, Refused) and result.reason == "NO_QUORUM":
-            raise LogUnavailable(result.message)  # the directory itself says that it is too early
+            raise LogUnavailable(result.message)  # the directory says that it is too early
         return result
 
     async def confirm(self, *, seconds: float) -> int:
-        """After it, the local state holds every update acknowledged before. Raises LogUnavailable with NO_QUORUM."""
+        """Wait until the local state includes every update acknowledged before.
+
+        Raises LogUnavailable with NO_QUORUM.
+        """
         return await self._persist(lambda timeout: self._log.confirm_read(timeout=timeout), seconds)
 
     def check_state(self) -> None:
-        """Raises LogUnavailable with reason SHUTTING_DOWN if this supernode's state is not the leader's."""
+        """Raises LogUnavailable with reason SHUTTING_DOWN if this supernode's state has diverged."""
         status = self._log.status()
         if status.diverged_at:
             text = f"{why_diverged(status)}; it serves no caller until it has joined again; use another one"
@@ -88,7 +90,7 @@ class Submission:
             try:
                 return await attempt(min(left, ATTEMPT_SECONDS_MAX))
             except LogUnavailable:
-                pass  # certainly not done in this attempt; an earlier one may still be
+                pass  # certainly not done by this attempt; an earlier attempt may still be under way
             except Ambiguous:
                 ambiguous = True
             left = deadline - time.monotonic()
@@ -100,7 +102,10 @@ class Submission:
 
 
 def above_level(kind: str, needed: int, status: ReplicationStatus) -> errors.VersionMismatch:
-    """Why a command is not done that needs a feature level above the cluster's, and who holds that down."""
+    """The error for a command that needs a higher feature level than the cluster's.
+
+    Names the members that lack the level.
+    """
     told = {member.member_id: status.highest_levels.get(member.member_id) for member in status.members}
     behind = [name for name, level in sorted(told.items()) if level is None or level < needed]
     named = ", ".join(f"{name} ({'not heard of' if told[name] is None else f'level {told[name]}'})" for name in behind)

@@ -1,6 +1,6 @@
-"""Watches: every watcher holds a position in the ring of recent changes, and nothing is buffered for it.
+"""Watches: every watcher holds a position in the ring of recent changes, and has no buffer.
 
-A slow watcher therefore costs no memory; if the ring overtakes it, it hears WATCH_RESTART and lists again.
+So a slow watcher costs no memory. If the ring overtakes it, it gets WATCH_RESTART and lists again.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from stampede_rt_supernode.replication.interface import ReplicatedLog
 logger = logging.getLogger(__name__)
 
 CHANGES_PER_RESPONSE_MAX = 64
-"""So many changes one watch looks at in one turn of the event loop."""
+"""The most changes that one watch looks at in one turn of the event loop."""
 WATCHES_PER_TURN = 8
 SIGN_OF_LIFE_SECONDS = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class WatchBatch:
-    """Changes in order, perhaps none. Everything up to `applied_index` has been given out."""
+    """Changes in order, perhaps none. All changes up to `applied_index` have been given out."""
 
     changes: tuple[DirectoryChange, ...]
     applied_index: int
@@ -58,7 +58,7 @@ class Watches:
         replica.listen(self._bell.ring)
 
     def close(self) -> None:
-        """End every watch with SHUTTING_DOWN, now and from now on."""
+        """End every present and later watch with SHUTTING_DOWN."""
         self._closed = True
         self._bell.wake()
 
@@ -72,27 +72,27 @@ class Watches:
         include_queues: bool = False,
         include_access: bool = False,
     ) -> AsyncIterator[WatchBatch]:
-        """Changes of channels, and of others if they are asked for; see `_follow`."""
+        """Changes of channels, and of other things as requested; see `_follow`."""
         wanted = _filter(glob, include_hosts, include_groups, include_queues, include_access)
         return self._follow(lambda directory: directory.tables.changes, wanted, after_index)
 
     def follow_peers(self, glob: str, after_index: int) -> AsyncIterator[WatchBatch]:
-        """Changes of peers, nameless ones only without a pattern; see `_follow`."""
+        """Changes of peers, of nameless ones only without a pattern; see `_follow`."""
         return self._follow(lambda directory: directory.tables.peers.changes, _peer_filter(glob), after_index)
 
     async def _follow(
         self, ring_of: Callable[[Directory], ChangeRing], wanted: Callable[[DirectoryChange], bool], after_index: int
     ) -> AsyncIterator[WatchBatch]:
-        """Batches without end; the first is empty and says where the watch begins, and so are signs of life.
+        """Batches without end. The first batch is empty and tells where the watch begins. Signs of life are empty, too.
 
-        `after_index` 0: from now on. The caller has just confirmed a read. Raises WatchRestart, and Unavailable when
-        this supernode stops or knows no leader any more; `follow` raises InvalidArgument for a bad pattern.
+        `after_index` 0: from now on. Confirm a read just before. Raises WatchRestart, and Unavailable when this
+        supernode stops or knows no leader any more. `follow` raises InvalidArgument for an invalid pattern.
         """
         position, index, life = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
         yield WatchBatch((), index)
         with self._bell.listening() as rung:
             while True:
-                rung.clear()  # before looking at what the next ring announces
+                rung.clear()  # cleared before the look, because the next ring announces later changes
                 page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, life))  # type: ignore[misc]
                 position = page.position
                 changes = tuple(change for change in page.changes if wanted(change))
@@ -100,7 +100,7 @@ class Watches:
                     yield WatchBatch(changes, page.index)
                 if page.changes:
                     await asyncio.sleep(0)
-                    continue  # there may be more already
+                    continue  # there may be more changes already
                 self._check_open()
                 if not await _happens(rung, self._sign_of_life_seconds):
                     self._check_leader()
@@ -169,7 +169,7 @@ def _peer_filter(glob: str) -> Callable[[DirectoryChange], bool]:
 
 
 def _matches(name: str, glob: str, matches: Callable[[str], bool]) -> bool:
-    """A mailbox without a name matches no pattern, but is there when no pattern is given."""
+    """Whether the name matches the pattern. A mailbox has no name, and matches only if there is no pattern."""
     return matches(name) if name else not glob
 
 
@@ -183,8 +183,11 @@ async def _happens(event: asyncio.Event, seconds: float) -> bool:
 
 
 class _Bell:
-    """Wakes whoever waits on the event loop, a few in each turn, however many there are. Rung from any thread; many
-    rings before the waking are one. One that still waits to be woken keeps its place."""
+    """Wakes all waiting coroutines on the event loop, a few in each turn, however many there are.
+
+    Any thread may ring it. Several rings before the waking count as one. A coroutine that is not yet woken keeps its
+    place.
+    """
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -204,7 +207,7 @@ class _Bell:
             self._to_wake.pop(event, None)
 
     def ring(self) -> None:
-        """From any thread. After the loop has closed nobody waits any more."""
+        """Ring from any thread. Does nothing after the loop has closed."""
         if self._rung:
             return
         self._rung = True
@@ -214,7 +217,7 @@ class _Bell:
             logger.debug("a change came after the event loop had closed")
 
     def wake(self) -> None:
-        """On the loop."""
+        """Begin to wake, on the loop."""
         self._rung = False
         is_waking = bool(self._to_wake)
         self._to_wake.update(self._listening)
