@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.values.model import Policy
-from stampede_rt_supernode.app import tune_garbage_collection
 from stampede_rt_supernode.codecs.command_codec import decode_result, encode_command
 from stampede_rt_supernode.core.channels.commands import OpenChannel
 from stampede_rt_supernode.core.cluster.commands import BeginTenure
@@ -173,7 +172,7 @@ def snapshots(folder: Path, channels: int) -> list[Row]:
     began, cpu = time.perf_counter(), time.process_time()
     again = Alone(folder / "one", proposed=one.proposed)
     rows = [("start of a log: store read, directory decoded", _took(began, cpu))]
-    tune_garbage_collection()
+    gc.freeze()  # the event loop of a supernode does the rest, and there is none here
     again.step_until(lambda: again.replica.status().is_leader)
     rows.append(_taken(again, "first snapshot after the start"))
     again.open_channels(CHANGED)

@@ -10,17 +10,24 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import gc
 import json
 import sys
 from collections.abc import Awaitable, Callable, Sequence
 
 from stampede_rt_bench.tables import Table
+from stampede_rt_runtime.garbage import GarbageCollection
 from tests.benchmarks.longest_pause.client import ask
 from tests.benchmarks.longest_pause.groups import group_readers, late_items
 from tests.benchmarks.longest_pause.queues import batches
 from tests.benchmarks.longest_pause.reads import given_up_get, large_get, listing, page, subscription
-from tests.benchmarks.longest_pause.retention import backwards, consumption, deletion, first_consumers, smaller_limit
+from tests.benchmarks.longest_pause.retention import (
+    backwards,
+    consumption,
+    deletion,
+    first_consumers,
+    replacement,
+    smaller_limit,
+)
 from tests.benchmarks.longest_pause.sizes import (
     BLOCKED_GETS,
     BUCKET_ITEMS,
@@ -29,6 +36,7 @@ from tests.benchmarks.longest_pause.sizes import (
     ITEMS,
     LATE_ITEMS,
     QUEUED_ITEMS,
+    REPLACED_ITEMS,
     SUBSCRIBERS,
 )
 from tests.benchmarks.longest_pause.waking import reach, release, subscribers
@@ -42,6 +50,7 @@ CASES: dict[str, tuple[Case, int]] = {
     "given-up": (given_up_get, ITEMS),
     "subscribe": (subscription, ITEMS),
     "configure": (smaller_limit, ITEMS),
+    "replacement": (replacement, REPLACED_ITEMS),
     "late": (late_items, LATE_ITEMS),
     "page": (page, BUCKET_ITEMS),
     "reach": (reach, BUCKET_ITEMS),
@@ -59,11 +68,10 @@ CASES: dict[str, tuple[Case, int]] = {
 
 async def measure(names: Sequence[str], share: float) -> None:
     """One host for each case, so that none leaves the next one anything."""
-    gc.set_threshold(5_000, 5, 1_000)  # as `stampede host` does
     table = Table(("longest pause, ms", "all, ms", "work"))
     for name in names:
         case, items = CASES[name]
-        async with running_host(memory_bytes_max=2**40) as rig:
+        async with GarbageCollection(), running_host(memory_bytes_max=2**40) as rig:
             text, work = await case(rig, int(items * share))
             watch = Watch()
             all_ms = await watch.over(work)

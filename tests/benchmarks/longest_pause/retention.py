@@ -11,6 +11,8 @@ from tests.benchmarks.longest_pause.filling import fill, in_order, opened
 from tests.benchmarks.longest_pause.sizes import (
     BLOCKED_GETS,
     CALLS,
+    MORE_OBJECTS,
+    PUTS_PER_TURN,
 )
 from tests.benchmarks.longest_pause.watch import PATIENCE_SECONDS, Work
 from tests.support.channel_host.rig import Rig, run_of
@@ -35,6 +37,23 @@ async def smaller_limit(rig: Rig, items: int) -> tuple[str, Work]:
                 await channel.status()
 
     return f"configure(max_items=10) with {items:,} items, a put, and the freeing", work
+
+
+async def replacement(rig: Rig, items: int) -> tuple[str, Work]:
+    """The number of objects stays the same, until some more come."""
+    _, hosted = await opened(rig, max_items=items)
+    in_order(hosted, rig, items)
+
+    async def work() -> None:
+        for _ in range(items // PUTS_PER_TURN):
+            in_order(hosted, rig, PUTS_PER_TURN)
+            await asyncio.sleep(0)
+        more: list[object] = []
+        for _ in range(MORE_OBJECTS // 1000):
+            more += [[] for _ in range(1000)]
+            await asyncio.sleep(0)
+
+    return f"a full channel replaces its {items:,} items, and then {MORE_OBJECTS:,} other objects come", work
 
 
 async def consumption(rig: Rig, items: int) -> tuple[str, Work]:

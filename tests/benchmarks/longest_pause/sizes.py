@@ -13,3 +13,6 @@ FOLLOWED_ITEMS = 5  # that each subscriber reads
 GROUP_READERS = 4096
 PAGE_ITEMS = 100
 READ_ITEMS = 20_000  # that one subscriber reads from the oldest on
+REPLACED_ITEMS = 200_000
+PUTS_PER_TURN = 20
+MORE_OBJECTS = 40_000

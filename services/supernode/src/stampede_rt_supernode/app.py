@@ -21,6 +21,7 @@ from stampede_rt.v1 import (
 )
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.dial import Dialer
+from stampede_rt_runtime.garbage import GarbageCollection
 from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import announce, run_service
@@ -66,7 +67,7 @@ HAND_OVER_SECONDS = 1.2
 
 async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
-    gc.disable()
+    gc.disable()  # nothing is garbage while the state is loaded
     credentials = settings.load_credentials(Role.SUPERNODE)
     replica = DirectoryReplica()
     own_cluster = OwnCluster(replica)
@@ -87,7 +88,6 @@ async def serve(settings: SupernodeSettings) -> None:
     if settings.data_dir is None and not settings.members:
         logger.info("alone, and keeps everything in memory; a supernode of `init` or `join` needs its --data-dir")
     async with _open_log(settings, founding, server, credentials, replica) as log:
-        tune_garbage_collection()
         parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
         _register(parts, server)
         server.access.draw_from(lambda: replica.read(access_state))
@@ -108,23 +108,11 @@ async def serve(settings: SupernodeSettings) -> None:
             work.append(_for_good(own_address.watch(own_cluster.id)))
         if founding.token and settings.data_dir is not None:
             work.append(_for_good(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
-        async with _background(server, *work):
+        async with GarbageCollection(), _background(server, *work):
             # Printed once `run` handles stop signals: a process that waits for this line may send one at once.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(parts.end_streams)
-
-
-def tune_garbage_collection() -> None:
-    """Turn the garbage collector on after the load of the state, and leave out the loaded objects.
-
-    The last reference frees a record; only reference cycles need the collector. With Python's defaults the collector
-    walks over every record of the directory again and again. With 100,000 channels it stops all threads for 200 ms at a
-    time, and takes a fifth of the time of their load, as measured.
-    """
-    gc.freeze()
-    gc.set_threshold(5_000, 5, 1_000)
-    gc.enable()
 
 
 @dataclass(frozen=True, kw_only=True)

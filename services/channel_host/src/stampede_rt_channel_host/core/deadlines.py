@@ -24,14 +24,21 @@ class Timed(Protocol):
 T = TypeVar("T", bound=Timed)
 
 
+Entry = tuple[int, int, T]
+_MOVED_PER_ARM = 4
+
+
 class Deadlines(Generic[T]):
     """Things by deadline.
 
-    Each operation costs amortised O(log n). The heap has hardly more than two entries for each thing.
+    Each operation costs amortised O(log n). There are hardly more than two entries for each thing. When more than half
+    of the entries are outdated, the heap becomes the old heap. Each `arm` then moves a few entries of the old heap that
+    still count to the new heap. So no call walks over all entries.
     """
 
     def __init__(self) -> None:
-        self._heap: list[tuple[int, int, T]] = []
+        self._heap: list[Entry[T]] = []
+        self._old: list[Entry[T]] = []
         self._live = 0
 
     def arm(self, thing: T, due: int) -> None:
@@ -41,9 +48,10 @@ class Deadlines(Generic[T]):
         self._live += thing.due is None
         thing.due = due
         heapq.heappush(self._heap, (due, thing.order, thing))
-        if len(self._heap) > 2 * self._live + _SLACK:
-            self._heap = [entry for entry in self._heap if entry[2].due == entry[0]]
-            heapq.heapify(self._heap)
+        if self._old:
+            self._move_some()
+        elif len(self._heap) > 2 * self._live + _SLACK:
+            self._old, self._heap = self._heap, []
 
     def disarm(self, thing: T) -> None:
         """Remove the deadline of a thing. Idempotent."""
@@ -52,15 +60,30 @@ class Deadlines(Generic[T]):
 
     def pop(self, now: int) -> T | None:
         """Remove and return the thing with the earliest deadline up to `now`. None: no deadline has come."""
-        due = self.next()
-        if due is None or due > now:
+        first = self._first()
+        if not first or first[0][0] > now:
             return None
-        thing = heapq.heappop(self._heap)[2]
+        thing = heapq.heappop(first)[2]
         self.disarm(thing)
         return thing
 
     def next(self) -> int | None:
         """The next deadline."""
-        while self._heap and self._heap[0][2].due != self._heap[0][0]:
-            heapq.heappop(self._heap)
-        return self._heap[0][0] if self._heap else None
+        first = self._first()
+        return first[0][0] if first else None
+
+    def _first(self) -> list[Entry[T]]:
+        """The heap with the earliest deadline at its top. An empty heap: there is no deadline."""
+        for heap in (self._heap, self._old):
+            while heap and heap[0][2].due != heap[0][0]:
+                heapq.heappop(heap)
+        if not self._heap or not self._old:
+            return self._heap or self._old
+        return self._heap if self._heap[0][:2] <= self._old[0][:2] else self._old
+
+    def _move_some(self) -> None:
+        """Take the last entries of the old heap. The entries before them are still a heap."""
+        for _ in range(min(_MOVED_PER_ARM, len(self._old))):
+            entry = self._old.pop()
+            if entry[2].due == entry[0]:
+                heapq.heappush(self._heap, entry)

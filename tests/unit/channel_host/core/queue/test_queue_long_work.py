@@ -42,6 +42,26 @@ def test_many_takers_that_wait_are_served_some_by_each_call_and_all_alike() -> N
     assert served == {taker_id: [100] for taker_id in range(1, 101)}
 
 
+def test_no_call_gives_out_more_items_than_one_call_may() -> None:
+    core = Core(max_items=30_000)
+    for taker_id in range(1, 21):
+        core.taker(taker_id, 1000)
+    core.put(*[1] * 20_000)
+    busy, given = [*core.queue.take_dealt()], 0
+    while busy:
+        taker, batch = busy.pop(0)
+        given += batch.items
+        core.queue.sending(taker)
+        core.queue.sent(taker, core.now)
+        dealt = core.queue.take_dealt()
+        assert sum(batch.items for _, batch in dealt) <= ITEMS_DEALT_MAX
+        busy += dealt
+        if not busy:
+            core.queue.tick(core.now)
+            busy += core.queue.take_dealt()
+    assert given == 20_000
+
+
 def test_a_taker_that_comes_while_others_are_still_to_be_served_waits_behind_them() -> None:
     core = Core(max_items=10_000)
     for taker_id in range(1, 21):

@@ -14,8 +14,8 @@ from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
 BATCH_BYTES_MAX = 2**20 - 2**16
 """The size of a batch with several messages on the wire. With its other fields it fits in 1 MiB."""
-ITEMS_DEALT_MAX = 256
-"""The most messages of one batch, and of one call of `deal`. Then the host serves others."""
+ITEMS_DEALT_MAX = 128
+"""The most messages of one call of the queue, in one batch or in several. Then the host serves others."""
 DELIVERY_BYTES = 16
 """The most bytes that a message's delivery id and number take on the wire."""
 VIEWS_MAX = 4096
@@ -97,8 +97,8 @@ class _Draft:
 class Dispatcher:
     """The line of waiting takers. `dealt` collects the new batches until the caller takes them.
 
-    While it `is_paused`, no taker gets messages: all wait in line. `has_more`: `deal` has reached its limit, so call it
-    again soon.
+    While it `is_paused`, no taker gets messages: all wait in line. `has_more`: this call of the queue has reached its
+    limit, so call `deal` again soon.
     """
 
     def __init__(self, queue_items: QueueItems, leasing: Leasing) -> None:
@@ -108,6 +108,7 @@ class Dispatcher:
         self._views: OrderedDict[int, View] = OrderedDict()  # by their last use
         self.dealt: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
+        self._left = ITEMS_DEALT_MAX  # of what this call of the queue may give out
 
     def __len__(self) -> int:
         """The number of waiting takers."""
@@ -122,42 +123,47 @@ class Dispatcher:
         if waits and (self.is_paused or self.has_more or not self._serve(taker, 1, now)):
             self._line[taker] = None
 
+    def begin_call(self) -> None:
+        """A call of the queue begins. It may give out `ITEMS_DEALT_MAX` items."""
+        self._left = ITEMS_DEALT_MAX
+
     def leave(self, taker: TakerState) -> None:
         """Take a taker out of the line. Idempotent."""
         self._line.pop(taker, None)
 
     def deal(self, now: int) -> None:
         """Serve the takers in line, because there may be new messages."""
-        served, items = [], 0
+        served = []
         self.has_more = False
         for position, taker in enumerate(self._line):
             if self.is_paused or not self._queue_items.available_items:
                 break
-            if items >= ITEMS_DEALT_MAX:
-                self.has_more = True
-                break
-            dealt = self._serve(taker, len(self._line) - position, now)
-            if dealt:
+            if self._serve(taker, len(self._line) - position, now):
                 served.append(taker)
-                items += dealt
+            elif self.has_more:
+                break
         for taker in served:
             del self._line[taker]
 
-    def _serve(self, taker: TakerState, takers: int, now: int) -> int:
-        """Give a taker its share among `takers` takers. Returns the number of its messages."""
+    def _serve(self, taker: TakerState, takers: int, now: int) -> bool:
+        """Give a taker its share among `takers` takers. False: the taker gets nothing."""
         there = self._queue_items.available_items * self._queue_items.limits.copies
         share = min(-(-there // takers), taker.credit, ITEMS_DEALT_MAX)
+        if share > self._left:  # its share stays as large as those of others
+            self.has_more = True
+            return False
         lease_nanos = taker.lease_nanos or self._queue_items.limits.lease_nanos
         draft = _Draft()
         while draft.items < share and self._give_next(taker, draft, now, now + lease_nanos):
             pass
         if not draft.items:
-            return 0
+            return False
+        self._left -= draft.items
         taker.credit -= draft.items
         taker.is_busy = True
         taker.unsent = Batch(draft.slices, now + lease_nanos)
         self.dealt.append((taker, taker.unsent))
-        return draft.items
+        return True
 
     def _give_next(self, taker: TakerState, draft: _Draft, now: int, expires: int) -> bool:
         queue_items = self._queue_items

@@ -8,13 +8,11 @@ from __future__ import annotations
 from bisect import insort
 from collections.abc import Iterable
 from itertools import islice
-from typing import Any
-
-from sortedcontainers import SortedDict
 
 from stampede_rt.errors import LeaseExpired
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue.acknowledged import AcknowledgedDeliveries
+from stampede_rt_channel_host.core.queue.blocks import Blocks
 from stampede_rt_channel_host.core.queue.items import (
     GIVEN_BACK,
     LEASE_EXPIRED,
@@ -61,7 +59,7 @@ class Leasing:
         self._queue_items = queue_items
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
-        self.leases: Any = SortedDict()  # delivery id -> Lease
+        self.leases: Blocks[Lease] = Blocks()  # by delivery id
         # takers that let a lease end and sent nothing, until the caller of this class takes them
         self.silent: list[TakerState] = []
         self.next_delivery_id = first_delivery_id
@@ -94,7 +92,7 @@ class Leasing:
         Returns an error if the taker does not have the lease any more.
         """
         delivery_id, verdict = settlement
-        lease: Lease | None = self.leases.get(delivery_id)
+        lease = self.leases.get(delivery_id)
         if lease is None or lease.taker.taker_id != taker_id or lease.due is None or lease.due <= now:
             repeated = isinstance(verdict, Acknowledge) and self.acknowledged.knows(delivery_id, taker_id, now)
             return SettlementResult(delivery_id, None if repeated else self._stale(delivery_id))
@@ -127,8 +125,7 @@ class Leasing:
 
     def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
         """The leases after a delivery, by delivery id, `limit` at most."""
-        found: Iterable[int] = self.leases.irange(minimum=after_delivery_id, inclusive=(False, True))
-        return [_pending(self.leases[delivery_id]) for delivery_id in islice(found, limit)]
+        return [_pending(lease) for lease in islice(self.leases.values(after_delivery_id + 1), limit)]
 
     def next_deadline(self) -> int | None:
         """The time of the next lease end."""

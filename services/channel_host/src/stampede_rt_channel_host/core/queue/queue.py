@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable
 from itertools import islice
 
@@ -12,6 +11,7 @@ from stampede_rt_channel_host.core.queue import handoff
 from stampede_rt_channel_host.core.queue.dispatcher import Dispatcher
 from stampede_rt_channel_host.core.queue.enqueuing import Enqueue, Enqueuing
 from stampede_rt_channel_host.core.queue.handoff import QueueHandoff
+from stampede_rt_channel_host.core.queue.items import TouchedItem
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
@@ -64,7 +64,7 @@ class QueueCore:
         self._dispatcher = Dispatcher(self._queue_items, self._leasing)
         self._clock: int | None = None
         self._is_paused = False
-        self._unchecked: deque[int] = deque()  # seqs of touched items to check against the new limits
+        self._unchecked_from: int | None = None  # touched items from this seq on are to be checked against new limits
 
     def export(self, now: int) -> QueueHandoff:
         """The whole queue as values, without waiting runs and takers.
@@ -84,7 +84,7 @@ class QueueCore:
         """
         queue = cls(limits, incarnation=incarnation, name=name)
         handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
-        queue._unchecked = deque(queue._queue_items.touched)  # the other host may have known other limits
+        queue._unchecked_from = 0  # the other host may have known other limits
         queue._tick(now)
         return queue
 
@@ -212,9 +212,7 @@ class QueueCore:
         """
         clock = self._tick(now)
         self._queue_items.limits = limits
-        self._unchecked = deque(
-            dict.__iter__(self._queue_items.touched)
-        )  # dict's iterator keeps the order and is faster than OrderedDict's
+        self._unchecked_from = 0
         self._check_again()
         self._follow_up(clock)
 
@@ -234,7 +232,7 @@ class QueueCore:
 
     def next_deadline(self) -> int | None:
         """When `tick` is next useful; None: only after another call."""
-        if self._unchecked or self._has_more:
+        if self._unchecked_from is not None or self._has_more:
             return self._clock
         known = self._enqueuing.message_ids.next_deadline()
         due = (self._leasing.next_deadline(), self._queue_items.delays.next(), self._enqueuing.next_deadline(), known)
@@ -322,6 +320,7 @@ class QueueCore:
 
     def _tick(self, now: int) -> int:
         clock = self._clock = now if self._clock is None else max(self._clock, now)
+        self._dispatcher.begin_call()
         due = self._check_again()
         while due < DUE_PER_CALL_MAX and (self._leasing.expire_one(clock) or self._end_delay(clock)):
             due += 1
@@ -337,13 +336,14 @@ class QueueCore:
 
     def _check_again(self) -> int:
         """Check some items that were touched under other limits against the present ones. Returns how many it took."""
-        count = min(len(self._unchecked), CHECKED_PER_CALL_MAX)
-        for _ in range(count):
-            item = self._queue_items.touched.get(self._unchecked.popleft())
-            if item is not None:
-                self._leasing.check_again(item)
-        self._dispatcher.is_paused = self._is_paused or bool(self._unchecked) or not self._may_serve()
-        return count
+        items: list[TouchedItem] = []
+        if self._unchecked_from is not None:
+            items = [*islice(self._queue_items.touched.values(self._unchecked_from), CHECKED_PER_CALL_MAX)]
+            self._unchecked_from = items[-1].seq + 1 if len(items) == CHECKED_PER_CALL_MAX else None
+        for item in items:
+            self._leasing.check_again(item)
+        self._dispatcher.is_paused = self._is_paused or self._unchecked_from is not None or not self._may_serve()
+        return len(items)
 
     def _end_delay(self, clock: int) -> bool:
         item = self._queue_items.delays.pop(clock)

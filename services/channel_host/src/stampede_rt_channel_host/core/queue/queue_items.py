@@ -14,6 +14,7 @@ from typing import Any
 from sortedcontainers import SortedDict, SortedList
 
 from stampede_rt_channel_host.core.deadlines import Deadlines
+from stampede_rt_channel_host.core.queue.blocks import Blocks
 from stampede_rt_channel_host.core.queue.items import QueuedRun, TouchedItem
 from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, QueueLimits
 
@@ -42,8 +43,8 @@ class QueueTally:
 class QueueItems:
     """The held messages. Seqs start at 1. All touched messages are older than all fresh ones.
 
-    `touched` is in the order of seqs. `leased` counts messages with a lease. `stored_bytes` counts whole runs with a
-    held message. `leaving` are the messages that wait for their move to the dead-letter queue.
+    `touched` has them by seq. `leased` counts messages with a lease. `stored_bytes` counts whole runs with a held
+    message. `leaving` are the messages that wait for their move to the dead-letter queue.
     """
 
     def __init__(self, limits: QueueLimits) -> None:
@@ -52,7 +53,7 @@ class QueueItems:
         self.next_seq = 1
         self.items = self.payload_bytes = self.stored_bytes = 0
         self.fresh_items = self.leased = 0
-        self.touched: OrderedDict[int, TouchedItem] = OrderedDict()
+        self.touched: Blocks[TouchedItem] = Blocks()
         self.leaving: OrderedDict[int, TouchedItem] = OrderedDict()
         self.delays: Deadlines[TouchedItem] = Deadlines()
         self.returns_logged = 0
@@ -230,6 +231,6 @@ class QueueItems:
     def oldest_accepted_at(self) -> int | None:
         """The time at which the oldest held message was accepted."""
         if self.touched:
-            return next(iter(self.touched.values())).run.accepted_at
+            return next(self.touched.values()).run.accepted_at
         run = self.fresh_run()
         return None if run is None else run.accepted_at

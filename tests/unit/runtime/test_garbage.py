@@ -1,0 +1,89 @@
+"""The garbage collector is run in small portions."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+from collections import deque
+
+from stampede_rt_runtime.garbage import (
+    FULL_INTERVAL_SECONDS,
+    INTERVAL_SECONDS_MAX,
+    INTERVAL_SECONDS_MIN,
+    LONG_SECONDS,
+    CollectionPace,
+    GarbageCollection,
+)
+
+
+class Item:
+    """As a channel holds them: nothing untracks it."""
+
+    def __init__(self, held: object) -> None:
+        self.held = held
+
+
+async def test_objects_that_replace_others_do_not_gather_for_one_large_collection() -> None:
+    thresholds = gc.get_threshold()
+    held = deque((Item(at) for at in range(20_000)), maxlen=20_000)
+    async with GarbageCollection() as collection:
+        for at in range(20_000):
+            held.append(Item(at))  # their number stays the same
+            if at % 1000 == 0:
+                collection.collect()
+                assert len(gc.get_objects(0)) < 4000
+    assert gc.get_threshold() == thresholds
+
+
+async def test_the_event_loop_collects_circles() -> None:
+    gone = asyncio.Event()
+    loop = asyncio.get_running_loop()
+
+    class Ending(Item):
+        def __del__(self) -> None:
+            loop.call_soon_threadsafe(gone.set)
+
+    async with GarbageCollection():
+        lost = Ending(None)
+        lost.held = lost
+        del lost
+        await gone.wait()
+
+
+def test_long_collections_come_sooner_and_short_ones_later() -> None:
+    pace = CollectionPace(0.0)
+    assert pace.interval_s == INTERVAL_SECONDS_MAX
+    intervals = []
+    for _ in range(10):
+        pace.took(0, 2 * LONG_SECONDS, 0.0)
+        intervals.append(pace.interval_s)
+    assert intervals[0] == INTERVAL_SECONDS_MAX / 2
+    assert intervals[-1] == INTERVAL_SECONDS_MIN
+    pace.took(0, LONG_SECONDS / 2, 0.0)
+    assert pace.interval_s == INTERVAL_SECONDS_MIN
+    for _ in range(10):
+        pace.took(0, 0.0, 0.0)
+    assert pace.interval_s == INTERVAL_SECONDS_MAX
+
+
+def test_older_objects_are_collected_when_enough_has_come_to_them() -> None:
+    pace = CollectionPace(0.0)
+    collected = []
+    for _ in range(9):
+        generation = pace.next_generation(0.0)
+        collected.append(generation)
+        pace.took(generation, LONG_SECONDS / 2, 0.0)
+    assert collected == [0, 0, 1] * 3
+
+
+def test_all_objects_are_collected_seldom_and_only_if_many_may_be_new() -> None:
+    pace = CollectionPace(0.0)
+    assert pace.next_generation(10 * FULL_INTERVAL_SECONDS) == 0
+    pace.took(1, LONG_SECONDS, 0.0)
+    assert pace.next_generation(FULL_INTERVAL_SECONDS - 1) == 0
+    assert pace.next_generation(FULL_INTERVAL_SECONDS) == 2
+    pace.took(2, 8 * LONG_SECONDS, FULL_INTERVAL_SECONDS)
+    pace.took(1, LONG_SECONDS, 0.0)
+    assert pace.next_generation(3 * FULL_INTERVAL_SECONDS) == 0
+    pace.took(1, 2 * LONG_SECONDS, 0.0)
+    assert pace.next_generation(3 * FULL_INTERVAL_SECONDS) == 2
