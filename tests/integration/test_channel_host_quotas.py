@@ -11,13 +11,14 @@ import pytest
 
 from stampede_rt.errors import Overloaded
 from stampede_rt.status import from_rpc_error
-from stampede_rt.v1 import channel_pb2, error_pb2
+from stampede_rt.v1 import channel_pb2, error_pb2, gatekeeper_service_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_runtime.quotas.limits import Quota
 from tests.support.channel_host.queue_rig import run_of as queue_run_of
 from tests.support.channel_host.queue_rig import running_queue_host
 from tests.support.channel_host.rig import FOREVER, Opened, Rig, S, run_of, running_host
 
+MADE = {"a": "cam", "b": "cam", "c": "other"}
 REFUSED = error_pb2.ERROR_REASON_OVERLOADED
 
 
@@ -129,6 +130,24 @@ async def test_answers_that_nobody_reads_count_as_bytes_in_flight() -> None:
         await channel.until(lambda status: any(use.refused for use in rig.accounts.uses()))
         for call in silent:
             call.cancel()
+
+
+async def test_what_a_host_holds_counts_for_the_caller_that_made_the_channel(rig: Rig) -> None:
+    mine, also_mine, others = [await rig.open(name, created_by=maker) for name, maker in MADE.items()]
+    rig.accounts.set_default(Quota.BYTES_HELD, 10_000)
+    (ack,) = await mine.put(run_of(bytes(6_000)))
+    assert ack.first_seq == 1
+    (ack,) = await also_mine.put(run_of(bytes(6_000)))
+    assert (ack.error.reason, ack.error.metadata["quota"]) == (REFUSED, "bytes-held")
+    assert ack.error.message.startswith("cam has ")
+    (ack,) = await others.put(run_of(bytes(6_000)))
+    assert ack.first_seq == 1
+    request = gatekeeper_service_pb2.DropChannelRequest(
+        channel_id=mine.channel_id, epoch=mine.epoch, request_id=b"0123456789abcdef"
+    )
+    await rig.gate.DropChannel(request)
+    (ack,) = await also_mine.put(run_of(bytes(6_000)))
+    assert ack.first_seq == 1
 
 
 async def test_an_enqueue_that_would_wait_beyond_the_quota_ends_its_stream() -> None:

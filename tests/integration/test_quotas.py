@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import grpc
 import pytest
 
 import stampede_rt as st
 from stampede_rt._sync import reads
 from stampede_rt.cli.commands import run
 from stampede_rt.errors import Overloaded
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
@@ -107,6 +112,31 @@ def test_members_and_others_are_not_bound_by_the_quota_of_one(
     operator.set("team/*", "streams=0", "waiting-calls=0")
     with st.connect(cluster.address, secret=cluster.secret.text) as rt:
         rt.channel("quotas/of-others").put(b"x")
+
+
+def test_a_client_makes_as_much_as_its_quotas_and_no_faster(cluster: LocalCluster, operator: Operator) -> None:
+    metadata = (("authorization", f"Bearer {operator.token('maker')}"),)
+
+    def make(name: str) -> str:
+        """The quota that keeps the client from it; empty: it is made."""
+        request = directory_pb.OpenChannelRequest(request_id=secrets.token_bytes(16), name=name, create=True)
+        try:
+            open_channel(request, metadata=metadata, timeout=10)
+        except grpc.RpcError as error:
+            refused = from_rpc_error(error, "")
+            assert isinstance(refused, Overloaded)
+            return refused.metadata["quota"]
+        return ""
+
+    with grpc.insecure_channel(cluster.supernodes[0].address) as connection:
+        open_channel: Any = DirectoryServiceStub(connection).OpenChannel
+        operator.set("maker", "channels=2")
+        assert [make(f"quotas/made/{number}") for number in range(3)] == ["", "", "channels"]
+        assert make("quotas/made/1") == ""  # it is there
+        operator.set("maker", "channels=unlimited", "changes-per-second=1")
+        refusals = [make(f"quotas/faster/{number}") for number in range(40)]
+    assert refusals[0] == ""
+    assert "changes-per-second" in refusals
 
 
 def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operator: Operator) -> None:

@@ -46,9 +46,10 @@ class Rig:
     def now(self) -> int:
         return self.host.store.now()
 
-    async def open(self, name: str = "a", spec: channel_pb2.ChannelSpec | None = None) -> Opened:
+    async def open(self, name: str = "a", spec: channel_pb2.ChannelSpec | None = None, created_by: str = "") -> Opened:
         """A channel in the directory, bound at the host."""
         record = self.directory.add_channel(name, HOST_ID, spec)
+        record.created_by = created_by
         await self.gate.BindChannel(gate_pb.BindChannelRequest(channel_id=record.channel_id, epoch=record.epoch))
         return Opened(self, record)
 

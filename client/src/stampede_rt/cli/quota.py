@@ -14,8 +14,12 @@ from stampede_rt.cli.output import bytes_text, print_behind, print_facts, print_
 from stampede_rt.cli.terminal import escaped
 from stampede_rt.errors import StampedeError
 
-QUOTAS = ("streams", "subscriptions", "waiting-calls", "bytes-in-flight")
-IN_BYTES = frozenset({"bytes-in-flight"})
+QUOTAS = (
+    "streams", "subscriptions", "waiting-calls", "bytes-in-flight", "channels", "queues", "changes-per-second",
+    "bytes-held",
+)  # fmt: skip
+IN_BYTES = frozenset({"bytes-in-flight", "bytes-held"})
+DEFAULT = "(default)"
 UNLIMITED = 2**62
 _UNITS = {"": 1, "B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 _LIMIT = re.compile(r"(\d{1,19})\s*(B|KiB|MiB|GiB)?", re.ASCII)
@@ -109,7 +113,7 @@ def run_ls(arguments: argparse.Namespace) -> int:
 
     listed = _asked(arguments, "ListQuotas", pb.ListQuotasRequest())
     rows = sorted(map(_row, listed.settings), key=lambda row: (row["who"], row["quota"]))
-    rows += [_limit_row(one.kind, one.limit) | {"who": "(default)"} for one in listed.defaults]
+    rows += [_limit_row(one.kind, one.limit) | {"who": DEFAULT} for one in listed.defaults]
     _print(rows, arguments.output, ("who", "quota", "limit"))
     return 0
 
@@ -120,7 +124,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
     answer = _asked(arguments, "CheckQuotas", pb.CheckQuotasRequest(subject=arguments.who))
     rows = [
-        _limit_row(one.kind, one.limit) | {"set_for": one.setting.who if one.HasField("setting") else "(default)"}
+        _limit_row(one.kind, one.limit) | {"set_for": one.setting.who if one.HasField("setting") else DEFAULT}
         for one in answer.limits
     ]
     _print(rows, arguments.output, ("quota", "limit", "set_for"))
@@ -160,7 +164,7 @@ def _asked(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
 def _print(rows: Iterable[dict[str, Any]], output: str, columns: tuple[str, ...], none: str = "") -> None:
     """In a table numbers are for people, in JSON for programs."""
     if output == "table":
-        rows = [row | {key: _text(row["quota"], row[key]) for key in ("limit", "used") if key in row} for row in rows]
+        rows = [row | {key: _told(row, key) for key in ("limit", "used") if key in row} for row in rows]
     print_rows([{column: row[column] for column in columns} for row in rows], output, none=none)
 
 
@@ -170,6 +174,12 @@ def _row(setting: Any) -> dict[str, Any]:
 
 def _limit_row(kind: int, limit: int) -> dict[str, Any]:
     return {"quota": _name(kind), "limit": limit}
+
+
+def _told(row: dict[str, Any], key: str) -> str:
+    if row["quota"] == "bytes-held" and row[key] == UNLIMITED and DEFAULT in row.values():
+        return "7/8 of each host's --memory-bytes-max"
+    return _text(row["quota"], row[key])
 
 
 def _text(quota: str, amount: int) -> str:

@@ -132,7 +132,7 @@ class MarkTimeCommand(_message.Message):
     def __init__(self, tenure: _Optional[int] = ..., after_index: _Optional[int] = ...) -> None: ...
 
 class OpenChannelCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation", "created_by")
+    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation", "created_by", "created_max")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
@@ -140,6 +140,7 @@ class OpenChannelCommand(_message.Message):
     NEW_CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     CREATED_BY_FIELD_NUMBER: _ClassVar[int]
+    CREATED_MAX_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _channel_pb2.ChannelSpec
     create: bool
@@ -147,7 +148,8 @@ class OpenChannelCommand(_message.Message):
     new_channel_id: bytes
     new_incarnation: int
     created_by: str
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ...) -> None: ...
+    created_max: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ..., created_max: _Optional[int] = ...) -> None: ...
 
 class UpdateChannelCommand(_message.Message):
     __slots__ = ("channel_id", "epoch", "spec")
@@ -298,7 +300,7 @@ class SetReplicaInSyncCommand(_message.Message):
     def __init__(self, subject: _Optional[_Union[_subject_pb2.Subject, _Mapping]] = ..., epoch: _Optional[int] = ..., host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., in_sync: bool = ...) -> None: ...
 
 class OpenQueueCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "host_name", "new_queue_id", "new_incarnation", "created_by")
+    __slots__ = ("name", "spec", "create", "host_name", "new_queue_id", "new_incarnation", "created_by", "created_max")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
@@ -306,6 +308,7 @@ class OpenQueueCommand(_message.Message):
     NEW_QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     CREATED_BY_FIELD_NUMBER: _ClassVar[int]
+    CREATED_MAX_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _queue_pb2.QueueSpec
     create: bool
@@ -313,7 +316,8 @@ class OpenQueueCommand(_message.Message):
     new_queue_id: bytes
     new_incarnation: int
     created_by: str
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_queue_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ...) -> None: ...
+    created_max: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_queue_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ..., created_max: _Optional[int] = ...) -> None: ...
 
 class UpdateQueueCommand(_message.Message):
     __slots__ = ("queue_id", "epoch", "spec")

@@ -13,11 +13,19 @@ class QuotaKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     QUOTA_KIND_SUBSCRIPTIONS: _ClassVar[QuotaKind]
     QUOTA_KIND_WAITING_CALLS: _ClassVar[QuotaKind]
     QUOTA_KIND_BYTES_IN_FLIGHT: _ClassVar[QuotaKind]
+    QUOTA_KIND_CHANNELS: _ClassVar[QuotaKind]
+    QUOTA_KIND_QUEUES: _ClassVar[QuotaKind]
+    QUOTA_KIND_CHANGES_PER_SECOND: _ClassVar[QuotaKind]
+    QUOTA_KIND_BYTES_HELD: _ClassVar[QuotaKind]
 QUOTA_KIND_UNSPECIFIED: QuotaKind
 QUOTA_KIND_STREAMS: QuotaKind
 QUOTA_KIND_SUBSCRIPTIONS: QuotaKind
 QUOTA_KIND_WAITING_CALLS: QuotaKind
 QUOTA_KIND_BYTES_IN_FLIGHT: QuotaKind
+QUOTA_KIND_CHANNELS: QuotaKind
+QUOTA_KIND_QUEUES: QuotaKind
+QUOTA_KIND_CHANGES_PER_SECOND: QuotaKind
+QUOTA_KIND_BYTES_HELD: QuotaKind
 
 class QuotaSetting(_message.Message):
     __slots__ = ("who", "kind", "limit")

@@ -40,6 +40,7 @@ from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.dial import naming_cluster
 from stampede_rt_runtime.overload import RefusedCalls
+from stampede_rt_runtime.quotas.limits import Quota
 
 logger = logging.getLogger(__name__)
 
@@ -79,7 +80,9 @@ class ChannelHost:
         of_lease = Supernodes(frontends, dial_for_lease, peer_name=identity.name, zone=identity.zone, explain=explain)
         self._known_by_lease = of_lease.known
         self._lease = LeaseThread(lambda serving: self._make_registration(of_lease, clock, serving))
-        memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim())
+        access = access or AccessControl()
+        access.accounts.set_default(Quota.BYTES_HELD, memory_bytes_max * 7 // 8)
+        memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim(), accounts=access.accounts)
         self.store = ChannelStore(
             identity,
             DirectoryQueries(self._supernodes),

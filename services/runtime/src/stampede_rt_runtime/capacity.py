@@ -16,12 +16,11 @@ from stampede_rt.errors import Overloaded
 from stampede_rt.status import abort, error_in
 from stampede_rt_runtime.access.control import current_account
 from stampede_rt_runtime.handlers import guarded, is_stream
-from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.requests import reading_late
-from stampede_rt_runtime.roles import roles_for
+from stampede_rt_runtime.roles import is_for_members
 from stampede_rt_runtime.rpc import Context
 
 
@@ -68,10 +67,8 @@ SUBSCRIPTIONS = frozenset(
 )  # fmt: skip
 
 
-def quotas_of(method: str, *, is_stream: bool, for_members: bool) -> tuple[Quota, ...]:
-    """The quotas towards which each call of a method counts."""
-    if for_members:
-        return ()
+def quotas_of(method: str, *, is_stream: bool) -> tuple[Quota, ...]:
+    """The quotas that each call of a method counts towards."""
     if method in SUBSCRIPTIONS:
         return Quota.STREAMS, Quota.SUBSCRIPTIONS
     return (Quota.STREAMS,) if is_stream else (Quota.WAITING_CALLS,)
@@ -99,9 +96,9 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
         if handler is None:
             return None
         method, streams = handler_call_details.method, is_stream(handler)
-        for_members = Role.CLIENT not in roles_for(method) and bool(roles_for(method))
+        for_members = is_for_members(method)
 
-        quotas = quotas_of(method, is_stream=streams, for_members=for_members)
+        quotas = quotas_of(method, is_stream=streams)
 
         @contextlib.asynccontextmanager
         async def slot(context: Context) -> AsyncIterator[None]:

@@ -77,6 +77,11 @@ def roles_for(method: str) -> frozenset[Role]:
     return _METHODS.get(f"{service}/{name}", _SERVICES.get(service, frozenset()))
 
 
+def is_for_members(method: str) -> bool:
+    """Whether clients never call it: Raft, leases, membership, the links between hosts."""
+    return bool(roles_for(method)) and Role.CLIENT not in roles_for(method)
+
+
 def why_refused(method: str, caller: Caller) -> str:
     """The reason why `caller` may not call `method`, as one sentence; empty if it may."""
     allowed = roles_for(method)

@@ -5,12 +5,16 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_runtime.quotas.accounts import IDLE_KEPT_MAX, Account, Accounts
-from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota, QuotaSetting, QuotaTable
+from stampede_rt_runtime.quotas.accounts import RECENT_MAX, Account, Accounts
+from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, Quota, QuotaSetting, QuotaTable
 
 
 def account(**limits: int) -> Account:
     return Account("cam-1", {**DEFAULTS, **{Quota(name.replace("_", "-")): limit for name, limit in limits.items()}})
+
+
+def used(one: Account) -> dict[Quota, int]:
+    return {use.quota: use.used for use in one.uses() if use.used}
 
 
 def test_a_caller_uses_as_much_as_its_limit_and_no_more() -> None:
@@ -46,17 +50,17 @@ def test_holds_add_up_and_what_is_set_to_nothing_is_given_back() -> None:
     assert not one.has_room(Quota.BYTES_IN_FLIGHT, 3)
     first.set(0)
     second.set(0)
-    assert one.is_idle
+    assert used(one) == {}
 
 
 def test_a_call_that_may_not_wait_leaves_nothing_behind() -> None:
     one = account(waiting_calls=1, bytes_in_flight=5)
     with pytest.raises(Overloaded), one.waiting(6):
         raise AssertionError("it must not wait")
-    assert one.is_idle
+    assert used(one) == {}
     with one.waiting(5), pytest.raises(Overloaded), one.waiting(0):
         raise AssertionError("it must not wait")
-    assert one.is_idle
+    assert used(one) == {}
 
 
 def test_a_change_of_the_settings_binds_those_who_are_there() -> None:
@@ -86,22 +90,49 @@ def test_members_are_bound_by_no_quota() -> None:
 
 def test_callers_that_use_nothing_are_forgotten_once_many_others_came_and_those_that_use_something_are_not() -> None:
     accounts = Accounts()
-    busy, holding = accounts.of("busy"), accounts.of("holding")
-    accounts.enter(busy)
-    holding.hold(Quota.BYTES_IN_FLIGHT).set(1)
-    for number in range(3 * IDLE_KEPT_MAX):
-        one = accounts.of(f"passer-{number}")
-        accounts.enter(one)
-        accounts.leave(one)
-    assert len(accounts) <= IDLE_KEPT_MAX + 2
+    busy = accounts.of("busy")
+    held = accounts.of("holding").hold(Quota.BYTES_HELD)
+    for number in range(3 * RECENT_MAX):
+        accounts.of(f"passer-{number}")
+    held.set(1)
+    assert len(accounts) == RECENT_MAX + 2
     assert accounts.of("busy") is busy
-    assert accounts.of("holding") is holding
+    assert used(accounts.of("holding")) == {Quota.BYTES_HELD: 1}
+
+
+def test_changes_are_counted_by_the_second_on_the_average_of_ten() -> None:
+    now_s = 100.0
+    accounts = Accounts({**DEFAULTS, Quota.CHANGES_PER_SECOND: 2}, lambda: now_s)
+    one = accounts.of("cam")
+    for _ in range(20):
+        one.change()
+    with pytest.raises(
+        Overloaded, match="cam has 2 changes of the directory a second; its quota changes-per-second is 2"
+    ):
+        one.change()
+    assert used(one) == {Quota.CHANGES_PER_SECOND: 2}
+    now_s += 1.0
+    one.change()
+    one.change()
+    with pytest.raises(Overloaded):
+        one.change()
+    now_s += 10.0
+    assert used(one) == {}
+
+
+def test_what_callers_without_a_name_have_made_has_no_limit_unless_one_is_set() -> None:
+    accounts = Accounts()
+    accounts.set_default(Quota.BYTES_HELD, 100)
+    limits = {name: accounts.of(name).limit(Quota.BYTES_HELD) for name in ("cam", "@clients", "@cluster", "@anyone")}
+    assert limits == {"cam": 100, "@clients": LIMIT_MAX, "@cluster": LIMIT_MAX, "@anyone": LIMIT_MAX}
+    accounts.tell(QuotaTable([QuotaSetting("@clients", Quota.BYTES_HELD, 7)]))
+    assert accounts.of("@clients").limit(Quota.BYTES_HELD) == 7
 
 
 def test_it_tells_who_uses_how_much_and_who_was_refused() -> None:
     accounts = Accounts()
     one = accounts.of("cam")
-    accounts.of("idle")
+    _idle = accounts.of("idle")
     one.take([Quota.STREAMS])
     one.exceeded(Quota.WAITING_CALLS, 1)
     found = [(use.subject, use.quota, use.used, use.refused) for use in accounts.uses()]

@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt_runtime.access.caller import ANYONE, Caller, CallerKind, by_secret
 from stampede_rt_runtime.identity import Role
-from stampede_rt_runtime.quotas.subjects import subject_of
+from stampede_rt_runtime.quotas.subjects import creator_of, subject_of
 
 PEER = "ipv4:10.0.0.3:5012"
 
@@ -28,6 +28,13 @@ def test_members_of_the_cluster_and_operators_have_no_quota(role: Role) -> None:
 @pytest.mark.parametrize("caller", [by_secret(of_cluster=False), by_secret(of_cluster=True), ANYONE])
 def test_who_brings_no_name_goes_by_its_address(caller: Caller) -> None:
     assert subject_of(caller, PEER) == "@10.0.0.3"
+
+
+def test_what_a_caller_has_made_counts_under_its_name_in_the_directory() -> None:
+    assert creator_of(named(CallerKind.TOKEN, Role.CLIENT)) == "one"
+    assert creator_of(named(CallerKind.TOKEN, Role.OPERATOR)) is None
+    assert creator_of(by_secret(of_cluster=False)) == "@clients"
+    assert creator_of(by_secret(of_cluster=True)) == "@cluster"
 
 
 @pytest.mark.parametrize(

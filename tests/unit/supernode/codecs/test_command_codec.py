@@ -154,6 +154,11 @@ OPERATIONS: list[Operation] = [
     RevokeCredential(serial="a1b2"),
     AddAccessRule(rule=RULE),
     RemoveAccessRule(rule=AccessRule("@clients", (), None, "*")),
+    *(
+        replace(one, created_by="cam", created_max=limit)
+        for one in (open_channel("cam"), open_queue("q"))
+        for limit in (0, 7)
+    ),
     SetQuotas(settings=tuple(QuotaSetting("cam-*", quota, LIMIT_MAX) for quota in Quota)),
     RemoveQuotas(who="@10.0.0.*", quotas=tuple(Quota)),
     RemoveQuotas(who="*"),

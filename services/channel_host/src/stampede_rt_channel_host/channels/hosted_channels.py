@@ -52,7 +52,8 @@ class HostedChannel:
             cut=slice_run,
         )
         self.gets = WaitingGets(self.channel, Coming(self.channel), now, begin=begin, limits=limits)
-        self.puts = ChannelPuts(self.channel, memory, now, self._announce, self._touched, may_serve)
+        self._charge = memory.charge_for(record.created_by)
+        self.puts = ChannelPuts(self.channel, self._charge, now, self._announce, self._touched, may_serve)
         self.listeners = Observers(begin)  # subscriptions
         self.matches = Observers(begin)  # subscriptions to matches of its items
         self.followers: dict[ChannelObserver, None] = {}  # groups: each looks at a change before the next one comes
@@ -62,7 +63,6 @@ class HostedChannel:
         self.delivered_bytes = 0
         self.due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
         self.order = next(_orders)
-        self._charge = Charge(memory)
         self._on_touched = on_touched
         self._now = now
         self.changes = 0

@@ -8,6 +8,8 @@ from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_runtime.overload import Overload
+from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
+from stampede_rt_runtime.quotas.limits import Quota
 
 logger = logging.getLogger(__name__)
 
@@ -25,7 +27,10 @@ class MemoryBudget:
         bytes_max: int,
         reclaim: Callable[[], None] = lambda: None,
         steady_nanos: Callable[[], int] = time.monotonic_ns,
+        accounts: Accounts | None = None,
     ) -> None:
+        """`accounts`: of the callers that made the channels and queues; None: nobody's bytes are counted."""
+        self._accounts = accounts
         self.used_bytes = 0
         self.bytes_max = bytes_max
         self.overload = Overload()
@@ -47,6 +52,10 @@ class MemoryBudget:
                 metadata={"memory_bytes_max": str(self.bytes_max)},
             )
 
+    def charge_for(self, created_by: str) -> Charge:
+        """The charge of a channel or queue that this caller has made."""
+        return Charge(self, None if self._accounts is None else self._accounts.of(created_by))
+
     def refused(self, name: str, items: int, error: Overloaded) -> None:
         """Count items that were refused for the channel or queue `name`.
 
@@ -62,15 +71,28 @@ class MemoryBudget:
 
 
 class Charge:
-    """The memory that the budget counts for one channel or queue."""
+    """The memory that the budget counts for one channel or queue, and for the caller that made it."""
 
-    __slots__ = ("_budget", "_bytes")
+    __slots__ = ("_account", "_budget", "_bytes", "_held")
 
-    def __init__(self, budget: MemoryBudget) -> None:
+    def __init__(self, budget: MemoryBudget, account: Account | None = None) -> None:
+        """`account`: of the caller that made it; None: nobody's."""
         self._budget = budget
+        self._account = account or unlimited()
+        self._held = self._account.hold(Quota.BYTES_HELD)
         self._bytes = 0
+
+    def claim(self, wanted_bytes: int) -> None:
+        """Before something is stored, which is charged afterwards. Raises Overloaded if there is no room for it."""
+        self._budget.claim(wanted_bytes)
+        self._account.check(Quota.BYTES_HELD, wanted_bytes)
+
+    def refused(self, name: str, items: int, error: Overloaded) -> None:
+        """Items for the channel or queue were refused, see `MemoryBudget`."""
+        self._budget.refused(name, items, error)
 
     def set(self, footprint_bytes: int) -> None:
         """Report the bytes kept now."""
         self._budget.used_bytes += footprint_bytes - self._bytes
         self._bytes = footprint_bytes
+        self._held.set(footprint_bytes)

@@ -10,7 +10,7 @@ from stampede_rt.errors import InvalidArgument, ItemTooLarge, Overloaded, Stampe
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.acks import ack_of, refused
-from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Offer, Pieces, PutOutcome
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, Judging
@@ -125,7 +125,7 @@ class ChannelPuts:
     def __init__(
         self,
         channel: ChannelCore,
-        memory: MemoryBudget,
+        memory: MemoryBudget | Charge,
         now: Callable[[], int],
         on_accepted: Callable[[int], None],
         on_touched: Callable[[], None],

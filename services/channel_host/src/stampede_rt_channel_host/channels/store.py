@@ -30,7 +30,7 @@ from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched
 from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
-from stampede_rt_runtime.access.control import check_access
+from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.overload import RefusedCalls
@@ -119,6 +119,7 @@ class ChannelStore:
             return
         hosted = await self.bind(channel_id, epoch)
         check_access(AccessVerb.DELETE, AccessKind.CHANNEL, hosted.record.name)
+        current_account().change()
         try:
             await self._directory.delete(channel_id, request_id=request_id, since_s=since_s)
         except ChannelNotFound:
@@ -134,6 +135,7 @@ class ChannelStore:
         """Change the set-up in the directory, then here. Safe to repeat. Raises the refusal of the directory."""
         hosted = await self.bind(channel_id, epoch)
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, hosted.record.name)
+        current_account().change()
         _check_policy(hosted.record.policy, change.stated)  # so that the directory takes no policy impossible here
         registrations = self._registrations
         record = await self._directory.update(channel_id, epoch, change, request_id=request_id, since_s=since_s)

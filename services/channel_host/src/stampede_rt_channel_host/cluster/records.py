@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from sys import intern
+
 from stampede_rt.v1 import (
     channel_pb2,
     directory_pb2,
@@ -35,6 +37,7 @@ def recorded_channel(message: channel_pb2.ChannelRecord) -> RecordedChannel:
         spec_version=message.spec_version,
         policy=policy_from_spec(message.spec),
         message=message.SerializeToString(),
+        created_by=intern(message.created_by),  # one text for all that a caller has made
     )
 
 
@@ -67,6 +70,7 @@ def recorded_queue(message: queue_pb2.QueueRecord) -> RecordedQueue:
         is_mailbox=message.HasField("mailbox_peer_id"),
         mailbox_peer_name=message.mailbox_peer_name,
         mailbox_owner=message.mailbox_owner,
+        created_by=intern(message.created_by or message.mailbox_owner),
     )
 
 

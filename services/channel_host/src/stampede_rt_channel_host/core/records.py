@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.group import GroupDefinition
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedChannel:
-    """One channel, with its owner and set-up."""
+    """One channel, with its owner and set-up. `created_by`: the name of the caller that made it; empty: not known."""
 
     channel_id: bytes
     name: str
@@ -26,6 +26,7 @@ class RecordedChannel:
     spec_version: int
     policy: Policy
     message: bytes = field(repr=False)
+    created_by: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,6 +59,7 @@ class RecordedQueue:
     is_mailbox: bool = False
     mailbox_peer_name: str = ""
     mailbox_owner: str = ""
+    created_by: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -10,7 +10,7 @@ from contextlib import AbstractContextManager
 from typing import Protocol
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, StampedeError
-from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.core.channel import Pieces
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import (
@@ -79,8 +79,7 @@ class HostedQueue:
         self.due: int | None = None
         self.order = next(_orders)
         self._deadlines = deadlines
-        self._memory = memory
-        self._charge = Charge(memory)
+        self._charge = memory.charge_for(record.created_by)
         self._now = now
         self._on_departures = on_departures
         self._streams: dict[TakerState, TakerStream] = {}
@@ -103,7 +102,7 @@ class HostedQueue:
         """
         done: asyncio.Future[None] | None = None
         try:
-            self._memory.claim(run.charged_bytes)
+            self._charge.claim(run.charged_bytes)
             self.queue.enqueue(run, self._now())
             if not run.is_through:
                 done = self._waiting[run] = asyncio.get_running_loop().create_future()
@@ -127,7 +126,7 @@ class HostedQueue:
 
     def _count_overloaded(self, run: Enqueue, error: Overloaded) -> None:
         self.queue.reject_overloaded(len(run.lengths))
-        self._memory.refused(display_name(self.record), len(run.lengths), error)
+        self._charge.refused(display_name(self.record), len(run.lengths), error)
 
     def refuse_unread(self, error: StampedeError) -> None:
         """Count a run that the host could not read."""

@@ -19,7 +19,8 @@ from stampede_rt_runtime.access.rules import NO_RULES, AccessKind, AccessRules, 
 from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.access.tokens import TokenClaims, check_not_over, is_token, read_token
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
-from stampede_rt_runtime.quotas.subjects import subject_of
+from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
+from stampede_rt_runtime.quotas.subjects import creator_of, subject_of
 
 logger = logging.getLogger(__name__)
 
@@ -52,7 +53,7 @@ class AccessControl:
         self._judging: asyncio.Task[None] | None = None
         self._sweep: asyncio.TimerHandle | None = None
         self.audit = AuditLog()
-        self.accounts = Accounts()
+        self.accounts = Accounts(clock_s=time.monotonic)
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
         """From now on get the state from `source`."""
@@ -129,17 +130,16 @@ class AccessControl:
         return state
 
     @contextlib.asynccontextmanager
-    async def serving(self, caller: Caller, context: Any) -> AsyncIterator[None]:
-        """Inside, a call of `caller` runs. The call is ended if the caller's credential or rights end."""
-        account = self.accounts.of(subject_of(caller, context.peer()))
+    async def serving(self, caller: Caller, context: Any, *, for_members: bool = False) -> AsyncIterator[None]:
+        """Inside, a call of `caller` runs. The call is ended if the caller's credential or rights end.
+
+        `for_members`: it counts towards no quota.
+        """
+        account = self.accounts.of(None if for_members else subject_of(caller, context.peer()))
         call = OpenCall(self, caller, context, account)
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
-        self.accounts.enter(account)
-        try:
-            async with self._resting_on(call):
-                yield
-        finally:
-            self.accounts.leave(account)
+        async with self._resting_on(call):
+            yield
 
     @contextlib.asynccontextmanager
     async def _resting_on(self, call: OpenCall) -> AsyncIterator[None]:
@@ -219,6 +219,12 @@ class OpenCall:
                 self.end(self.denied(denied(self.caller, *grant), *grant))
                 return
 
+    def creation_limit(self, quota: Quota) -> int | None:
+        """How much its caller may have made; None: there is no limit."""
+        name = creator_of(self.caller)
+        limit = LIMIT_MAX if name is None else self._control.accounts.of(name).limit(quota)
+        return None if limit >= LIMIT_MAX else limit
+
     def denied(self, error: PermissionDenied, verb: str, kind: AccessKind, name: str) -> PermissionDenied:
         """Write `error` to the audit log, and return it."""
         self._control.audit.denied(self.caller, self.context.peer(), verb, f"{kind} {name}")
@@ -236,6 +242,12 @@ def current_caller() -> Caller | None:
     """The caller of the present call; None outside a server, as in tests of single methods."""
     call = _CURRENT.get()
     return None if call is None else call.caller
+
+
+def creation_limit(quota: Quota) -> int | None:
+    """How much the caller of the call that is being served may have made; None: there is no limit."""
+    call = _CURRENT.get()
+    return None if call is None else call.creation_limit(quota)
 
 
 def current_account() -> Account:

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from weakref import WeakValueDictionary
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, NO_SETTINGS, Quota, QuotaTable
 
-IDLE_KEPT_MAX = 1024
+RECENT_MAX = 1024
+BURST_SECONDS = 10
 
 _TEXTS: Mapping[Quota, tuple[str, str]] = {
     Quota.STREAMS: ("streams open at this port", "close some"),
     Quota.SUBSCRIPTIONS: ("subscriptions open at this port", "end some"),
     Quota.WAITING_CALLS: ("calls under way at this port", "wait for some of them"),
     Quota.BYTES_IN_FLIGHT: ("bytes in flight at this port", "put and read less at once"),
+    Quota.CHANNELS: ("channels", "delete some"),
+    Quota.QUEUES: ("queues", "delete some"),
+    Quota.CHANGES_PER_SECOND: ("changes of the directory a second", "make them more slowly"),
+    Quota.BYTES_HELD: (
+        "bytes held in its channels and queues here",
+        "tighten retention, delete some, or use another host",
+    ),
 }
 
 
@@ -32,16 +41,19 @@ class QuotaUse:
 
 
 class Account:
-    """The use of one caller. `calls`: the number of its calls under way."""
+    """The use of one caller. It lives for as long as something refers to it."""
 
-    __slots__ = ("_limits", "_refused", "_used", "calls", "subject")
+    __slots__ = ("__weakref__", "_changes", "_changes_at_s", "_clock_s", "_limits", "_refused", "_used", "subject")
 
-    def __init__(self, subject: str, limits: Mapping[Quota, int]) -> None:
+    def __init__(self, subject: str, limits: Mapping[Quota, int], clock_s: Callable[[], float] = lambda: 0.0) -> None:
+        """`clock_s`: seconds of a clock that never goes back."""
         self.subject = subject
-        self.calls = 0
+        self._clock_s = clock_s
         self._limits = limits
         self._used = dict.fromkeys(Quota, 0)
         self._refused = dict.fromkeys(Quota, 0)
+        self._changes = 0.0  # those of the last BURST_SECONDS, less what the limit lets pass meanwhile
+        self._changes_at_s = 0.0
 
     def tell(self, limits: Mapping[Quota, int]) -> None:
         """Set the limits. Present use stays, even beyond them."""
@@ -67,8 +79,8 @@ class Account:
             self._used[quota] -= 1
 
     def hold(self, quota: Quota) -> Hold:
-        """A part of the use of one quota, at first 0."""
-        return Hold(self._used, quota)
+        """A part of the use, nothing at first."""
+        return Hold(self, quota)
 
     @contextmanager
     def using(self, quota: Quota, amount: int = 1) -> Iterator[None]:
@@ -86,13 +98,31 @@ class Account:
         with self.using(Quota.WAITING_CALLS), self.using(Quota.BYTES_IN_FLIGHT, kept_bytes):
             yield
 
-    @property
-    def is_idle(self) -> bool:
-        """Whether the caller uses nothing."""
-        return not self.calls and not any(self._used.values())
+    def limit(self, quota: Quota) -> int:
+        """The most that it may use."""
+        return self._limits[quota]
+
+    def add(self, quota: Quota, amount: int) -> None:
+        """So much more is used, or less."""
+        self._used[quota] += amount
+
+    def change(self) -> None:
+        """It changes the directory once. Raises Overloaded."""
+        changes = self._changes_now() + 1
+        if changes > BURST_SECONDS * self._limits[Quota.CHANGES_PER_SECOND]:
+            raise self.exceeded(Quota.CHANGES_PER_SECOND, 1)
+        self._changes = changes
+
+    def _changes_now(self) -> float:
+        now_s = self._clock_s()
+        passed = (now_s - self._changes_at_s) * self._limits[Quota.CHANGES_PER_SECOND]
+        self._changes, self._changes_at_s = max(0.0, self._changes - passed), now_s
+        self._used[Quota.CHANGES_PER_SECOND] = round(self._changes / BURST_SECONDS)
+        return self._changes
 
     def uses(self) -> Iterator[QuotaUse]:
-        """The use of each quota."""
+        """Of each quota."""
+        self._changes_now()
         for quota, used in self._used.items():
             yield QuotaUse(
                 subject=self.subject,
@@ -118,37 +148,40 @@ class Account:
 class Hold:
     """A part of a caller's use of one quota. `set` never refuses. Call `Account.check` before it."""
 
-    __slots__ = ("_amount", "_quota", "_used")
+    __slots__ = ("_account", "_amount", "_quota")
 
-    def __init__(self, used: dict[Quota, int], quota: Quota) -> None:
-        self._used = used
+    def __init__(self, account: Account, quota: Quota) -> None:
+        self._account = account
         self._quota = quota
         self._amount = 0
 
     def set(self, amount: int) -> None:
         """Set the amount in use."""
         if amount != self._amount:
-            self._used[self._quota] += amount - self._amount
+            self._account.add(self._quota, amount - self._amount)
             self._amount = amount
 
 
 WITHOUT_LIMIT: Mapping[Quota, int] = dict.fromkeys(Quota, LIMIT_MAX)
 
 
+_UNLIMITED = Account("", WITHOUT_LIMIT)
+
+
 def unlimited() -> Account:
-    """An account for callers without quotas."""
-    return Account("", WITHOUT_LIMIT)
+    """The account of all whom no quota binds."""
+    return _UNLIMITED
 
 
 class Accounts:
-    """The accounts of one port. Keeps all accounts in use, and the last IDLE_KEPT_MAX others."""
+    """The accounts of one port: those that something refers to, and the last RECENT_MAX others."""
 
-    def __init__(self, defaults: Mapping[Quota, int] = DEFAULTS) -> None:
+    def __init__(self, defaults: Mapping[Quota, int] = DEFAULTS, clock_s: Callable[[], float] = lambda: 0.0) -> None:
         self._defaults = dict(defaults)
+        self._clock_s = clock_s
         self._table = NO_SETTINGS
-        self._accounts: dict[str, Account] = {}
-        self._idle: OrderedDict[str, None] = OrderedDict()
-        self._unlimited = unlimited()
+        self._accounts: WeakValueDictionary[str, Account] = WeakValueDictionary()
+        self._recent: OrderedDict[str, Account] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._accounts)
@@ -161,42 +194,23 @@ class Accounts:
     def tell(self, table: QuotaTable) -> None:
         """Set the operator's settings."""
         self._table = table
-        for account in self._accounts.values():
+        for account in [*self._accounts.values()]:
             account.tell(table.limits_of(account.subject, self._defaults))
 
     def of(self, subject: str | None) -> Account:
-        """The account of a caller. `subjects.subject_of` gives its subject."""
-        if subject is None:
-            return self._unlimited
+        """The account of a caller, as `subjects.subject_of` names it. None: one without limits."""
+        if not subject:
+            return unlimited()
         account = self._accounts.get(subject)
         if account is None:
-            account = self._accounts[subject] = Account(subject, self._table.limits_of(subject, self._defaults))
-            self._rest(account)
+            limits = self._table.limits_of(subject, self._defaults)
+            account = self._accounts[subject] = Account(subject, limits, self._clock_s)
+        self._recent[subject] = account
+        self._recent.move_to_end(subject)
+        if len(self._recent) > RECENT_MAX:
+            self._recent.popitem(last=False)
         return account
 
-    def enter(self, account: Account) -> None:
-        """Note that a call of the caller begins."""
-        account.calls += 1
-        self._idle.pop(account.subject, None)
-
-    def leave(self, account: Account) -> None:
-        """Note that a call of the caller has ended."""
-        account.calls -= 1
-        if not account.calls and account is not self._unlimited:
-            self._rest(account)
-
     def uses(self) -> list[QuotaUse]:
-        """The use of all callers that use quotas or were refused."""
-        return [use for one in self._accounts.values() for use in one.uses() if use.used or use.refused]
-
-    def _rest(self, account: Account) -> None:
-        """Let the account be forgotten later, if it is idle then."""
-        self._idle[account.subject] = None
-        for _ in range(2):
-            if len(self._idle) <= IDLE_KEPT_MAX:
-                return
-            subject, _ = self._idle.popitem(last=False)
-            if self._accounts[subject].is_idle:
-                del self._accounts[subject]
-            else:
-                self._idle[subject] = None
+        """What is used or was refused, of all callers."""
+        return [use for one in [*self._accounts.values()] for use in one.uses() if use.used or use.refused]

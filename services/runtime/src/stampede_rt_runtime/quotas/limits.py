@@ -23,6 +23,10 @@ class Quota(StrEnum):
     SUBSCRIPTIONS = "subscriptions"
     WAITING_CALLS = "waiting-calls"
     BYTES_IN_FLIGHT = "bytes-in-flight"
+    CHANNELS = "channels"
+    QUEUES = "queues"
+    CHANGES_PER_SECOND = "changes-per-second"
+    BYTES_HELD = "bytes-held"
 
 
 DEFAULTS: Mapping[Quota, int] = {
@@ -30,7 +34,14 @@ DEFAULTS: Mapping[Quota, int] = {
     Quota.SUBSCRIPTIONS: 2048,
     Quota.WAITING_CALLS: 16_384,
     Quota.BYTES_IN_FLIGHT: 512 * 2**20,
+    Quota.CHANNELS: 150_000,  # of the 200,000 of a directory
+    Quota.QUEUES: 150_000,
+    Quota.CHANGES_PER_SECOND: 1000,
+    Quota.BYTES_HELD: LIMIT_MAX,  # a host sets its own
 }
+OF_MAKERS = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.BYTES_HELD})
+"""They count what a caller has made, wherever it calls from: for those without a name of their own, by their proof."""
+SHARED_NAMES = frozenset({"@clients", "@cluster", "@anyone"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +97,8 @@ class QuotaTable:
     def limits_of(self, subject: str, defaults: Mapping[Quota, int] = DEFAULTS) -> dict[Quota, int]:
         """The limits of a caller."""
         limits = dict(defaults)
+        if subject in SHARED_NAMES:
+            limits.update(dict.fromkeys(OF_MAKERS, LIMIT_MAX))
         for one in reversed(self._by_weight):  # so the setting that holds comes last
             if matcher(one.who)(subject):
                 limits[one.quota] = one.limit

@@ -21,6 +21,11 @@ def subject_of(caller: Caller, peer: str) -> str | None:
     return "@" + _address(peer)
 
 
+def creator_of(caller: Caller) -> str | None:
+    """The name under which quotas count what a caller has made, which is that in the directory; None: nobody counts."""
+    return None if caller.kind in _NAMED and not caller.is_judged else caller.name
+
+
 def _address(peer: str) -> str:
     kind, _, rest = peer.partition(":")
     if kind not in ("ipv4", "ipv6"):

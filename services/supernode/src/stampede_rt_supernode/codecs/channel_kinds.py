@@ -27,6 +27,7 @@ def _open_message(operation: OpenChannel) -> pb.OpenChannelCommand:
         new_channel_id=operation.new_channel_id,
         new_incarnation=operation.new_incarnation,
         created_by=operation.created_by,
+        created_max=operation.created_max,
     )
 
 
@@ -39,6 +40,7 @@ def _read_open(message: pb.OpenChannelCommand) -> OpenChannel:
         new_channel_id=message.new_channel_id,
         new_incarnation=message.new_incarnation,
         created_by=message.created_by,
+        created_max=message.created_max if message.HasField("created_max") else None,
     )
 
 

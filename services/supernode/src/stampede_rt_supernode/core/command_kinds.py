@@ -66,7 +66,7 @@ def noting_creator(transition: Callable[[Tables, Made], Done]) -> Callable[[Dire
 
     def apply(state: DirectoryState, operation: Made, time_unix_nano: int) -> Done:
         if state.feature_level < OWNERS_LEVEL:
-            operation = replace(operation, created_by="")
+            operation = replace(operation, created_by="", created_max=None)
         return transition(state.tables, operation)
 
     return apply

@@ -22,9 +22,13 @@ class Operation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Creation(Operation):
-    """Base of what may make a channel, queue or group. `created_by`: its caller, see ChannelRecord."""
+    """Base of what may make a channel, queue or group. `created_by`: its caller, see ChannelRecord.
+
+    `created_max`: so many of the kind its caller may have; None: as many as it likes.
+    """
 
     created_by: str = ""
+    created_max: int | None = None
 
 
 class Success:

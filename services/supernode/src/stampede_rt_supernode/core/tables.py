@@ -14,6 +14,7 @@ from heapq import nsmallest
 from sortedcontainers import SortedDict
 
 from stampede_rt_supernode.core.change_ring import ChangeRing
+from stampede_rt_supernode.core.creators import Creators
 from stampede_rt_supernode.core.groups.table import GroupTable
 from stampede_rt_supernode.core.peers.table import PeerTable
 from stampede_rt_supernode.core.queues.table import QueueTable
@@ -57,8 +58,10 @@ class Tables:
         for host in self.hosts.values():
             if host.alive:
                 self.host_ids[host.name] = host.host_id
+        self.channel_creators = Creators()
         for channel in self.channels.values():
             self._channel_ids_at[channel.host_id].add(channel.channel_id)
+            self.channel_creators.note(channel.created_by, +1)
         self.groups = GroupTable(groups, self.changes.note)
         self.replicas = ReplicaTable(replicas)
         self.queues = QueueTable(queues, self.changes.note)
@@ -99,6 +102,7 @@ class Tables:
         self.channels[channel.channel_id] = channel
         self.channel_ids[channel.name] = channel.channel_id
         self._channel_ids_at[channel.host_id].add(channel.channel_id)
+        self.channel_creators.note(channel.created_by, +1)
         self._count(channel.host_id, +1)
         self.changes.note(ChangeKind.ADDED, channel)
 
@@ -118,6 +122,7 @@ class Tables:
         """Remove a channel that exists."""
         del self.channels[channel.channel_id]
         del self.channel_ids[channel.name]
+        self.channel_creators.note(channel.created_by, -1)
         self._channel_ids_at[channel.host_id].discard(channel.channel_id)
         self.changes.note(ChangeKind.REMOVED, channel)
         self._count(channel.host_id, -1)

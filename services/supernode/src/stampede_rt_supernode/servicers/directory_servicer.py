@@ -10,10 +10,11 @@ from collections.abc import AsyncIterator
 
 from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt.v1 import directory_service_pb2_grpc
-from stampede_rt_runtime.access.control import AccessControl, allowed_to, caller_name, check_known
+from stampede_rt_runtime.access.control import AccessControl, allowed_to, caller_name, check_known, creation_limit
 from stampede_rt_runtime.access.messages import status_message
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 from stampede_rt_supernode.codecs.host_codec import endpoints_from, host_record
@@ -105,6 +106,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             new_channel_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=_random_incarnation(),
             created_by=caller_name(),
+            created_max=creation_limit(Quota.CHANNELS),
         )
         opened = await self._calls.open(
             context,

@@ -10,8 +10,9 @@ import secrets
 from stampede_rt.v1 import queue_directory_service_pb2 as pb
 from stampede_rt.v1 import queue_directory_service_pb2_grpc
 from stampede_rt.v1.queue_pb2 import QueueSpec
-from stampede_rt_runtime.access.control import allowed_to, caller_name, check_known, owner_name
+from stampede_rt_runtime.access.control import allowed_to, caller_name, check_known, creation_limit, owner_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.queue_codec import queue_record, queue_spec_from
@@ -52,6 +53,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             new_queue_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=secrets.randbits(64) or 1,
             created_by=caller_name(),
+            created_max=creation_limit(Quota.QUEUES),
         )
 
         def check(operation: OpenQueue) -> None:

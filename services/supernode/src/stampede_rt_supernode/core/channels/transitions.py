@@ -109,6 +109,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     if not operation.create:
         raise no_such_channel(operation.name)
     check_policy(operation.name, operation.policy)
+    tables.channel_creators.check(operation, "channels")
     if len(tables.channels) >= CHANNELS_MAX:
         raise Overloaded(
             f"channel {operation.name} cannot be created: the directory holds {CHANNELS_MAX} channels, the limit; "

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 
 from sortedcontainers import SortedDict
 
+from stampede_rt_supernode.core.creators import Creators
 from stampede_rt_supernode.core.records import ChangeKind, QueueRecord
 
 Note = Callable[[ChangeKind, QueueRecord], None]
@@ -23,6 +24,7 @@ class QueueTable:
         self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the queues that are no mailboxes
         self._ids_at: dict[bytes, set[bytes]] = {}  # by host id; only hosts that own a queue
         self._feeding: dict[bytes, set[bytes]] = {}  # by the id of a dead-letter queue: the queues that use it
+        self.creators = Creators()
         for queue in queues:
             self._link(queue)
 
@@ -64,6 +66,7 @@ class QueueTable:
         self._note(ChangeKind.REMOVED, queue)
 
     def _link(self, queue: QueueRecord) -> None:
+        self.creators.note(queue.created_by, +1)
         self.by_id[queue.queue_id] = queue
         if queue.mailbox_peer_id is None:
             self.ids[queue.name] = queue.queue_id
@@ -72,6 +75,7 @@ class QueueTable:
             self._feeding.setdefault(queue.spec.dead_letter_queue_id, set()).add(queue.queue_id)
 
     def _unlink(self, queue: QueueRecord) -> None:
+        self.creators.note(queue.created_by, -1)
         _discard(self._ids_at, queue.host_id, queue.queue_id)
         if queue.spec.dead_letter_queue_id is not None:
             _discard(self._feeding, queue.spec.dead_letter_queue_id, queue.queue_id)

@@ -94,6 +94,7 @@ def _with_spec(tables: Tables, queue: QueueRecord, spec: QueueSpec) -> QueueReco
 def _create(tables: Tables, operation: OpenQueue) -> QueueOpened:
     if not operation.create:
         raise no_such_queue(operation.name)
+    tables.queues.creators.check(operation, "queues")
     check_room(tables, f"queue {operation.name}")
     check_dead_letter(tables, operation.new_queue_id, operation.name, operation.spec)
     host = choose_host(tables, f"queue {operation.name}", operation.host_name)
