@@ -140,6 +140,13 @@ def test_a_certificate_that_ends_soon_or_has_ended_is_told(left_s: float, advice
     assert found(changed("h1", certificate_left_s=left_s), "host h1").advice.startswith(advice)
 
 
+def test_a_short_lived_certificate_is_told_with_a_third_of_it_left() -> None:
+    short = {"certificate_lasts_s": DAY_S}
+    assert found(changed("h1", certificate_left_s=DAY_S / 2, **short), "host h1").advice == ""
+    told = found(changed("h1", certificate_left_s=DAY_S / 4, **short), "host h1").advice
+    assert told.startswith("its certificate ends in 6.0 hours; issue it anew")
+
+
 @pytest.mark.parametrize(
     ("facts", "state"),
     [

@@ -249,6 +249,7 @@ _BY_REASON: dict[str, type[StampedeError]] = {
 }  # fmt: skip
 _BY_REASON |= {
     "NO_HOST": Unavailable,
+    "CERTIFICATE_EXPIRED": Unavailable,
     "AMBIGUOUS": Unavailable,
     "SHUTTING_DOWN": Unavailable,
     "WRONG_EPOCH": StaleBinding,

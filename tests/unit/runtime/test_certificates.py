@@ -145,6 +145,56 @@ def test_show_says_that_a_certificate_has_expired(
     assert "EXPIRED on" in capsys.readouterr().out
 
 
+def test_certificates_are_renewed_in_their_files_for_the_same_part_addresses_and_lifetime(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, parts = str(tmp_path / "ca"), tmp_path / "parts"
+    assert stampede(["certs", "init", folder, "--cluster", "lab"]) == 0
+    issued = ["certs", "issue", "--dir", folder, "--out", str(parts), "--ttl", "12h"]
+    assert stampede([*issued, "--name", "h1", "--role", "host", "--address", "h1.lab", "10.0.0.1"]) == 0
+    assert stampede([*issued, "--name", "cam", "--role", "client"]) == 0
+    files = sorted(parts.glob("*.pem"))
+    before = [describe(file.read_bytes())[0] for file in files]
+    assert stampede(["certs", "renew", "--dir", folder, *map(str, files)]) == 0
+    after = [describe(file.read_bytes())[0] for file in files]
+    for one, other in zip(before, after, strict=True):
+        assert (one.identity, one.addresses, one.lifetime) == (other.identity, other.addresses, other.lifetime)
+        assert one.serial != other.serial
+        assert one.lifetime == timedelta(hours=12)
+    own = TlsFiles(ca=Path(folder) / "ca.pem", certificate=parts / "host-h1.pem", key=parts / "host-h1.key")
+    assert load_tls(own, Role.HOST).addresses == ("h1.lab", "10.0.0.1")
+    assert "host h1 of cluster lab, until" in capsys.readouterr().out
+
+
+def test_nothing_is_renewed_if_one_of_the_files_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours, others = tmp_path / "ours", tmp_path / "others"
+    for folder, cluster in ((ours, "lab"), (others, "far")):
+        assert stampede(["certs", "init", str(folder), "--cluster", cluster]) == 0
+        assert stampede(["certs", "issue", "--dir", str(folder), "--name", "cam", "--role", "client"]) == 0
+    before = (ours / "client-cam.pem").read_bytes()
+    for wrong, why in (
+        (others / "client-cam.pem", "is of cluster far, and the authority of lab"),
+        (ours / "ca.pem", "is no NAME.pem of a part of a cluster"),
+        (ours / "ca.key", "it holds no certificate in PEM form"),
+        (ours / "absent.pem", "cannot be used: No such file"),
+    ):
+        assert stampede(["certs", "renew", "--dir", str(ours), str(ours / "client-cam.pem"), str(wrong)]) == 1
+        assert why in capsys.readouterr().err
+    assert (ours / "client-cam.pem").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("lifetime", "left", "soon"),
+    [(365 * DAY, 15 * DAY, False), (365 * DAY, 13 * DAY, True), (DAY, DAY / 2, False), (DAY, DAY / 4, True)],
+)
+def test_a_certificate_is_to_be_renewed_two_weeks_before_its_end_or_with_a_third_of_it_left(
+    lifetime: timedelta, left: timedelta, soon: bool
+) -> None:
+    authority = make_authority("lab", now=NOW, lifetime=999 * DAY)
+    [told] = describe(issue(authority, HOST, ("rig",), now=NOW, lifetime=lifetime).certificate)
+    assert told.ends_soon(NOW + lifetime - left, 14 * DAY) is soon
+
+
 def test_a_service_does_not_start_with_a_certificate_that_nobody_would_accept(
     made: ClusterCertificates, tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ from stampede_rt.cli.supernode_findings import level_finding, refusal
 
 REFUSED_LATELY_NANOS = 600 * 10**9
 NAMED_MAX = 5
+SHORT_PART = 3  # a certificate that lasts a day is to be renewed with a third of it left, not two weeks before its end
 
 
 def diagnose(
@@ -32,10 +33,11 @@ def diagnose(
 def _of_part(one: Observation, certificate_s_min: float) -> CheckResult:
     state, advice = _state(one)
     left_s = one.certificate_left_s
-    if not advice and left_s is not None and left_s < certificate_s_min:
-        advice = f"its certificate ends in {left_s / 86400:.1f} days; issue it anew (stampede certs issue)"
+    if not advice and left_s is not None and left_s < min(certificate_s_min, one.certificate_lasts_s / SHORT_PART):
+        left = f"{left_s / 86400:.1f} days" if left_s > 2 * 86400 else f"{left_s / 3600:.1f} hours"
+        advice = f"its certificate ends in {left}; issue it anew (stampede certs renew)"
         if left_s < 0:
-            advice = "its certificate has expired; issue it anew (stampede certs issue)"
+            advice = "its certificate has expired; issue it anew (stampede certs renew)"
     return CheckResult(one.part, one.address, state, advice, one)
 
 

@@ -17,10 +17,11 @@ from stampede_rt.cli.observations import CALLER, FRONTEND, HOST, PEER, SUPERNODE
 from stampede_rt.cli.supernode_findings import gathered
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.security.tls_diagnosis import (
-    certificate_end_unix_s,
+    Validity,
+    certificate_validity,
     check_own_certificate,
     explain_refusal,
-    seconds_of,
+    validity_of,
 )
 from stampede_rt.status import DETAILS_KEY
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
@@ -165,7 +166,7 @@ class Examination:
             return _Answer(
                 None, replace(seen, failure=failure.message, knows_supernodes=knows, refuses_caller=is_refused)
             )
-        end_s = certificate_end_unix_s(part.address, tls) if tls else None
+        validity = certificate_validity(part.address, tls) if tls else None
         return _Answer(
             response,
             replace(
@@ -179,7 +180,7 @@ class Examination:
                 round_trip_nanos=round_trip,
                 clock_offset_nanos=response.time_unix_nano - (sent + round_trip // 2),
                 version=response.version,
-                certificate_left_s=None if end_s is None else end_s - time.time(),
+                **_certificate(validity),
             ),
         )
 
@@ -205,10 +206,18 @@ class Examination:
             return []
         seen = Observation(kind=CALLER, address=str(tls.files.certificate))
         try:
-            end_s = seconds_of(check_own_certificate(tls))
+            validity = validity_of(check_own_certificate(tls))
         except PermissionDenied as error:
             return [replace(seen, failure=error.message)]
-        return [replace(seen, certificate_left_s=None if end_s is None else end_s - time.time())]
+        return [replace(seen, **_certificate(validity))]
+
+
+def _certificate(validity: Validity | None) -> dict[str, Any]:
+    """How long a certificate lasts, and how much of that is left."""
+    if validity is None:
+        return {}
+    lasts_s = validity.ends_s - validity.begins_s
+    return {"certificate_left_s": validity.ends_s - time.time(), "certificate_lasts_s": lasts_s}
 
 
 def _said_by_itself(error: StampedeError) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import socket
 import ssl
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument, PermissionDenied
 from stampede_rt.security.tls import TlsReader
@@ -97,8 +98,15 @@ def _context(tls: TlsReader) -> ssl.SSLContext:
     return context
 
 
-def certificate_end_unix_s(target: str, tls: TlsReader) -> float | None:
-    """Return when the certificate of `target` ends (Unix seconds); None if it has no valid one.
+class Validity(NamedTuple):
+    """When a certificate begins and ends, in seconds since the epoch."""
+
+    begins_s: float
+    ends_s: float
+
+
+def certificate_validity(target: str, tls: TlsReader) -> Validity | None:
+    """Return when the certificate of `target` begins and ends; None if it has no valid one.
 
     Blocks as long as `explain_refusal`.
     """
@@ -112,13 +120,15 @@ def certificate_end_unix_s(target: str, tls: TlsReader) -> float | None:
                 shown = secured.getpeercert() or {}
     except (OSError, UnicodeError):
         return None
-    return seconds_of(shown)
+    return validity_of(shown)
 
 
-def seconds_of(shown: Mapping[str, object]) -> float | None:
-    """Return when a certificate ends, in seconds since the epoch; None if the standard library does not say."""
-    end = shown.get("notAfter")
-    return ssl.cert_time_to_seconds(end) if isinstance(end, str) else None
+def validity_of(shown: Mapping[str, object]) -> Validity | None:
+    """Return when a certificate begins and ends; None if the standard library does not say."""
+    begin, end = shown.get("notBefore"), shown.get("notAfter")
+    if not isinstance(begin, str) or not isinstance(end, str):
+        return None
+    return Validity(ssl.cert_time_to_seconds(begin), ssl.cert_time_to_seconds(end))
 
 
 def _about_theirs(error: ssl.SSLCertVerificationError, target: str, tls: TlsReader) -> str:

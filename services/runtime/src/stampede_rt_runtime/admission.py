@@ -84,7 +84,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
         caller: Caller | None = None
         try:
             caller = self._caller(method, context)
-            self._control.check_not_revoked(caller)
+            self._control.check_valid(caller)
             if refusal := why_refused(method, caller):
                 raise PermissionDenied(refusal)
         except PermissionDenied:

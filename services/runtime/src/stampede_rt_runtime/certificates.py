@@ -63,6 +63,15 @@ class Described:
     serial: int
     sha256: str
 
+    @property
+    def lifetime(self) -> timedelta:
+        """How long it was made for."""
+        return self.not_after - self.not_before - BACKDATED
+
+    def ends_soon(self, now: datetime, at_most: timedelta) -> bool:
+        """Whether a third of its lifetime is left, or `at_most`, whichever is less."""
+        return self.not_after - now < min(at_most, self.lifetime / 3)
+
 
 def make_authority(cluster: str, *, now: datetime, lifetime: timedelta) -> Issued:
     """A new authority for `cluster`, signed by itself. It may sign certificates, but no further authorities."""

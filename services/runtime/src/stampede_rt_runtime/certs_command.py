@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.values.timeline import parse_duration
 from stampede_rt_runtime.certificates import (
     CertificateError,
     Described,
@@ -82,14 +83,16 @@ def _parser() -> argparse.ArgumentParser:
         help="names and IP addresses at which a service is called; default: this machine's name and localhost",
     )
     one.add_argument("--out", type=Path, metavar="DIR", help="write it to DIR; default: the authority's folder")
-    one.add_argument(
-        "--days",
-        type=_days,
-        default=CERTIFICATE_DAYS,
-        metavar="N",
-        help=f"it holds for N days; default: {CERTIFICATE_DAYS}",
-    )
+    lifetime = one.add_mutually_exclusive_group()
+    lifetime.add_argument("--days", type=_days, metavar="N", help=f"it holds for N days; default: {CERTIFICATE_DAYS}")
+    lifetime.add_argument("--ttl", type=_ttl, metavar="DURATION", help="it holds for so long, such as 12h")
     one.set_defaults(run=_issue)
+    renew = verbs.add_parser("renew", help="make certificates anew: same parts, addresses and lifetimes, same files")
+    renew.add_argument("files", nargs="+", type=Path, metavar="FILE", help="NAME.pem, with NAME.key beside it")
+    renew.add_argument(
+        "--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's folder; default: certs"
+    )
+    renew.set_defaults(run=_renew)
     revoke = verbs.add_parser("revoke", help="have all services take certificates no more, for good")
     revoke.add_argument(
         "credentials", nargs="*", metavar="FILE|SERIAL", help="certificates, or serial numbers; left out: list them all"
@@ -106,6 +109,16 @@ def _days(text: str) -> int:
     if not text.isdecimal() or not 0 < int(text) <= 36500:
         raise argparse.ArgumentTypeError(f"{text!r}; allowed: 1 to 36500")
     return int(text)
+
+
+def _ttl(text: str) -> timedelta:
+    try:
+        lifetime = timedelta(microseconds=parse_duration(text, "ttl") // 1000)
+    except InvalidArgument as error:
+        raise argparse.ArgumentTypeError(error.message) from error
+    if not timedelta(minutes=1) <= lifetime <= timedelta(days=36500):
+        raise argparse.ArgumentTypeError(f"{text!r}; allowed: 1 min to 36500 days")
+    return lifetime
 
 
 def _init(arguments: argparse.Namespace) -> list[str]:
@@ -129,22 +142,52 @@ def _init(arguments: argparse.Namespace) -> list[str]:
 
 def _issue(arguments: argparse.Namespace) -> list[str]:
     folder: Path = arguments.dir
-    if not (folder / "ca.pem").exists() and not (folder / "ca.key").exists():
-        raise CertificateError(
-            f"there is no authority in {folder}; make one with `stampede certs init`, or name its folder with --dir"
-        )
-    authority = Issued((folder / "ca.pem").read_bytes(), (folder / "ca.key").read_bytes())
+    authority = _authority(folder)
     identity = Identity(cluster_of(authority.certificate), Role(arguments.role), arguments.name)
     addresses = tuple(arguments.address) or (_own_addresses() if identity.role in SERVICES else ())
-    lifetime = timedelta(days=arguments.days)
+    lifetime = arguments.ttl or timedelta(days=arguments.days or CERTIFICATE_DAYS)
     made = issue(authority, identity, addresses, now=datetime.now(UTC), lifetime=lifetime)
     out: Path = arguments.out or folder
     out.mkdir(mode=0o700, parents=True, exist_ok=True)
     certificate, key = write_pair(made, out, identity.file_stem)
     reached = f", called at {', '.join(addresses)}" if addresses else ""
     end = describe(made.certificate)[0].not_after
-    told = [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d}", f"{key}: its private key"]
+    told = [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d %H:%M} UTC", f"{key}: its private key"]
     return [*told, "", *_how_to_use(identity, folder / "ca.pem", certificate, key)]
+
+
+def _authority(folder: Path) -> Issued:
+    """The authority of that folder. Reads files. Raises CertificateError, OSError."""
+    if not (folder / "ca.pem").exists() and not (folder / "ca.key").exists():
+        raise CertificateError(
+            f"there is no authority in {folder}; make one with `stampede certs init`, or name its folder with --dir"
+        )
+    return Issued((folder / "ca.pem").read_bytes(), (folder / "ca.key").read_bytes())
+
+
+def _renew(arguments: argparse.Namespace) -> list[str]:
+    """Everything is made before anything is replaced."""
+    authority, now = _authority(arguments.dir), datetime.now(UTC)
+    made = [(file, *_anew(authority, file, now)) for file in arguments.files]
+    told = []
+    for file, identity, issued in made:
+        write_pair(issued, file.parent, file.stem)
+        told.append(f"{file}: {identity}, until {describe(issued.certificate)[0].not_after:%Y-%m-%d %H:%M} UTC")
+    return told
+
+
+def _anew(authority: Issued, file: Path, now: datetime) -> tuple[Identity, Issued]:
+    try:
+        former = describe(file.read_bytes())[0]
+    except CertificateError as error:
+        raise CertificateError(f"{file}: {error}") from error
+    if former.identity is None or former.is_authority or file.suffix != ".pem":
+        raise CertificateError(f"{file} is no NAME.pem of a part of a cluster, as `stampede certs issue` makes them")
+    if former.identity.cluster != cluster_of(authority.certificate):
+        raise CertificateError(
+            f"{file} is of cluster {former.identity.cluster}, and the authority of {cluster_of(authority.certificate)}"
+        )
+    return former.identity, issue(authority, former.identity, former.addresses, now=now, lifetime=former.lifetime)
 
 
 def _from(folder: Path) -> str:
@@ -216,7 +259,7 @@ def _validity(one: Described, now: datetime) -> str:
         return f"NOT VALID BEFORE {one.not_before:%Y-%m-%d %H:%M} UTC"
     if now > one.not_after:
         return f"EXPIRED on {one.not_after:%Y-%m-%d %H:%M} UTC"
-    soon = ", which is soon" if one.not_after - now < _SOON else ""
+    soon = ", which is soon" if one.ends_soon(now, _SOON) else ""
     return f"valid until {one.not_after:%Y-%m-%d %H:%M} UTC{soon}"
 
 

@@ -88,6 +88,8 @@ def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
             f"the certificate {files.certificate} is one of {who}, and this is a {role}; "
             f"issue it with `stampede certs issue --role {role}`"
         )
-    if (left := own.not_after - datetime.now(UTC)) < SOON:
-        logger.warning("the certificate %s ends in %s; renew it", files.certificate, str(left).partition(".")[0])
+    now = datetime.now(UTC)
+    if own.ends_soon(now, SOON):
+        left = str(own.not_after - now).partition(".")[0]
+        logger.warning("the certificate %s ends in %s; renew it", files.certificate, left)
     return ServiceTls(reader, own.identity, own.addresses)

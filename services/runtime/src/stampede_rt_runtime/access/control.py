@@ -14,7 +14,7 @@ from typing import Any
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import abort
 from stampede_rt_runtime.access.audit import AuditLog
-from stampede_rt_runtime.access.caller import Caller
+from stampede_rt_runtime.access.caller import Caller, CallerKind
 from stampede_rt_runtime.access.rules import NO_RULES, AccessKind, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.access.tokens import TokenClaims, check_not_over, is_token, read_token
@@ -116,12 +116,18 @@ class AccessControl:
         check_not_over(claims, now_unix_nano=self._time_unix_nano())
         return claims.caller()
 
-    def check_not_revoked(self, caller: Caller) -> None:
-        """Raises PermissionDenied with reason UNAUTHENTICATED if the caller's certificate or token was revoked."""
+    def check_valid(self, caller: Caller) -> None:
+        """Check that the caller's certificate or token was not revoked and has not ended.
+
+        A handshake checks the end of a certificate once, and the connection may last for days. Raises PermissionDenied
+        with reason UNAUTHENTICATED, or Unavailable with reason CERTIFICATE_EXPIRED.
+        """
         if caller.serial:
             state = self.refresh()
             if state is not None and caller.serial in state.revoked_serials:
                 raise _revoked(caller)
+        if 0 < caller.ends_unix_nano <= self._time_unix_nano():
+            raise _over(caller)
 
     def _known(self) -> AccessState:
         state = self.refresh()
@@ -323,7 +329,11 @@ def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> Per
     )
 
 
-def _over(caller: Caller) -> PermissionDenied:
+def _over(caller: Caller) -> StampedeError:
+    """A caller reads renewed certificates from its files, and so should try again. Its token stays the same."""
+    if caller.kind is CallerKind.CERTIFICATE:
+        text = f"the certificate of {caller} has expired; renew it (stampede certs renew), and connect again"
+        return Unavailable(text, reason="CERTIFICATE_EXPIRED")
     text = f"the {caller.kind} of {caller} has ended; connect again with a new one"
     return PermissionDenied(text, reason="UNAUTHENTICATED")
 

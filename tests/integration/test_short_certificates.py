@@ -1,0 +1,85 @@
+"""Certificates that end while they are used: who renews them goes on, who does not is told."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from datetime import timedelta
+from typing import Any
+
+import grpc
+import pytest
+
+import stampede_rt as st
+from stampede_rt.security.tls import TlsReader
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import directory_service_pb2, directory_service_pb2_grpc
+from stampede_rt_local.certificates import ClusterCertificates
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_runtime.dial import dial
+from stampede_rt_runtime.identity import Role
+from tests.support.waiting import wait_until
+
+SHORT = timedelta(seconds=4)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[LocalCluster]:
+    with LocalCluster(tls=True, hosts=1, supernodes=1, durable=False) as made:
+        yield made
+
+
+@pytest.fixture
+def certificates(cluster: LocalCluster) -> ClusterCertificates:
+    assert cluster.certificates is not None
+    return cluster.certificates
+
+
+def test_streams_end_with_their_certificate_and_go_on_with_the_renewed_one(
+    cluster: LocalCluster, certificates: ClusterCertificates
+) -> None:
+    files = certificates.issue(Role.CLIENT, "cam", lifetime=SHORT)
+    with st.connect(cluster.address, tls=files) as rt, rt.queue("jobs") as jobs:
+        channel = rt.channel("video")
+        with channel.subscribe() as items:
+            channel.put(b"first")
+            assert next(items).payload == b"first"
+            assert jobs.get(timeout=0) is None
+            certificates.issue(Role.CLIENT, "cam")
+            heard: list[bytes] = []
+
+            def goes_on() -> int:
+                channel.put(b"next")
+                jobs.put(b"job")
+                message = jobs.get(timeout=10)
+                assert message is not None
+                message.ack()
+                heard.append(next(items).payload)
+                return items.reconnects
+
+            wait_until(goes_on, "the subscription has come back over a new connection")
+            assert set(heard) == {b"next"}
+
+
+def test_a_connection_that_has_outlived_its_certificate_is_good_for_nothing_more(
+    cluster: LocalCluster, certificates: ClusterCertificates
+) -> None:
+    files = certificates.issue(Role.CLIENT, "late", lifetime=SHORT)
+    request = directory_service_pb2.ListHostsRequest()
+
+    async def asked_until_refused() -> st.StampedeError:
+        async with dial(cluster.supernodes[0].address, secret=None, tls=TlsReader(files)) as channel:
+            stub: Any = directory_service_pb2_grpc.DirectoryServiceStub(channel)
+            asked = 0
+            while True:  # each call is a round trip on one connection
+                try:
+                    await stub.ListHosts(request, timeout=10)
+                    asked += 1
+                except grpc.aio.AioRpcError as error:
+                    assert asked
+                    return from_rpc_error(error, "it")
+
+    refused = asyncio.run(asked_until_refused())
+    assert isinstance(refused, st.Unavailable)
+    assert refused.reason == "CERTIFICATE_EXPIRED"
+    assert "the certificate of client late has expired; renew it" in refused.message
