@@ -1,4 +1,4 @@
-"""Quotas, to and from the messages that carry them. Thin: no decision is made here."""
+"""Converts quotas from and to protobuf. Makes no decisions."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ _KINDS_FROM: Mapping[int, Quota] = {int(number): quota for quota, number in KIND
 
 
 def setting_message(setting: QuotaSetting) -> pb.QuotaSetting:
-    """The setting as it travels."""
+    """The message of a setting."""
     return pb.QuotaSetting(who=setting.who, kind=KINDS[setting.quota], limit=setting.limit)
 
 
 def setting_from(message: pb.QuotaSetting) -> QuotaSetting:
-    """Raises InvalidArgument for a quota that is not known."""
+    """The setting of a message. Raises InvalidArgument for an unknown quota."""
     return QuotaSetting(message.who, quota_from(message.kind), message.limit)
 
 
 def known_settings(messages: Iterable[pb.QuotaSetting]) -> Iterator[QuotaSetting]:
-    """Those of quotas that this release knows: a newer supernode may tell others, too."""
+    """The settings of the quotas that this release knows. A newer supernode may send others, too."""
     return (setting_from(one) for one in messages if one.kind in _KINDS_FROM)
 
 
 def quota_from(number: int) -> Quota:
-    """Raises InvalidArgument."""
+    """The quota of a number. Raises InvalidArgument."""
     if number not in _KINDS_FROM:
         raise InvalidArgument(f"this service knows no quota {number}; name one of QuotaKind")
     return _KINDS_FROM[number]
 
 
 def limit_message(quota: Quota, limit: int, setting: QuotaSetting | None) -> pb.QuotaLimit:
-    """`setting` None: the default holds."""
+    """The message of a limit. `setting` None: the default holds."""
     told = None if setting is None else setting_message(setting)
     return pb.QuotaLimit(kind=KINDS[quota], limit=limit, setting=told)
 
 
 def use_messages(uses: Iterable[QuotaUse], uses_max: int) -> list[pb.QuotaUse]:
-    """The uses that matter most, first: those of refused callers, then those nearest to their limit."""
+    """The most important uses, first those of refused callers, then those nearest to their limits."""
     chosen = sorted(uses, key=lambda use: (use.refused, use.used / max(1, use.limit)), reverse=True)[:uses_max]
     return [
         pb.QuotaUse(subject=use.subject, kind=KINDS[use.quota], used=use.used, limit=use.limit, refused=use.refused)

@@ -38,7 +38,7 @@ def _address(peer: str) -> str:
 
 
 def _network(address: IPv4Address | IPv6Address) -> str:
-    """The network of an address. One machine usually has a whole /64 of IPv6 addresses, and all loopback addresses."""
+    """The network of an address: one machine usually has a whole /64 of IPv6 addresses, and all loopback addresses."""
     if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
         address = address.ipv4_mapped
     if address.is_loopback:

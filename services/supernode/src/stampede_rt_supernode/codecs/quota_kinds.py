@@ -1,4 +1,4 @@
-"""Commands about quotas and their results, to and from the messages of the log."""
+"""Converts commands about quotas, and their results, from and to messages of the log."""
 
 from __future__ import annotations
 

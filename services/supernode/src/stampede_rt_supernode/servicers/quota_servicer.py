@@ -1,4 +1,4 @@
-"""QuotaService, thinly: check, ask the core or the log, encode (proto/stampede_rt/v1/quota_service.proto)."""
+"""QuotaService (proto/stampede_rt/v1/quota_service.proto): checks requests, asks the core or the log, encodes."""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
@@ -44,7 +44,7 @@ class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
 
     @errors_as_status
     async def CheckQuotas(self, request: pb.CheckQuotasRequest, context: Context) -> pb.CheckQuotasResponse:
-        """For one caller, whatever it is that matches its name."""
+        """The limits of one caller, and the settings that match its name."""
         check_who(request.subject)
         if set(request.subject) & {"*", "?"}:
             raise InvalidArgument(f"{request.subject} is a pattern; name one caller")

@@ -10,14 +10,14 @@ from stampede_rt_supernode.core.commands import Operation, Success
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetQuotas(Operation):
-    """Each setting replaces the one of the same `who` and quota."""
+    """Set quotas. Each setting replaces the one of the same `who` and quota."""
 
     settings: tuple[QuotaSetting, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveQuotas(Operation):
-    """The settings of `who`, taken literally, go. `quotas` empty: all of them."""
+    """Remove the settings of `who`, taken literally, for these quotas. `quotas` empty: for all."""
 
     who: str
     quotas: tuple[Quota, ...] = ()
@@ -25,7 +25,7 @@ class RemoveQuotas(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QuotasSet(Success):
-    """The settings hold; whether any of them was new."""
+    """The settings hold. Tells whether any of them was new."""
 
     changed: bool
     version: int
@@ -33,7 +33,7 @@ class QuotasSet(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QuotasRemoved(Success):
-    """The settings are gone, and how many there were."""
+    """The settings are gone. Tells how many there were."""
 
     removed: int
     version: int

@@ -1,4 +1,4 @@
-"""The changes of quotas. Pure."""
+"""Changes the quotas. Pure."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def check_remove_quotas(operation: RemoveQuotas) -> None:
 
 
 def set_quotas(state: DirectoryState, operation: SetQuotas, time_unix_nano: int) -> QuotasSet:
-    """Raises InvalidArgument if there are too many."""
+    """Set quotas. Raises InvalidArgument if there are too many settings."""
     before = {(one.who, one.quota): one for one in state.access.quotas.settings}
     after = before | {(one.who, one.quota): one for one in operation.settings}
     if after == before:
@@ -46,7 +46,7 @@ def set_quotas(state: DirectoryState, operation: SetQuotas, time_unix_nano: int)
 
 
 def remove_quotas(state: DirectoryState, operation: RemoveQuotas, time_unix_nano: int) -> QuotasRemoved:
-    """What is not there is no error."""
+    """Remove settings of quotas. A missing setting is no error."""
     settings = state.access.quotas.settings
     staying = [
         one for one in settings if one.who != operation.who or (operation.quotas and one.quota not in operation.quotas)
