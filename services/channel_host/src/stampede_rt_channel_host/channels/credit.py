@@ -27,7 +27,7 @@ class Credit:
 
     @property
     def is_over(self) -> bool:
-        """Whether the host may send nothing any more."""
+        """Whether the host must not send any more."""
         return self.is_final and self.left <= 0
 
     def grant(self, amount: int) -> None:

@@ -15,7 +15,7 @@ from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, drained
 
-MESSAGE_BYTES_MAX = 2**20  # of runs; a single item may be larger
+MESSAGE_BYTES_MAX = 2**20  # the bytes of runs in one message; a single item may be larger
 MESSAGE_RUNS_MAX = 512  # a limit, so that a message of many small runs is made within two milliseconds
 
 _LENGTH_DELIMITED = 2

@@ -121,7 +121,7 @@ def _check_request_id(request_id: bytes) -> None:
 
 
 def _glob(text: str) -> Callable[[str], bool]:
-    """Whether a name matches the pattern."""
+    """A function that tells whether a name matches the pattern. Raises InvalidArgument."""
     if len(text) > GLOB_LENGTH_MAX:
         raise InvalidArgument(f"name_glob has {len(text)} characters; it has at most {GLOB_LENGTH_MAX}")
     return matcher(text)

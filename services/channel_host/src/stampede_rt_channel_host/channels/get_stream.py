@@ -49,7 +49,7 @@ class _Begun:
         self.hosted = hosted
         self.pending: Pending | None = None  # of a blocking get
         self._begun_at = now
-        self._polled_at: int | None = None  # the count of the channel's changes
+        self._polled_at: int | None = None  # the channel's count of changes at the last poll
 
     def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
         """Look at the channel for a blocking get. Returns the answer, or when to look again, or unfinished work."""
@@ -58,7 +58,7 @@ class _Begun:
         return first_of(self.hosted.channel.polling(self.pending, now))
 
     def released(self) -> None:
-        """Note that a change released the get: the next look must see the channel as it is then."""
+        """Note that an earlier state of the channel released the get, so that its finding counts as out of date."""
         self._polled_at = None
 
     @property

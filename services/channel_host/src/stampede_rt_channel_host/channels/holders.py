@@ -1,4 +1,4 @@
-"""Remembers the callers of consumer ids and taker ids. No other caller may consume or settle under such an id."""
+"""Remembers which caller uses which consumer id or taker id. No other caller may consume or settle under that id."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Key = tuple[bytes, int]  # the id of a channel or queue, and a consumer or taker
 
 
 class Holders:
-    """The callers of consumer ids and taker ids. An id alone proves nothing: listings of leases show the ids.
+    """The caller of each consumer id and taker id. An id alone proves nothing: listings of leases show the ids.
 
     The number of entries of one caller is bounded. A caller that uses too many ids loses its own oldest entries.
     """

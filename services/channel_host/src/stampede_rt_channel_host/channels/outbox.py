@@ -51,8 +51,10 @@ class Outbox:
         begin: Callable[[Pieces[None]], None] = run_to_end,
         account: Account | None = None,
     ) -> None:
-        """`begin` does long work that nobody waits for (`PieceScheduler.begin`). What is queued is in flight for
-        `account`; None: nobody's."""
+        """`begin` does long work that nobody waits for (`PieceScheduler.begin`).
+
+        The queued bytes count as in flight for `account`; None: for nobody.
+        """
         self._context = context
         self._in_flight = (account or unlimited()).hold(Quota.BYTES_IN_FLIGHT)
         self._stream = stream
@@ -93,7 +95,7 @@ class Outbox:
             self._task = self._stream.spawn(self._write_all())
 
     async def flush(self) -> None:
-        """Write what the reader's loop has queued.
+        """Write the answers that the reader's loop has queued.
 
         Writes a single message at once, without a task. Leaves more messages to the background. Waits only while the
         queue is full, which slows the caller down.

@@ -233,7 +233,7 @@ class ChannelPuts:
             self.changed(now)
 
     def refuse(self, run: IncomingRun, error: Overloaded) -> pb.PutAck:
-        """A run that stands in line may not wait: it would be too much for its caller."""
+        """Refuse a run that waits, because its caller has reached a quota. Returns its ack."""
         now = self._now()
         self._count_overloaded(run, error)
         self._leave_line(run)

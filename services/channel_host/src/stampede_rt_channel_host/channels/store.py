@@ -194,12 +194,12 @@ class ChannelStore:
                 yield
 
     def named_after(self, name: str, count: int) -> list[HostedChannel]:
-        """The next `count` channels behind a name, in the order of names."""
+        """The next `count` channels after a name, by name."""
         behind = self._names.irange(minimum=(name, _ID_END), inclusive=(False, True))
         return [self._channels[channel_id] for _, channel_id in islice(behind, count)]
 
     def all(self) -> list[HostedChannel]:
-        """All channels that were bound here."""
+        """All channels that callers bound here."""
         return list(self._channels.values())
 
     def _may_serve(self) -> bool:

@@ -156,7 +156,7 @@ class Registration:
         except StampedeError as error:
             level = (
                 logging.WARNING if self._lease.ttl_nanos else logging.DEBUG
-            )  # one that never entered has nothing to leave
+            )  # a host that never entered has nothing to leave
             logger.log(level, "left without deregistering", extra={"host": self._identity.name, "why": str(error)})
 
     async def aclose(self) -> None:

@@ -39,7 +39,7 @@ class KeptRun(NamedTuple):
 
 
 class _Producer:
-    """One producer's latest runs in the order of their records. `end` is above all their numbers.
+    """One producer's latest runs, in the order in which they were recorded. `end` is above all their numbers.
 
     `odd` holds the outcomes that do not fit in columns, by first number. `latest` is the time of the last record.
     """

@@ -121,8 +121,8 @@ class CutEvents:
     def _follow(self, group: HostedGroup) -> None:
         """Follow members that came back to this host. Raises Unavailable once the group has other members.
 
-        The new members may be at hosts to which the reader has no stream yet. So it must subscribe again, after its
-        last event.
+        The new members may be at hosts to which the reader has no stream yet. So the reader must subscribe again, after
+        its last event.
         """
         if group.arrangement == self._arrangement:
             return

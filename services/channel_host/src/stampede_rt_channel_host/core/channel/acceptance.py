@@ -35,8 +35,7 @@ class Acceptance:
     def put(self, offer: Offer, clock: int, seal: Seal) -> PutOutcome:
         """Accept or refuse each item.
 
-        Applies the age limit where it matters. If a run is taken in whole, the caller must remove the items beyond the
-        limits.
+        If the run is taken in whole, it may exceed the limits, and the caller must remove the oldest items beyond them.
         """
         stamp, times = None, offer.times
         if times is None:
@@ -223,8 +222,8 @@ class _ItemByItem:
     def _as_if_put_at(self, time: int) -> int:
         """The time at which an item counts as put while it waits for room. Without an own time: the start of its wait.
 
-        Its stamp will lie after the newest item, and the newest bucket never ages. With that time it would wait for
-        ever. So it enters only when its stamp lies there.
+        An item without a time gets its stamp when it enters: at the newest item's time or later. The newest bucket
+        never ages, so an item that counted there would wait for ever.
         """
         if self._offer.times is not None:
             return time

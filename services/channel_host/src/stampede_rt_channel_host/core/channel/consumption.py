@@ -11,8 +11,9 @@ channel that its consumer has not consumed:
   gets a place that was never taken.
 
 Each place keeps the seqs that its consumer has consumed. Collected seqs next to them are added when the consumer
-consumes. All other held items are still to be consumed. A put or a consume looks at few places, however many there are.
-The places are sorted by how far they have consumed everything. One that keeps the oldest item answers for all.
+consumes. All other held items are still to be consumed. A put or a consume looks at few places, however many there are:
+the places are sorted by the seq up to which everything is consumed, and if one of them keeps the oldest item, no other
+needs a look.
 """
 
 from __future__ import annotations
@@ -211,8 +212,9 @@ class Consumers:
             self._live.add(place)
 
     def _tidy(self, place: _Place, done: SeqSet, ranges: int) -> None:
-        """Add collected seqs to so many of the place's ranges: so it never has many more ranges than there are held
-        items.
+        """Add collected seqs to so many of the place's ranges.
+
+        So a place never has many more ranges than there are held items.
         """
         while ranges > 0:
             found = done.first_range(place.tidied)

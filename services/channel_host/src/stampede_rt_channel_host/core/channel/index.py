@@ -30,7 +30,7 @@ FIRST_KEY: ItemKey = (-(1 << 64), 0)
 LAST_KEY: ItemKey = (1 << 64, 0)
 
 _BUCKET_ENTRIES_SCANNED = 8
-"""Up to so many entries with the same first time are scanned one after the other. Among more, the key is bisected."""
+"""Up to this many entries with the same first time are scanned one after the other. Among more, the key is bisected."""
 
 
 class IndexPart:

@@ -10,7 +10,7 @@ STEPS_PER_PIECE = 256
 """The slices, or the amount of work equal to them, that make one piece."""
 
 ITEMS_PER_STEP = 8
-"""Where work looks at single items, so many of them count as one step."""
+"""This many items count as one step where work looks at single items."""
 
 Result = TypeVar("Result")
 Thing = TypeVar("Thing")

@@ -33,7 +33,8 @@ class Reading:
         self._incarnation = incarnation
         self._lost_before = lost_before  # all items of a lost earlier incarnation lie before it
         self.advance: int | None = None
-        self.consumed_up_to: int | None = None  # the latest time of a consumed item: such an item did come
+        # the latest time of a consumed item, which counts as an item that has come
+        self.consumed_up_to: int | None = None
 
     def now(self, clock: int) -> int:
         """The instant of the meta-time NOW: the later of the clock and the newest item's time."""
@@ -200,7 +201,7 @@ class Reading:
         return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
-        """The reason while no item matches yet. A region that reaches back into a loss has that as its reason."""
+        """The reason while no item matches yet. If the region reaches back into a loss, the reason is the loss."""
         return self._lost() if self._reaches_into_loss(region) else self._not_yet(query, region)
 
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
@@ -230,6 +231,6 @@ def _from(region: ResolvedInterval, position: Position) -> ResolvedInterval:
 def _up_to(region: ResolvedInterval, time: int) -> ResolvedInterval:
     """The region up to the bucket at `time`.
 
-    New items of that bucket get higher seqs, so they come before in reading order.
+    New items of that bucket get higher seqs, so they come earlier in reading order.
     """
     return replace(region, end=time, end_exclusive=True) if time <= region.end else region

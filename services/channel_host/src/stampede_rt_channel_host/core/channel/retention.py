@@ -25,7 +25,7 @@ ENTRIES_PER_LOOK = 8
 SLICES_AGED_MAX = 256
 """The most slices of which one call asks whether all consumers have consumed them, if ageing depends on it."""
 CONSUMERS_ASKED_MAX = 512
-"""After so many looks at single consumers one call starts on no further slice."""
+"""After so many looks at single consumers, one call takes no further slice."""
 
 
 class Retention:
@@ -175,24 +175,24 @@ class Retention:
         return None
 
     def _bucket_from(self, start: int | None) -> int:
-        """The time of the first bucket from `start` on, which is a bucket's time; None: the oldest bucket."""
+        """`start`, which is a bucket's time, or the oldest bucket's time if that is later; None: the oldest bucket's
+        time.
+        """
         oldest = self._held.oldest
         assert oldest is not None, "nothing ages where nothing is held"
         return oldest if start is None else max(start, oldest)
 
     def _asked_as_far_as(self, time: int, first: int) -> int:
-        """Note that the look reached `time`.
+        """Note that the check reached `time`, and return it.
 
-        A bucket goes as a whole: none goes before the first one is looked through.
+        A bucket goes as a whole, so nothing goes while the first bucket is only partly checked.
         """
         self._has_more_to_age = time > first
         self._has_more_to_ask = time == first
         return time
 
     def ask_on(self) -> None:
-        """Continue the question whether all consumers have consumed a very large oldest bucket, if that is not known
-        yet.
-        """
+        """Continue to check whether all consumers have consumed a very large oldest bucket, if that is unknown."""
         if self._has_more_to_ask:
             self._age_of_oldest()
 
@@ -301,7 +301,7 @@ class Retention:
     def makes_no_room_at(self, time: int) -> bool:
         """Whether only the bucket at `time` is held, so that no wait makes room for an item at `time`.
 
-        The newest bucket never grows too old, and no consumer consumes it.
+        The newest bucket never grows too old, and the channel counts no consumption.
         """
         return self.limits.consumers is None and self._held.oldest == self._held.newest == time
 

@@ -19,8 +19,8 @@ ITEM_OVERHEAD_BYTES = 64
 
 
 class Run(ABC):
-    """Accepted items in the order of acceptance; immutable. `first_seq` is the first item's seq. The other seqs follow
-    it.
+    """Accepted items in the order of acceptance; immutable. `first_seq` is the first item's seq. The others follow one
+    by one.
 
     `times` are in nanoseconds since the epoch, in any order. `durations` are in nanoseconds, -1 for none, or None if no
     item has one. `lengths` are payload bytes. `body` is the result of the owner's seal function.

@@ -19,7 +19,7 @@ class SeqSet:
     __slots__ = ("_ranges", "below", "size")
 
     def __init__(self, below: int = 1, ranges: Iterable[tuple[int, int]] = ()) -> None:
-        """A set.
+        """Make a set.
 
         Seqs start at 1, so `below` 1 means an empty set. `ranges` are pairs of first seq and end, exclusive.
         """

@@ -95,8 +95,8 @@ def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Piec
 def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
     """Continue a saved subscription.
 
-    If retention collected items that belong to it, all items still held belong to it, and all other seqs count as gone.
-    That may count too many, if items outside the subscription went, too. It never counts too few.
+    If retention has collected items at or above its `low`, all held items count as the subscription's, and all other
+    seqs as gone. That may count too many, if items outside the subscription went, too. It never counts too few.
     """
     first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
     low = saved.low if first < live else None

@@ -98,9 +98,9 @@ class Position(NamedTuple):
 class SavedCursor:
     """The place from which a subscription continues later: all items below `next_seq` are done.
 
-    `low`: only items at or above this key belong to the subscription. In seq order, this holds for items below
-    `live_seq`; all later items belong to it. `cut`: through a group, the items below it and below `next_seq` are done.
-    `incarnation` 0: not compared.
+    `low`: only items at or above this key belong to the subscription. In a subscription in seq order, `low` applies
+    only to seqs below `live_seq`; all later items belong to it. `cut`: through a group, the items below it and below
+    `next_seq` are done. `incarnation` 0: not compared.
     """
 
     incarnation: int

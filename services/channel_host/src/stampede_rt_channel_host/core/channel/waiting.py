@@ -46,7 +46,7 @@ class Reach(NamedTuple):
 class Coming:
     """Follows a channel, or the part of it before a cut, for the gets that wait there.
 
-    A call costs the items since the last.
+    A call looks at the items since the last call.
     """
 
     def __init__(self, channel: ChannelCore) -> None:

@@ -91,7 +91,7 @@ class EventDecider:
     def _between(self, decided: int | None, members: list[CutMember]) -> int | None:
         """With a lateness: the time that all members have reached, before the next cut.
 
-        It may be far from it, as after a jump.
+        The two may be far apart, as after a jump of the cut.
         """
         last = self._decided if decided is None else decided
         come = [self._come(one) for one in members if not one.is_idle]

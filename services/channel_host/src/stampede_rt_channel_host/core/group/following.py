@@ -80,7 +80,7 @@ class CutFollower:
         self._looked_up_to = 0  # and seqs below this one have been searched for late items
         self._late_parts: list[list[Slice]] = []  # the late items found, each list in the order (time, seq)
         self._late: Iterator[Slice] | None = None  # all late items in order; None: the search is not over
-        self._late_rest: Slice | None = None  # of the slice that was taken in part
+        self._late_rest: Slice | None = None  # the rest of a slice that was taken in part
         self._came_above = self._given_above = self._given_below = 0
         if incarnation is not None and incarnation != channel.incarnation:
             self._unreported = _lost_with_host(channel, cut)

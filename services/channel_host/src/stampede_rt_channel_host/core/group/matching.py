@@ -51,12 +51,11 @@ class Matcher:
         self, channel: ChannelCore, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
         after: Position | None = None, next_seq: int | None = None, partners: Mapping[bytes, ItemKey] | None = None,
     ) -> None:  # fmt: skip
-        """Begin with the items accepted from now on; or after `after`, with the items of `next_seq` or a later seq,
-        too.
+        """Begin with the items accepted from now on. With `after`: continue after that position.
 
-        If these come from another incarnation, all items of this incarnation are new. `partners`: no item of another
-        member goes into two matches, and of each member only items after its entry are matched; see `Pairing`. None:
-        items may go into several matches.
+        Items before it with `next_seq` or a later seq have come since. If the position is of another incarnation, all
+        items have. `partners`: no item of another member goes into two matches, and of each member only items after its
+        entry are matched; see `Pairing`. None: items may go into several matches.
         """
         held, _ = channel.look(now)
         self._channel = channel

@@ -47,7 +47,7 @@ class Pairing:
         `other` must have passed the item's time + tolerance. Raises Undecided.
         """
         end, other_end = LAST_KEY, LAST_KEY  # the ends of the unpaired items: a pair hides all items after it
-        chain = [(key, tolerance)]  # own items, each nearer to the candidate of the one before it than that one is
+        chain = [(key, tolerance)]  # own items; each is nearer to its predecessor's candidate than the predecessor is
         for _ in range(STEPS_MAX):
             one, reach = chain[-1]
             self.looks += 2

@@ -177,7 +177,7 @@ class TimesBoard:
         return news
 
     def confirm(self, channel_ids: Iterable[bytes], now: int) -> None:
-        """Note a sign of life of the channels' owner: it would have told of a change."""
+        """Note a sign of life of the channels' owner, which means that their times have not changed."""
         for channel_id in channel_ids:
             held = self._heard.get(channel_id)
             if held is not None and held.known_until is not None:

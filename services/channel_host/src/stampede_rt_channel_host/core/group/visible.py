@@ -116,7 +116,7 @@ class VisibleReading(Reading):
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
         cut = self._horizon.cut
         if cut is None or first_instant > cut:
-            return WakeAt(None)  # only the cut brings that about, no clock
+            return WakeAt(None)  # only a move of the cut can bring an answer, no clock
         return super()._wake_at(first_instant, clock)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
@@ -197,7 +197,7 @@ class VisibleChannel:
         return Pending(query, self._reading(query, horizon, now).resolve(query, now))
 
     def poll(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer | WakeAt:
-        """Its answer, or when to poll again. Also poll after each change of the channel and of the cut."""
+        """The get's answer, or when to poll again. Also poll after each change of the channel and of the cut."""
         return run_to_end(self.polling(pending, horizon, now))
 
     def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:

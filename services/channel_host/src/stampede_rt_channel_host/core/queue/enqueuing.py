@@ -1,7 +1,6 @@
-"""Runs on their way into a queue. They are judged item by item, recognised when retried, and wait while there is no
-room.
+"""Runs on their way into a queue. Pure.
 
-Pure.
+They are judged message by message, recognised when retried, and wait while there is no room.
 """
 
 from __future__ import annotations

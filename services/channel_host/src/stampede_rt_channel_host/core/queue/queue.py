@@ -26,7 +26,7 @@ from stampede_rt_channel_host.core.queue.values import (
 )
 
 CHECKED_PER_CALL_MAX = 256
-"""The most items that one call checks again after the limits have changed."""
+"""The most messages that one call checks again after the limits have changed."""
 EMPTIED_PER_PIECE = 256
 ENDED_PER_CALL_MAX = 128
 """The most waiting runs that one call of `end_line` refuses."""
@@ -35,14 +35,14 @@ DUE_PER_CALL_MAX = 256
 
 
 class QueueCore:
-    """The items of one queue, in memory. Not thread-safe: one owner calls it, each call is atomic and never blocks.
+    """The messages of one queue, in memory. Not thread-safe: one owner calls it. Each call is atomic and never waits.
 
     Calls take `now`, the host's clock. If it goes back, the latest `now` counts. After each call the owner takes the
-    results: `take_dealt` gives the batches for takers, `take_finished` the runs that waited and are through. The owner
+    results: `take_dealt` gives the batches for takers, `take_finished` the runs that waited and are done. The owner
     calls `tick` at `next_deadline`.
 
-    Each incarnation gets a `first_delivery_id` far from those of earlier incarnations. So the queue never mistakes
-    an earlier incarnation's delivery, which a taker names, for one of its own.
+    Each incarnation gets a `first_delivery_id` far from those of earlier incarnations. So the queue never mistakes a
+    delivery of an earlier incarnation, which a taker names, for one of its own.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class QueueCore:
         self._dispatcher = Dispatcher(self._queue_items, self._leasing)
         self._clock: int | None = None
         self._is_paused = False
-        self._unchecked_from: int | None = None  # touched items from this seq on are to be checked against new limits
+        self._unchecked_from: int | None = None  # check touched messages from here on against the limits
 
     def export(self, now: int) -> QueueHandoff:
         """The whole queue as values, without waiting runs and takers.
@@ -80,7 +80,7 @@ class QueueCore:
     ) -> QueueCore:
         """The queue that another host exported, with its seqs, leases and counters.
 
-        The call takes longer the more items the queue has.
+        The call takes longer the more messages the queue has.
         """
         queue = cls(limits, incarnation=incarnation, name=name)
         handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
@@ -89,11 +89,11 @@ class QueueCore:
         return queue
 
     def enqueue(self, run: Enqueue, now: int) -> None:
-        """Judge a run. When this returns, the run is through, or it waits and `take_finished` gives it later.
+        """Judge a run. When this returns, the run is done, or it waits and `take_finished` gives it later.
 
         A run that its producer put before gets the same answer again. A run whose message id is known gets the seq of
-        the first message with that id. Raises InvalidArgument if the run's numbers overlap another run's, Overloaded
-        if too many runs wait.
+        the first message with that id. Raises InvalidArgument if the run's numbers overlap another run's, Overloaded if
+        too many runs wait.
         """
         clock = self._tick(now)
         self._enqueuing.enqueue(run, clock)
@@ -124,19 +124,19 @@ class QueueCore:
         self._follow_up(clock)
 
     def reject_malformed(self) -> None:
-        """Count a run that the shell could not read."""
+        """Count a run that the owner could not read."""
         self._queue_items.tally.rejected_malformed += 1
 
     def reject_overloaded(self, items: int) -> None:
-        """Count items that were refused because a bound of the host or of its waiting line is reached."""
+        """Count messages that were refused because a limit of the host or of its waiting line is reached."""
         self._queue_items.tally.rejected_overloaded += items
 
     def reject_too_large(self) -> None:
-        """Count an item that the shell refused: no queue could hold it."""
+        """Count a message that the owner refused, because it is larger than any queue can hold."""
         self._queue_items.tally.rejected_too_large += 1
 
     def grant(self, taker: TakerState, credit: int, now: int) -> None:
-        """Add to the taker's credit. With a credit of 0 the taker says only that it lives.
+        """Add to the taker's credit. A credit of 0 is only a sign of life.
 
         A taker that was silent is not silent any more.
         """
@@ -156,14 +156,14 @@ class QueueCore:
         self._dispatcher.wait(taker, clock)
 
     def drain(self, taker: TakerState) -> None:
-        """Cancel the taker's credit, because the taker wants no more items."""
+        """Cancel the taker's credit, because the taker wants no more messages."""
         taker.credit = 0
         self._dispatcher.leave(taker)
 
     def leave(self, taker: TakerState, now: int) -> None:
         """Remove a taker whose stream has ended. Idempotent.
 
-        The items of a batch that the host has not sent go back. The items that the host has sent stay leased.
+        The messages of a batch that the host has not sent go back. The messages that the host has sent stay leased.
         """
         clock = self._tick(now)
         self.drain(taker)
@@ -175,7 +175,7 @@ class QueueCore:
         self._follow_up(clock)
 
     def settle(self, taker_id: int, settlements: Iterable[Settlement], now: int) -> list[SettlementResult]:
-        """Do what the taker says of its deliveries, in order; each has a result of its own."""
+        """Perform the taker's settlements, in order. Returns a result for each."""
         clock = self._tick(now)
         results = [self._leasing.settle(taker_id, settlement, clock) for settlement in settlements]
         self._follow_up(clock)
@@ -187,12 +187,15 @@ class QueueCore:
         return self._leasing.pending(after_delivery_id, limit)
 
     def departing(self, items_max: int) -> list[Departure]:
-        """At most `items_max` items that wait to move to the dead-letter queue. Those that wait longest come first."""
+        """At most `items_max` messages that wait to move to the dead-letter queue.
+
+        Those that wait longest come first.
+        """
         leaving = islice(self._queue_items.leaving.values(), items_max)
         return [Departure(item.seq, item.run, item.position, item.last) for item in leaving]
 
     def departed(self, seq: int, now: int) -> None:
-        """Remove an item, because the dead-letter queue has it now. Idempotent."""
+        """Remove a message, because the dead-letter queue has it now. Idempotent."""
         clock = self._tick(now)
         item = self._queue_items.leaving.get(seq)
         if item is not None:
@@ -201,14 +204,14 @@ class QueueCore:
             self._follow_up(clock)
 
     def postpone_departure(self, seq: int) -> None:
-        """Put an item whose move failed behind all others that wait for their move."""
+        """Put a message whose move failed behind all others that wait for their move."""
         if seq in self._queue_items.leaving:
             self._queue_items.leaving.move_to_end(seq)
 
     def configure(self, limits: QueueLimits, now: int) -> None:
-        """Set other limits. Held items stay, even if they need more room than the new limits allow.
+        """Set other limits. Held messages stay, even if they need more room than the new limits allow.
 
-        The queue checks all touched items again, a bounded number in one call. Until then it deals nothing.
+        The queue checks all touched messages again, a bounded number in one call. Until then it deals nothing.
         """
         clock = self._tick(now)
         self._queue_items.limits = limits
@@ -217,7 +220,7 @@ class QueueCore:
         self._follow_up(clock)
 
     def emptying(self) -> Pieces[None]:
-        """Remove all items, in pieces. Nobody may use the queue during this or afterwards."""
+        """Remove all messages, in pieces. Nobody may use the queue during this or afterwards."""
         while self._queue_items.items:
             for item in [*islice(self._queue_items.touched.values(), EMPTIED_PER_PIECE)]:
                 self._leasing.expel(item)
@@ -227,11 +230,11 @@ class QueueCore:
             yield
 
     def tick(self, now: int) -> None:
-        """Handle the leases, the delays of items, and the waits of runs that have ended."""
+        """Handle the ended leases, delays of messages, and waits of runs."""
         self._tick(now)
 
     def next_deadline(self) -> int | None:
-        """When `tick` is next useful; None: only after another call."""
+        """The time at which `tick` has work again; None: only after another call."""
         if self._unchecked_from is not None or self._has_more:
             return self._clock
         known = self._enqueuing.message_ids.next_deadline()
@@ -243,7 +246,7 @@ class QueueCore:
         self._enqueuing.retries.expire(now)
 
     def next_expiry(self) -> int | None:
-        """When `expire` is next useful."""
+        """The time at which `expire` has work again."""
         return self._enqueuing.retries.next_expiry()
 
     def take_dealt(self) -> list[tuple[TakerState, Batch]]:
@@ -257,19 +260,19 @@ class QueueCore:
     def take_silent(self) -> list[TakerState]:
         """The takers that were found silent since the last call: ask them whether they live.
 
-        A silent taker let a lease end and has said nothing since that lease began. It does not count as waiting, and
-        gets no items, until it says something (`grant`).
+        A silent taker let a lease end and has sent nothing since that lease began. It does not count as waiting, and
+        gets no messages, until it sends something (`grant`).
         """
         silent, self._leasing.silent = self._leasing.silent, []
         return silent
 
     def take_finished(self) -> list[Enqueue]:
-        """The runs that waited and are through since the last call."""
+        """The runs that waited and are done since the last call."""
         finished, self._enqueuing.finished = self._enqueuing.finished, []
         return finished
 
     def counters(self, now: int) -> QueueCounters:
-        """Counts of all items by what became of them, at this moment."""
+        """The present counts of all messages by their fate."""
         self._tick(now)
         tally, queue_items = self._queue_items.tally, self._queue_items
         return QueueCounters(
@@ -281,33 +284,36 @@ class QueueCore:
 
     @property
     def limits(self) -> QueueLimits:
-        """The limits that hold now."""
+        """The present limits."""
         return self._queue_items.limits
 
     @property
     def waiting_takers(self) -> int:
-        """Takers that wait for an item."""
+        """The number of takers that wait for a message."""
         return len(self._dispatcher)
 
     @property
     def waiting_enqueues(self) -> int:
-        """Runs that wait for room."""
+        """The number of runs that wait for room."""
         return len(self._enqueuing)
 
     @property
     def is_moving_out(self) -> bool:
-        """Whether an item waits for its move to the dead-letter queue."""
+        """Whether a message waits for its move to the dead-letter queue."""
         return bool(self._queue_items.leaving)
 
     @property
     def oldest_accepted_at(self) -> int | None:
-        """When the oldest held item was accepted; None: the queue is empty."""
+        """When the oldest held message was accepted; None: the queue is empty."""
         return self._queue_items.oldest_accepted_at
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory that the queue takes at the host: stored runs, 64 bytes for each item, runs that wait, and the
-        facts about acknowledged deliveries, producers' last runs and message ids."""
+        """The memory of the queue at the host, in bytes.
+
+        It counts stored runs, 64 bytes for each message, waiting runs, and the facts about acknowledged deliveries,
+        producers' latest runs and message ids.
+        """
         queue_items, enqueuing = self._queue_items, self._enqueuing
         known = self._leasing.acknowledged.footprint_bytes + enqueuing.retries.footprint_bytes
         known += enqueuing.message_ids.footprint_bytes
@@ -335,7 +341,10 @@ class QueueCore:
         return clock
 
     def _check_again(self) -> int:
-        """Check some items that were touched under other limits against the present ones. Returns how many it took."""
+        """Check some messages that were touched under other limits against the present ones.
+
+        Returns how many it took.
+        """
         items: list[TouchedItem] = []
         if self._unchecked_from is not None:
             items = [*islice(self._queue_items.touched.values(self._unchecked_from), CHECKED_PER_CALL_MAX)]
@@ -354,7 +363,7 @@ class QueueCore:
         return True
 
     def _follow_up(self, clock: int) -> None:
-        """Try those in line again after items left or came back: runs may have room now, and takers items to take."""
+        """Try the takers and runs in line again after messages left or came back."""
         if self._may_serve():
             self._enqueuing.offer_line(clock)
         self._dispatcher.deal(clock)
