@@ -117,7 +117,7 @@ class Prober:
     def _tell(self) -> None:
         """Log the changes since the last probe, each once: which supernodes can serve, and whether any can.
 
-        The end of a warned-about state has the level of the warning.
+        The line about the end of a problem has the same level as the line about its beginning.
         """
         for change in self._journal.changes(self._roster, asyncio.get_running_loop().time()):
             is_quiet = change.is_well and not change.is_return

@@ -27,7 +27,7 @@ UNUSED_BYTES_MAX = 64 * 2**20
 
 
 def give_back_memory() -> None:
-    """Keep the memory of this process near to the memory that it uses. Call it before other threads start."""
+    """From now on return freed memory to the system soon. Call it before other threads start."""
     with contextlib.suppress(AttributeError, OSError):  # another C library
         library = ctypes.CDLL(None)
         library.mallinfo2.restype = _Mallinfo2
@@ -58,7 +58,7 @@ def _trim_now_and_then(library: ctypes.CDLL) -> None:
 
 
 def _unused_bytes(library: ctypes.CDLL) -> int:
-    """The resident memory that malloc does not use: free blocks, beside code and other mappings (proc_pid_statm(5))."""
+    """The resident memory outside malloc's used blocks: free blocks, code and other mappings (proc_pid_statm(5))."""
     resident_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     told = library.mallinfo2()
     return int(resident_bytes - told.uordblks - told.hblkhd)

@@ -18,7 +18,10 @@ _OPEN_METHODS = frozenset({"/stampede_rt.v1.DirectoryService/Ping", "/grpc.healt
 
 
 class ClusterInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Lets calls pass that name no cluster, and the methods that tell the server's cluster."""
+    """Refuses calls that name another cluster.
+
+    Calls that name no cluster pass, and so do the methods that tell the server's cluster.
+    """
 
     def __init__(self, judge: JudgeCluster) -> None:
         self._judge = judge

@@ -201,7 +201,7 @@ def _general_name(address: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(address.strip("[]")))
     except ValueError:
-        pass  # then it is a name
+        pass  # no IP address, so it is a name
     if not _HOST_NAME.fullmatch(address):
         raise CertificateError(
             f"{address!r} is no name or IP address of a machine; allowed: such as s1.lab or 10.0.0.11, without a port"

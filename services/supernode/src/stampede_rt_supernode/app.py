@@ -250,7 +250,7 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
 async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
     """End all watches if this state differs from that of most members, and log the reason.
 
-    The log goes on and counts.
+    The log goes on, and this member still counts in it.
     """
     told = False
     while not server.stopping.is_set():

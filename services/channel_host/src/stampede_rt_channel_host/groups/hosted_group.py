@@ -88,7 +88,10 @@ class HostedGroup:
         return anew
 
     def check_incarnation(self, incarnation: int) -> None:
-        """Raises IncarnationLost if the group began anew since. Of many readers, some are ended a moment after that."""
+        """Raises IncarnationLost if the group has begun anew since `incarnation`.
+
+        Readers check it, because of many readers some are ended a moment after the group began anew.
+        """
         if self.record.incarnation != incarnation:
             raise began_anew(self.record)
 

@@ -51,7 +51,10 @@ class Knowledge(Protocol):
 
 
 class HostLink:
-    """`write` and `read` belong to either side's call. `message` makes the messages that this side sends."""
+    """One link. `write` and `read` are those of the call, whichever side has made it.
+
+    `message` makes the messages that this side sends.
+    """
 
     def __init__(
         self,
@@ -63,7 +66,9 @@ class HostLink:
         read: Callable[[], Awaitable[Any]],
         certified_name: str = "",
     ) -> None:
-        """`certified_name` is the one in the caller's certificate; empty if there is none, or this side has called."""
+        """`certified_name` is the name in the caller's certificate; empty without one, or if this side has made the
+        call.
+        """
         self.host_id = b""  # of the other host, once it has sent its hello
         self._identity = identity
         self._cluster_id = cluster_id

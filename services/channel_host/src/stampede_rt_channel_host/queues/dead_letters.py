@@ -96,7 +96,7 @@ class DeadLetterMover:
                 pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
 
     async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
-        """Move some messages. Raises the error that kept any of them. `refusals` counts by seq."""
+        """Move some messages. Raises an error if some of them could not be moved. `refusals` counts by seq."""
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:
             raise Unavailable(f"the dead-letter queue {display_name(found.queue)} has no live host at present")
@@ -140,8 +140,9 @@ def _requests(
 
 
 def _run_of(item: Departure, content_type: str) -> bytes:
-    """The message as its producer put it, with the content type of its queue if it has none: the other queue's may
-    differ.
+    """The message as its producer put it.
+
+    A message without a content type gets that of its queue, because the other queue's may differ.
     """
     alone = select_items(item.run.body, [item.position])
     if content_type and not item_pb2.ItemRun.FromString(alone).content_type:

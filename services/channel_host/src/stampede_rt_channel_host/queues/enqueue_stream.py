@@ -1,6 +1,6 @@
 """Serves one stream of enqueues: judges and acks runs in order.
 
-Acks that come during a write go out in the next one.
+Acks that come during a write go out in the next message.
 """
 
 from __future__ import annotations

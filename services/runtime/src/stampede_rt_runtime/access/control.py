@@ -309,7 +309,7 @@ def audit_change(what: str, name: str) -> None:
 
 
 def caller_name() -> str:
-    """What rules know the current caller by, also one whom they do not judge; empty outside of a server."""
+    """The present caller's name in rules, even if rules do not judge it; empty outside a server."""
     caller = current_caller()
     return "" if caller is None else caller.name
 

@@ -79,7 +79,7 @@ class Account:
             self._used[quota] -= 1
 
     def hold(self, quota: Quota) -> Hold:
-        """A part of the use, nothing at first."""
+        """An object for a part of the caller's use of one quota, at first 0."""
         return Hold(self, quota)
 
     @contextmanager

@@ -99,7 +99,7 @@ class QuotaTable:
         limits = dict(defaults)
         if subject in SHARED_NAMES:
             limits.update(dict.fromkeys(OF_MAKERS, LIMIT_MAX))
-        for one in reversed(self._by_weight):  # so the setting that holds comes last
+        for one in reversed(self._by_weight):  # reversed, so that the setting that holds comes last
             if matcher(one.who)(subject):
                 limits[one.quota] = one.limit
         return limits

@@ -74,7 +74,7 @@ def channel_from(record: channel_pb2.ChannelRecord) -> ChannelRecord:
         policy=_held_policy(record.spec.SerializeToString()),
         policy_version=record.spec_version,
         proxy_host_ids=tuple(record.proxy_host_ids),
-        created_by=intern(record.created_by),  # one text for all that a caller has made
+        created_by=intern(record.created_by),  # one string object for all records of a caller
     )
 
 

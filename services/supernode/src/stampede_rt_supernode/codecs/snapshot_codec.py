@@ -42,8 +42,8 @@ from stampede_rt_supernode.core.snapshot_view import SnapshotView, snapshot_view
 from stampede_rt_supernode.core.tables import Tables
 
 FORMAT_VERSION = 1
-FORMAT_VERSION_WITH_GROUPS = 2  # or copies of channels, which a reader of form 1 would lose in silence
-FORMAT_VERSION_WITH_QUEUES = 3  # or peers
+FORMAT_VERSION_WITH_GROUPS = 2  # or with copies of channels, which a reader of form 1 would lose in silence
+FORMAT_VERSION_WITH_QUEUES = 3  # or with peers
 
 T = TypeVar("T")
 

@@ -22,9 +22,9 @@ class Operation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Creation(Operation):
-    """Base of what may make a channel, queue or group. `created_by`: its caller, see ChannelRecord.
+    """Base of the operations that may create a channel, queue or group. `created_by`: the caller, see ChannelRecord.
 
-    `created_max`: so many of the kind its caller may have; None: as many as it likes.
+    `created_max`: how many things of the kind the caller may have; None: any number.
     """
 
     created_by: str = ""

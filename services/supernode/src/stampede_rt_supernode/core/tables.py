@@ -73,7 +73,7 @@ class Tables:
         self.changes.begin(index)
 
     def note_index(self, index: int) -> None:
-        """Note that all changes of log position `index` are noted."""
+        """Mark log position `index` as complete: all its changes are noted."""
         self.index = index
         self.changes.note_index(index)
         self.peers.changes.note_index(index)

@@ -5,8 +5,8 @@ PySyncObj on a thread of its own. Only this package imports that library, and it
 use:
 
 1. Bind a `grpc.aio` server, so that the address of this member is known. Do not start it yet.
-   2. Open the log: it loads its state and registers its service with the server.
-   3. Start the server, and serve the directory from the same port.
+2. Open the log: it loads its state and registers its service with the server.
+3. Start the server, and serve the directory from the same port.
 
 At the end, close the log before the server stops.
 """

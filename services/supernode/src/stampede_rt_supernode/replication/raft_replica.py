@@ -97,7 +97,7 @@ class RaftReplica:
         self.roster = MemberRoster((), {}, frozenset())
         # So that the next opener of the store finds that it was used.
         self._log.sync()
-        # (term, last log index) on stable storage: others hold this member to it.
+        # (term, last log index) on stable storage, which is this member's promise to the others
         self.standing = self._log.end()
         self._publish_roster()
         self._status = self._observe()

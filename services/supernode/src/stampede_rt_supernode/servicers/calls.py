@@ -104,13 +104,12 @@ class DirectoryCalls:
         unchanged: Callable[[Tables, Op], S | None],
         check: Callable[[Op], object],
     ) -> S:
-        """As `submit`, for an open. A first request that changes nothing gets its answer from a confirmed read, without
-        an entry.
+        """Submit an operation that opens a thing, see `submit`.
 
-        A repeated request always gets an entry, because the network may still delay its first attempt. The delayed
-        attempt then finds the answer. So it opens nothing after somebody has deleted the thing. `unchanged`: the answer
-        if the thing exists in the requested form. `check` is called before the entry, and raises for forbidden
-        operations.
+        A first request that changes nothing gets its answer from a confirmed read, without a log entry. A repeated
+        request always gets an entry, because the network may still delay its first attempt. The delayed attempt then
+        finds the answer. So it opens nothing after somebody has deleted the thing. `unchanged`: the answer if the thing
+        exists in the requested form. `check` is called before the entry, and raises for forbidden operations.
         """
         check_id(op_id, "request_id")
         is_repeated = request_age_nanos(context.invocation_metadata()) > 0

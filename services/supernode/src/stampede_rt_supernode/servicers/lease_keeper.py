@@ -241,7 +241,7 @@ class LeaseKeeper:
             self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds, clock
         )
         self_id = self._log.status().self_id
-        # taken before the time in the answer, so that the peer's estimate is rather too short than too long
+        # taken before the time in the answer, so that `held_nanos` is rather too short than too long
         held = self._clock.boottime_nanos() - received
         return PeerRenewal(ttl_nanos, tenure, self._clock.time_unix_nano(), self_id, held)
 
@@ -268,9 +268,10 @@ class LeaseKeeper:
         return table.ttl_nanos, tenure
 
     def check_leads(self, since: int = 0) -> int:
-        """The tenure under which this supernode grants leases. If it is not `since` (0: any), it does not count.
+        """The tenure under which this supernode grants leases.
 
-        Raises NotLeader, or Unavailable with reason NO_QUORUM while this supernode takes over.
+        Raises NotLeader. Raises Unavailable with reason NO_QUORUM while this supernode takes over, or if the tenure is
+        another one than `since` (0: any).
         """
         status = self._log.status()
         if not status.is_leader:

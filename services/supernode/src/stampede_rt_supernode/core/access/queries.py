@@ -47,7 +47,7 @@ def name_of(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | None:
 
 
 def right_to_open(tables: Tables, operation: OpenChannel | OpenQueue | OpenGroup) -> AccessVerb | None:
-    """The right that opening needs: to make a thing, or to change its stated settings. None: neither."""
+    """The right that opening needs: to make a thing, or to change its stated settings. None: it does neither."""
     match operation:
         case OpenChannel():
             channel = tables.channel_named(operation.name)

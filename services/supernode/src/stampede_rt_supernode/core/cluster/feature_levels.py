@@ -16,7 +16,7 @@ from __future__ import annotations
 HIGHEST_LEVEL = 2
 # The level of a cluster that was founded before there were levels.
 FIRST_LEVEL = 1
-# From here on replicas keep who owns peers, and who made channels, queues and groups.
+# From this level on replicas keep the owners of peers, and the creators of channels, queues and groups.
 OWNERS_LEVEL = 2
 
 

@@ -16,7 +16,7 @@ from stampede_rt_supernode.core.cluster.commands import (
 from stampede_rt_supernode.core.state import DirectoryState
 
 FORMER_MAX = 16
-TOKENS_LEVEL = 2  # no replica keeps a key for client tokens below it
+TOKENS_LEVEL = 2  # below this level no replica keeps a key for client tokens
 
 
 def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: int) -> TenureBegun:

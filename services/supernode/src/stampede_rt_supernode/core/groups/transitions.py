@@ -151,7 +151,8 @@ def delete_group(tables: Tables, operation: DeleteGroup) -> GroupDeleted:
 def leave_groups(tables: Tables, channel_id: bytes) -> None:
     """Remove a channel from its groups, before its deletion.
 
-    A group whose reference or last member it is is deleted, too, because its cut could never move again.
+    If the channel is the reference or the last member of a group, the group is deleted, because its cut could never
+    move again.
     """
     for group in tables.groups.with_channel(channel_id):
         staying = tuple(one for one in group.spec.channel_ids if one != channel_id)

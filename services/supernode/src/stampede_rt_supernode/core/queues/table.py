@@ -15,7 +15,7 @@ Note = Callable[[ChangeKind, QueueRecord], None]
 class QueueTable:
     """The queues.
 
-    `note` is called with every change. Edit them through `Tables`, which removes hosts without channels.
+    `note` is called with every change. Edit them through `Tables`, which removes ended hosts that own nothing.
     """
 
     def __init__(self, queues: Iterable[QueueRecord], note: Note) -> None:

@@ -11,7 +11,7 @@ from stampede_rt_supernode.core.records import ReplicaRecord
 class ReplicaTable:
     """At most one copy of a channel at a host, and none at its owner.
 
-    The editor must keep `Channel.proxy_host_ids` equal to it; see `transitions.store`.
+    A caller that changes it must keep `Channel.proxy_host_ids` equal to it; see `transitions.store`.
     """
 
     def __init__(self, replicas: Iterable[ReplicaRecord] = ()) -> None:

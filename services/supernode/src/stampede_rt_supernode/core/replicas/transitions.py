@@ -139,7 +139,7 @@ def _source(tables: Tables, channel: ChannelRecord, operation: AddReplica) -> by
 
 
 def remove_replica(tables: Tables, operation: RemoveReplica) -> ReplicaRemoved:
-    """Remove a copy, if there is one. The owner feeds the copies that it fed."""
+    """Remove a copy, if there is one. The owner then feeds the copies that the removed copy fed."""
     check_remove_replica(operation)
     channel = channel_by_id(tables, operation.channel_id)
     drop_copy(tables, channel, operation.host_id)

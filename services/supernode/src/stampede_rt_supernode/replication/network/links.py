@@ -27,7 +27,8 @@ from stampede_rt_supernode.replication.wire.codec import encode_message
 
 logger = logging.getLogger(__name__)
 
-# The shortest time between two questions to all others, so that no member can keep this one's streams from working.
+# The shortest time between two rounds of new hellos to the others. Without it a member could keep this one's streams
+# from working.
 ASK_OTHERS_SECONDS = 5.0
 OUTDATED_FOLLOWS = "Meanwhile it goes on. It ends"
 REFUSED_FOLLOWS = "Meanwhile it follows the leader, and does not vote. It ends for good"

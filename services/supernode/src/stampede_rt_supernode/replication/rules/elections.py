@@ -28,7 +28,7 @@ from stampede_rt_supernode.replication.wire.messages import (
     VoteRequest,
 )
 
-# Every leader begins with an entry, so no term is more elections than this ahead of the log: at one election a second
+# Every leader begins with an entry. So a term is at most this many elections ahead of the log: at one election a second
 # without a pause they would take twelve days.
 TERMS_AHEAD_MAX = 1 << 20
 # No term may be more than this ahead of the own term, either. Elections go on from the term that a member has reached.
@@ -132,7 +132,7 @@ class RaftRules(Following, Leading):
         self.transport.send(node, VoteReply(term=message.term))
 
     def _on_vote(self, node: MemberNode, message: VoteReply) -> None:
-        """Count a vote, once per node and term. The library counts messages."""
+        """Count a vote, once per node and term. The library counts every message."""
         if message.term != self.term or self.role != CANDIDATE:
             return
         if node not in self.other_voters:

@@ -207,7 +207,9 @@ class Membership(NodeState):
             self.set_learner(None)
 
     def take_snapshot_if_due(self) -> None:
-        """Only as a member, because other nodes may not know the configuration at the beginning of their log."""
+        """Take a due snapshot, but only as a member: others may not know the configuration at the beginning of their
+        log.
+        """
         applied = self.log.configurations.at(self.last_applied)
         if applied.find(self.self_member.member_id) is not None:
             super().take_snapshot_if_due()
@@ -244,7 +246,10 @@ class Membership(NodeState):
         return 0 if node is None else self.match_index.get(node, 0)
 
     def note_promises(self) -> None:
-        """Remember the committed entries that each follower has acknowledged. It must never come back without them."""
+        """Remember the committed entries that each follower has acknowledged.
+
+        A follower must never come back without them.
+        """
         for node, match in self.match_index.items():
             held = min(match, self.commit_index)
             self.log.note_promise(node.id, 0, held)

@@ -20,7 +20,7 @@ from typing import Any
 from stampede_rt_supernode.replication.storage.store import REJOIN, StoreDamaged
 
 FILE_NAME = "replicated_log.stores"
-# of members that the log does not name, beside all that it does
+# the most nodes that the log does not name; members do not count
 OTHERS_MAX = 32
 ID_BYTES = 8
 STORE_ID_BYTES_MAX = 64
