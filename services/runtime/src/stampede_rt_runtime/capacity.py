@@ -68,7 +68,7 @@ SUBSCRIPTIONS = frozenset(
 
 
 def quotas_of(method: str, *, is_stream: bool) -> tuple[Quota, ...]:
-    """The quotas that each call of a method counts towards."""
+    """The quotas towards which each call of a method counts."""
     if method in SUBSCRIPTIONS:
         return Quota.STREAMS, Quota.SUBSCRIPTIONS
     return (Quota.STREAMS,) if is_stream else (Quota.WAITING_CALLS,)

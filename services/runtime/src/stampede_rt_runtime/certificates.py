@@ -65,11 +65,11 @@ class Described:
 
     @property
     def lifetime(self) -> timedelta:
-        """How long it was made for."""
+        """The time for which it was made."""
         return self.not_after - self.not_before - BACKDATED
 
     def ends_soon(self, now: datetime, at_most: timedelta) -> bool:
-        """Whether a third of its lifetime is left, or `at_most`, whichever is less."""
+        """Whether less than a third of its lifetime is left, and less than `at_most`."""
         return self.not_after - now < min(at_most, self.lifetime / 3)
 
 

@@ -157,7 +157,7 @@ def _issue(arguments: argparse.Namespace) -> list[str]:
 
 
 def _authority(folder: Path) -> Issued:
-    """The authority of that folder. Reads files. Raises CertificateError, OSError."""
+    """The authority in a folder. Reads files. Raises CertificateError, OSError."""
     if not (folder / "ca.pem").exists() and not (folder / "ca.key").exists():
         raise CertificateError(
             f"there is no authority in {folder}; make one with `stampede certs init`, or name its folder with --dir"
@@ -166,7 +166,7 @@ def _authority(folder: Path) -> Issued:
 
 
 def _renew(arguments: argparse.Namespace) -> list[str]:
-    """Everything is made before anything is replaced."""
+    """Renew certificates. Makes all new ones before it replaces any."""
     authority, now = _authority(arguments.dir), datetime.now(UTC)
     made = [(file, *_anew(authority, file, now)) for file in arguments.files]
     told = []

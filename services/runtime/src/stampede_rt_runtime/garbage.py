@@ -1,9 +1,9 @@
-"""Python's garbage collector in small portions.
+"""Runs Python's garbage collector in small portions.
 
-Items and records are freed by their last reference. Only objects that refer to each other in a circle need the
-collector. Python starts it when there are many more objects than at its last run. A full channel replaces its items, so
-their number does not grow: the collector would not start until all held items are new, and would then walk over all of
-them at once. So the event loop starts it, too: the more objects came, the sooner (decision 0122).
+The last reference frees an item or record. Only objects in a reference cycle need the collector. Python starts it when
+there are many more objects than at its last run. A full channel replaces its items, so their number does not grow. So
+Python would start the collector only when all held items are new, and would then walk over all of them at once. So the
+event loop starts the collector, too: the faster objects come, the more often (decision 0122).
 """
 
 from __future__ import annotations
@@ -13,33 +13,38 @@ import gc
 import time
 
 _THRESHOLDS = (2_000, 5, 2**30)
-"""Where objects become more, Python starts the collector itself. It never collects all objects by itself."""
+"""With these values Python still starts the collector if the number of objects grows, but never collects
+all objects.
+"""
 INTERVAL_SECONDS_MIN = 0.002
 INTERVAL_SECONDS_MAX = 0.05
 LONG_SECONDS = 0.0005
-"""A collection that takes longer is repeated twice as soon; one that takes a quarter of this, half as soon."""
+"""A collection that takes longer halves the interval to the next one. One that takes less than a quarter doubles it."""
 FULL_INTERVAL_SECONDS = 600.0
 """A collection of all objects takes 0.15 s for a million of them, so it is rare."""
 
 
 class CollectionPace:
-    """Says which generation is collected next, and when. Pure: times are in seconds, `now_s` is monotonic."""
+    """Decides which generation is collected next, and when. Pure: times are in seconds, `now_s` is monotonic."""
 
     def __init__(self, now_s: float) -> None:
         self.interval_s = INTERVAL_SECONDS_MAX
-        self._young_s = 0.0  # what the collections of generation 0 took since that of generation 1
-        self._moved_s = 0.0  # what the collections of generation 1 took since that of all
-        self._full_s = 0.0  # what the last collection of all took
+        self._young_s = 0.0  # the time of the collections of generation 0 since the last one of generation 1
+        self._moved_s = 0.0  # the time of the collections of generation 1 since the last one of all objects
+        self._full_s = 0.0  # the time of the last collection of all objects
         self._full_at_s = now_s
 
     def next_generation(self, now_s: float) -> int:
-        """2 is all. Its turn comes seldom, and only when a quarter of the objects may be new to it."""
+        """The generation to collect next; 2 means all objects.
+
+        All objects are collected seldom, and only if a quarter of them may be new since the last time.
+        """
         if now_s - self._full_at_s >= FULL_INTERVAL_SECONDS and self._moved_s > self._full_s / 4:
             return 2
         return 1 if self._young_s >= LONG_SECONDS else 0
 
     def took(self, generation: int, seconds: float, now_s: float) -> None:
-        """A collection has taken so much CPU time."""
+        """Note the CPU time that a collection has taken."""
         if generation == 2:
             self._full_s, self._full_at_s, self._moved_s, self._young_s = seconds, now_s, 0.0, 0.0
             return
@@ -55,9 +60,9 @@ class CollectionPace:
 
 
 class GarbageCollection:
-    """Collects while the block lasts, on the event loop.
+    """Collects on the event loop for the duration of the block.
 
-    Objects that are there when the block begins are never collected in it.
+    Objects that exist at its beginning are never collected in the block.
     """
 
     def __init__(self) -> None:
@@ -66,7 +71,7 @@ class GarbageCollection:
         self._thresholds = gc.get_threshold()
 
     async def __aenter__(self) -> GarbageCollection:
-        """Begin."""
+        """Take the collector over from Python."""
         gc.freeze()
         self._thresholds = gc.get_threshold()
         gc.set_threshold(*_THRESHOLDS)
@@ -75,14 +80,14 @@ class GarbageCollection:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        """Leave the collector to Python again."""
+        """Give the collector back to Python."""
         if self._timer is not None:
             self._timer.cancel()
         gc.set_threshold(*self._thresholds)
         gc.unfreeze()
 
     def collect(self) -> None:
-        """Collect what is due now."""
+        """Perform the collection that is due now."""
         generation, begun_s = self._pace.next_generation(time.monotonic()), time.thread_time()
         gc.collect(generation)
         self._pace.took(generation, time.thread_time() - begun_s, time.monotonic())

@@ -78,7 +78,7 @@ def roles_for(method: str) -> frozenset[Role]:
 
 
 def is_for_members(method: str) -> bool:
-    """Whether clients never call it: Raft, leases, membership, the links between hosts."""
+    """Whether clients never call the method: Raft, leases, membership, the links between hosts."""
     return bool(roles_for(method)) and Role.CLIENT not in roles_for(method)
 
 

@@ -67,7 +67,7 @@ HAND_OVER_SECONDS = 1.2
 
 async def serve(settings: SupernodeSettings) -> None:
     """Serve until a stop signal. Raises CannotListen or StampedeError if it cannot start."""
-    gc.disable()  # nothing is garbage while the state is loaded
+    gc.disable()  # nothing becomes garbage during the load of the state
     credentials = settings.load_credentials(Role.SUPERNODE)
     replica = DirectoryReplica()
     own_cluster = OwnCluster(replica)

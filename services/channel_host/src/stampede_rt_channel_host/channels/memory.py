@@ -29,7 +29,7 @@ class MemoryBudget:
         steady_nanos: Callable[[], int] = time.monotonic_ns,
         accounts: Accounts | None = None,
     ) -> None:
-        """`accounts`: of the callers that made the channels and queues; None: nobody's bytes are counted."""
+        """`accounts`: those of the callers that created the channels and queues; None: bytes count for no caller."""
         self._accounts = accounts
         self.used_bytes = 0
         self.bytes_max = bytes_max
@@ -53,7 +53,7 @@ class MemoryBudget:
             )
 
     def charge_for(self, created_by: str) -> Charge:
-        """The charge of a channel or queue that this caller has made."""
+        """The charge of a channel or queue that the caller `created_by` has created."""
         return Charge(self, None if self._accounts is None else self._accounts.of(created_by))
 
     def refused(self, name: str, items: int, error: Overloaded) -> None:
@@ -71,24 +71,27 @@ class MemoryBudget:
 
 
 class Charge:
-    """The memory that the budget counts for one channel or queue, and for the caller that made it."""
+    """The memory that the budget counts for one channel or queue, and for the caller that created it."""
 
     __slots__ = ("_account", "_budget", "_bytes", "_held")
 
     def __init__(self, budget: MemoryBudget, account: Account | None = None) -> None:
-        """`account`: of the caller that made it; None: nobody's."""
+        """`account`: that of the creator; None: the bytes count for no caller."""
         self._budget = budget
         self._account = account or unlimited()
         self._held = self._account.hold(Quota.BYTES_HELD)
         self._bytes = 0
 
     def claim(self, wanted_bytes: int) -> None:
-        """Before something is stored, which is charged afterwards. Raises Overloaded if there is no room for it."""
+        """Check that there is room to store `wanted_bytes`. Raises Overloaded if not.
+
+        The owner charges them after it stored them.
+        """
         self._budget.claim(wanted_bytes)
         self._account.check(Quota.BYTES_HELD, wanted_bytes)
 
     def refused(self, name: str, items: int, error: Overloaded) -> None:
-        """Items for the channel or queue were refused, see `MemoryBudget`."""
+        """Count items that were refused for the channel or queue, see `MemoryBudget`."""
         self._budget.refused(name, items, error)
 
     def set(self, footprint_bytes: int) -> None:

@@ -37,7 +37,7 @@ def recorded_channel(message: channel_pb2.ChannelRecord) -> RecordedChannel:
         spec_version=message.spec_version,
         policy=policy_from_spec(message.spec),
         message=message.SerializeToString(),
-        created_by=intern(message.created_by),  # one text for all that a caller has made
+        created_by=intern(message.created_by),  # one string object for all records of a caller
     )
 
 

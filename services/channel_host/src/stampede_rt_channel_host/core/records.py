@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.group import GroupDefinition
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedChannel:
-    """One channel, with its owner and set-up. `created_by`: the name of the caller that made it; empty: not known."""
+    """One channel, with its owner and set-up. `created_by`: the name of the caller that created it; empty: unknown."""
 
     channel_id: bytes
     name: str

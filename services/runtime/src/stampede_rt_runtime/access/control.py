@@ -119,8 +119,8 @@ class AccessControl:
     def check_valid(self, caller: Caller) -> None:
         """Check that the caller's certificate or token was not revoked and has not ended.
 
-        A handshake checks the end of a certificate once, and the connection may last for days. Raises PermissionDenied
-        with reason UNAUTHENTICATED, or Unavailable with reason CERTIFICATE_EXPIRED.
+        A connection may last for days, and its handshake checks the end of the certificate only once. Raises
+        PermissionDenied with reason UNAUTHENTICATED, or Unavailable with reason CERTIFICATE_EXPIRED.
         """
         if caller.serial:
             state = self.refresh()
@@ -139,7 +139,7 @@ class AccessControl:
     async def serving(self, caller: Caller, context: Any, *, for_members: bool = False) -> AsyncIterator[None]:
         """Inside, a call of `caller` runs. The call is ended if the caller's credential or rights end.
 
-        `for_members`: it counts towards no quota.
+        `for_members`: the call counts towards no quota.
         """
         account = self.accounts.of(None if for_members else subject_of(caller, context.peer()))
         call = OpenCall(self, caller, context, account)
@@ -226,7 +226,7 @@ class OpenCall:
                 return
 
     def creation_limit(self, quota: Quota) -> int | None:
-        """How much its caller may have made; None: there is no limit."""
+        """The most things that the caller may have created; None: there is no limit."""
         name = creator_of(self.caller)
         limit = LIMIT_MAX if name is None else self._control.accounts.of(name).limit(quota)
         return None if limit >= LIMIT_MAX else limit
@@ -251,7 +251,7 @@ def current_caller() -> Caller | None:
 
 
 def creation_limit(quota: Quota) -> int | None:
-    """How much the caller of the call that is being served may have made; None: there is no limit."""
+    """The most things that the present call's caller may have created; None: there is no limit."""
     call = _CURRENT.get()
     return None if call is None else call.creation_limit(quota)
 
@@ -330,7 +330,11 @@ def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> Per
 
 
 def _over(caller: Caller) -> StampedeError:
-    """A caller reads renewed certificates from its files, and so should try again. Its token stays the same."""
+    """The error for an ended credential.
+
+    A caller with a certificate should try again, because it reads renewed certificates from its files. A token stays
+    the same.
+    """
     if caller.kind is CallerKind.CERTIFICATE:
         text = f"the certificate of {caller} has expired; renew it (stampede certs renew), and connect again"
         return Unavailable(text, reason="CERTIFICATE_EXPIRED")

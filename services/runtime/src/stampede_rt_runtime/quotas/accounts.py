@@ -41,7 +41,7 @@ class QuotaUse:
 
 
 class Account:
-    """The use of one caller. It lives for as long as something refers to it."""
+    """The use of one caller. It lives as long as there is a reference to it."""
 
     __slots__ = ("__weakref__", "_changes", "_changes_at_s", "_clock_s", "_limits", "_refused", "_used", "subject")
 
@@ -52,7 +52,7 @@ class Account:
         self._limits = limits
         self._used = dict.fromkeys(Quota, 0)
         self._refused = dict.fromkeys(Quota, 0)
-        self._changes = 0.0  # those of the last BURST_SECONDS, less what the limit lets pass meanwhile
+        self._changes = 0.0  # the changes of the last BURST_SECONDS, less those that the limit has allowed meanwhile
         self._changes_at_s = 0.0
 
     def tell(self, limits: Mapping[Quota, int]) -> None:
@@ -99,15 +99,15 @@ class Account:
             yield
 
     def limit(self, quota: Quota) -> int:
-        """The most that it may use."""
+        """The most that the caller may use."""
         return self._limits[quota]
 
     def add(self, quota: Quota, amount: int) -> None:
-        """So much more is used, or less."""
+        """Add `amount`, which may be negative, to the use."""
         self._used[quota] += amount
 
     def change(self) -> None:
-        """It changes the directory once. Raises Overloaded."""
+        """Count one change of the directory. Raises Overloaded."""
         changes = self._changes_now() + 1
         if changes > BURST_SECONDS * self._limits[Quota.CHANGES_PER_SECOND]:
             raise self.exceeded(Quota.CHANGES_PER_SECOND, 1)
@@ -121,7 +121,7 @@ class Account:
         return self._changes
 
     def uses(self) -> Iterator[QuotaUse]:
-        """Of each quota."""
+        """The use of each quota."""
         self._changes_now()
         for quota, used in self._used.items():
             yield QuotaUse(
@@ -169,12 +169,12 @@ _UNLIMITED = Account("", WITHOUT_LIMIT)
 
 
 def unlimited() -> Account:
-    """The account of all whom no quota binds."""
+    """The account of all callers without quotas."""
     return _UNLIMITED
 
 
 class Accounts:
-    """The accounts of one port: those that something refers to, and the last RECENT_MAX others."""
+    """The accounts of one port: those with a reference, and the last RECENT_MAX others."""
 
     def __init__(self, defaults: Mapping[Quota, int] = DEFAULTS, clock_s: Callable[[], float] = lambda: 0.0) -> None:
         self._defaults = dict(defaults)
@@ -198,7 +198,7 @@ class Accounts:
             account.tell(table.limits_of(account.subject, self._defaults))
 
     def of(self, subject: str | None) -> Account:
-        """The account of a caller, as `subjects.subject_of` names it. None: one without limits."""
+        """The account of a caller. `subjects.subject_of` gives its subject. None: the account without limits."""
         if not subject:
             return unlimited()
         account = self._accounts.get(subject)
@@ -212,5 +212,5 @@ class Accounts:
         return account
 
     def uses(self) -> list[QuotaUse]:
-        """What is used or was refused, of all callers."""
+        """The use of all callers that use quotas or were refused."""
         return [use for one in [*self._accounts.values()] for use in one.uses() if use.used or use.refused]

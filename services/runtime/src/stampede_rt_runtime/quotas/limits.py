@@ -37,10 +37,13 @@ DEFAULTS: Mapping[Quota, int] = {
     Quota.CHANNELS: 150_000,  # of the 200,000 of a directory
     Quota.QUEUES: 150_000,
     Quota.CHANGES_PER_SECOND: 1000,
-    Quota.BYTES_HELD: LIMIT_MAX,  # a host sets its own
+    Quota.BYTES_HELD: LIMIT_MAX,  # a host sets its own limit
 }
 OF_MAKERS = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.BYTES_HELD})
-"""They count what a caller has made, wherever it calls from: for those without a name of their own, by their proof."""
+"""They count the things that a caller has created, wherever it calls from.
+
+Callers without a name of their own count together, by the kind of their proof.
+"""
 SHARED_NAMES = frozenset({"@clients", "@cluster", "@anyone"})
 
 

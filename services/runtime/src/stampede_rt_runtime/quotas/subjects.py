@@ -22,7 +22,10 @@ def subject_of(caller: Caller, peer: str) -> str | None:
 
 
 def creator_of(caller: Caller) -> str | None:
-    """The name under which quotas count what a caller has made, which is that in the directory; None: nobody counts."""
+    """The name under which quotas count the things that a caller has created; None: they are not counted.
+
+    It is the creator's name in the directory.
+    """
     return None if caller.kind in _NAMED and not caller.is_judged else caller.name
 
 

@@ -1,4 +1,4 @@
-"""How much each caller has made, and when it may make no more. Pure."""
+"""The number of things that each caller has created, and the limit of it. Pure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from stampede_rt_supernode.core.commands import Creation
 
 
 class Creators:
-    """How many things of one kind each caller has made that are there. Nobody is counted whose name is not known."""
+    """The number of present things of one kind that each caller has created.
+
+    Callers without a known name do not count.
+    """
 
     def __init__(self) -> None:
         self._made: Counter[str] = Counter()
@@ -18,14 +21,14 @@ class Creators:
         return self._made[name]
 
     def note(self, name: str, step: int) -> None:
-        """A thing of that caller is there (1), or is not any more (-1)."""
+        """Count a thing that the caller has created (1), or one that is gone (-1)."""
         if name:
             self._made[name] += step
             if not self._made[name]:
                 del self._made[name]
 
     def check(self, operation: Creation, kind: str) -> None:
-        """Whether the caller may make another one. `kind`: as in "channels". Raises Overloaded."""
+        """Check that the caller may create another thing. `kind`: as in "channels". Raises Overloaded."""
         made, limit = self._made[operation.created_by], operation.created_max
         if limit is None or made < limit:
             return

@@ -108,7 +108,7 @@ class Dispatcher:
         self._views: OrderedDict[int, View] = OrderedDict()  # by their last use
         self.dealt: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
-        self._left = ITEMS_DEALT_MAX  # of what this call of the queue may give out
+        self._left = ITEMS_DEALT_MAX  # the messages that this call of the queue may still give out
 
     def __len__(self) -> int:
         """The number of waiting takers."""
@@ -124,7 +124,7 @@ class Dispatcher:
             self._line[taker] = None
 
     def begin_call(self) -> None:
-        """A call of the queue begins. It may give out `ITEMS_DEALT_MAX` items."""
+        """Begin a call of the queue, which may give out ITEMS_DEALT_MAX messages."""
         self._left = ITEMS_DEALT_MAX
 
     def leave(self, taker: TakerState) -> None:
@@ -146,10 +146,10 @@ class Dispatcher:
             del self._line[taker]
 
     def _serve(self, taker: TakerState, takers: int, now: int) -> bool:
-        """Give a taker its share among `takers` takers. False: the taker gets nothing."""
+        """Give a taker its share among `takers` takers. Returns False if the taker gets nothing."""
         there = self._queue_items.available_items * self._queue_items.limits.copies
         share = min(-(-there // takers), taker.credit, ITEMS_DEALT_MAX)
-        if share > self._left:  # its share stays as large as those of others
+        if share > self._left:  # the taker waits, so that its share stays as large as those of others
             self.has_more = True
             return False
         lease_nanos = taker.lease_nanos or self._queue_items.limits.lease_nanos
