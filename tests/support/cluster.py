@@ -30,12 +30,13 @@ def cluster_fixture(
 
 
 @contextmanager
-def running_cluster(**settings: Any) -> Iterator[LocalCluster]:
-    """A running LocalCluster; while it runs, `$STAMPEDE_SECRET_FILE` names its secret.
+def running_cluster(planned: LocalCluster | None = None, **settings: Any) -> Iterator[LocalCluster]:
+    """A running LocalCluster, `planned` or made with `settings`. While it runs, `$STAMPEDE_SECRET_FILE` names its
+    secret.
 
     What its processes printed last is printed at the end: pytest shows it if a test failed.
     """
-    made = LocalCluster(**settings)
+    made = planned or LocalCluster(**settings)
     with pytest.MonkeyPatch.context() as patch, made:
         patch.setenv("STAMPEDE_SECRET_FILE", str(made.secret_file))
         try:

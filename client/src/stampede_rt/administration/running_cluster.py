@@ -15,7 +15,7 @@ from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.administration.in_force import Judge, parts_behind, ping_frontend, ping_host, ping_supernode
 from stampede_rt.administration.quota_use import PartUse, uses_at
 from stampede_rt.cluster.connecting import parse_target
-from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable, WrongCluster
+from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable, VersionMismatch, WrongCluster
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports.grpc_sync import ServerEndpoint
@@ -137,11 +137,23 @@ class Cluster:
 
     def ask_access(self, rpc: str, request: Any) -> Any:
         """Make a call of AccessService at the first supernode that answers. Raises the error with which it refuses."""
-        return self._first(lambda endpoint: endpoint.call(getattr(_access(endpoint), rpc), request, CALL_SECONDS))
+        return self._ask_newer(_access, rpc, request, "rules of access and client tokens")
 
     def ask_quotas(self, rpc: str, request: Any) -> Any:
-        """Make a call of QuotaService at the first supernode that answers. Raises its refusal."""
-        return self._first(lambda endpoint: endpoint.call(getattr(_quotas(endpoint), rpc), request, CALL_SECONDS))
+        """Make a call of QuotaService at the first supernode that answers. Raises the error with which it refuses."""
+        return self._ask_newer(_quotas, rpc, request, "quotas")
+
+    def _ask_newer(self, stub: Callable[[ServerEndpoint], Any], rpc: str, request: Any, what: str) -> Any:
+        """Make a call that supernodes of earlier releases do not have. Raises VersionMismatch if all are such."""
+        try:
+            return self._first(lambda endpoint: endpoint.call(getattr(stub(endpoint), rpc), request, CALL_SECONDS))
+        except StampedeError as error:
+            if not _is_unknown(error):
+                raise
+            raise VersionMismatch(
+                f"no supernode that answers has {what}: all are of an earlier release; upgrade the supernodes (runbook: "
+                "upgrade)"
+            ) from error
 
     def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
         """Ask the leader to remove a member. Raises the leader's error, or Unavailable if there is no leader."""
@@ -275,6 +287,12 @@ def _same_cluster(endpoints: EndpointPool, members: Sequence[str]) -> list[str]:
 
 def _quotas(endpoint: ServerEndpoint) -> Any:
     return endpoint.stub(quota_service_pb2_grpc.QuotaServiceStub)
+
+
+def _is_unknown(error: StampedeError) -> bool:
+    """Whether the supernode does not have the call."""
+    cause = error.__cause__
+    return isinstance(cause, grpc.Call) and cause.code() is grpc.StatusCode.UNIMPLEMENTED
 
 
 def _access(endpoint: ServerEndpoint) -> Any:

@@ -44,6 +44,7 @@ def run_issue(arguments: argparse.Namespace) -> int:
 
     with reached(arguments.url, None) as cluster:
         made = cluster.issue_client_token(arguments.name, arguments.role or ["client"], valid_nanos=arguments.ttl)
+        print_behind(cluster.parts_behind(made.version))
     until = format_instant(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
     facts = {"name": arguments.name, "serial": made.serial, "valid_until": until}
     if arguments.out is None:

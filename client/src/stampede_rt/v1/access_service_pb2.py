@@ -26,7 +26,7 @@ from stampede_rt.v1 import access_pb2 as stampede__rt_dot_v1_dot_access__pb2
 from stampede_rt.v1 import quota_pb2 as stampede__rt_dot_v1_dot_quota__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#stampede_rt/v1/access_service.proto\x12\x0estampede_rt.v1\x1a\x1bstampede_rt/v1/access.proto\x1a\x1astampede_rt/v1/quota.proto\"u\n\x18\x43reateClientTokenRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\r\n\x05roles\x18\x03 \x03(\t\x12\x18\n\x0bvalid_nanos\x18\x04 \x01(\x03H\x00\x88\x01\x01\x42\x0e\n\x0c_valid_nanos\"Y\n\x19\x43reateClientTokenResponse\x12\r\n\x05token\x18\x01 \x01(\t\x12\x0e\n\x06serial\x18\x02 \x01(\t\x12\x1d\n\x15valid_until_unix_nano\x18\x03 \x01(\x10\")\n\x15GetAccessStateRequest\x12\x10\n\x08stale_ok\x18\x01 \x01(\x08\"\xc3\x01\n\x16GetAccessStateResponse\x12\x0f\n\x07version\x18\x01 \x01(\x04\x12\x12\n\ncluster_id\x18\x02 \x01(\t\x12)\n\x05rules\x18\x03 \x03(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\x12\n\ntoken_keys\x18\x04 \x03(\x0c\x12\x17\n\x0frevoked_serials\x18\x05 \x03(\t\x12,\n\x06quotas\x18\x06 \x03(\x0b\x32\x1c.stampede_rt.v1.QuotaSetting\"e\n\x14\x41\x64\x64\x41\x63\x63\x65ssRuleRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x04rule\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\x0f\n\x07\x64ry_run\x18\x03 \x01(\x08\"u\n\x15\x41\x64\x64\x41\x63\x63\x65ssRuleResponse\x12\r\n\x05\x61\x64\x64\x65\x64\x18\x01 \x01(\x08\x12\r\n\x05rules\x18\x02 \x01(\r\x12-\n\x07\x65\x66\x66\x65\x63ts\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.AccessEffect\x12\x0f\n\x07version\x18\x04 \x01(\x04\"h\n\x17RemoveAccessRuleRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x04rule\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\x0f\n\x07\x64ry_run\x18\x03 \x01(\x08\"z\n\x18RemoveAccessRuleResponse\x12\x0f\n\x07removed\x18\x01 \x01(\x08\x12\r\n\x05rules\x18\x02 \x01(\r\x12-\n\x07\x65\x66\x66\x65\x63ts\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.AccessEffect\x12\x0f\n\x07version\x18\x04 \x01(\x04\"\x81\x01\n\x0c\x41\x63\x63\x65ssEffect\x12(\n\x04verb\x18\x01 \x01(\x0e\x32\x1a.stampede_rt.v1.AccessVerb\x12(\n\x04kind\x18\x02 \x01(\x0e\x32\x1a.stampede_rt.v1.AccessKind\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x0f\n\x07\x61llowed\x18\x04 \x01(\x08\"*\n\x16ListAccessRulesRequest\x12\x10\n\x08stale_ok\x18\x01 \x01(\x08\"U\n\x17ListAccessRulesResponse\x12)\n\x05rules\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\x0f\n\x07version\x18\x02 \x01(\x04\"\x83\x01\n\x12\x43heckAccessRequest\x12\x0b\n\x03who\x18\x01 \x01(\t\x12(\n\x04verb\x18\x02 \x01(\x0e\x32\x1a.stampede_rt.v1.AccessVerb\x12(\n\x04kind\x18\x03 \x01(\x0e\x32\x1a.stampede_rt.v1.AccessKind\x12\x0c\n\x04name\x18\x04 \x01(\t\"_\n\x13\x43heckAccessResponse\x12\x0f\n\x07\x61llowed\x18\x01 \x01(\x08\x12(\n\x04rule\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\r\n\x05rules\x18\x03 \x01(\r\"=\n\x17RevokeCredentialRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0e\n\x06serial\x18\x02 \x01(\t\"<\n\x18RevokeCredentialResponse\x12\x0f\n\x07revoked\x18\x01 \x01(\x08\x12\x0f\n\x07version\x18\x02 \x01(\x04\"\x1f\n\x1dListRevokedCredentialsRequest\"1\n\x1eListRevokedCredentialsResponse\x12\x0f\n\x07serials\x18\x01 \x03(\t2\xbb\x06\n\rAccessService\x12h\n\x11\x43reateClientToken\x12(.stampede_rt.v1.CreateClientTokenRequest\x1a).stampede_rt.v1.CreateClientTokenResponse\x12\\\n\rAddAccessRule\x12$.stampede_rt.v1.AddAccessRuleRequest\x1a%.stampede_rt.v1.AddAccessRuleResponse\x12\x65\n\x10RemoveAccessRule\x12\'.stampede_rt.v1.RemoveAccessRuleRequest\x1a(.stampede_rt.v1.RemoveAccessRuleResponse\x12\x62\n\x0fListAccessRules\x12&.stampede_rt.v1.ListAccessRulesRequest\x1a\'.stampede_rt.v1.ListAccessRulesResponse\x12V\n\x0b\x43heckAccess\x12\".stampede_rt.v1.CheckAccessRequest\x1a#.stampede_rt.v1.CheckAccessResponse\x12\x65\n\x10RevokeCredential\x12\'.stampede_rt.v1.RevokeCredentialRequest\x1a(.stampede_rt.v1.RevokeCredentialResponse\x12w\n\x16ListRevokedCredentials\x12-.stampede_rt.v1.ListRevokedCredentialsRequest\x1a..stampede_rt.v1.ListRevokedCredentialsResponse\x12_\n\x0eGetAccessState\x12%.stampede_rt.v1.GetAccessStateRequest\x1a&.stampede_rt.v1.GetAccessStateResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n#stampede_rt/v1/access_service.proto\x12\x0estampede_rt.v1\x1a\x1bstampede_rt/v1/access.proto\x1a\x1astampede_rt/v1/quota.proto\"u\n\x18\x43reateClientTokenRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0c\n\x04name\x18\x02 \x01(\t\x12\r\n\x05roles\x18\x03 \x03(\t\x12\x18\n\x0bvalid_nanos\x18\x04 \x01(\x03H\x00\x88\x01\x01\x42\x0e\n\x0c_valid_nanos\"j\n\x19\x43reateClientTokenResponse\x12\r\n\x05token\x18\x01 \x01(\t\x12\x0e\n\x06serial\x18\x02 \x01(\t\x12\x1d\n\x15valid_until_unix_nano\x18\x03 \x01(\x10\x12\x0f\n\x07version\x18\x04 \x01(\x04\")\n\x15GetAccessStateRequest\x12\x10\n\x08stale_ok\x18\x01 \x01(\x08\"\xc3\x01\n\x16GetAccessStateResponse\x12\x0f\n\x07version\x18\x01 \x01(\x04\x12\x12\n\ncluster_id\x18\x02 \x01(\t\x12)\n\x05rules\x18\x03 \x03(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\x12\n\ntoken_keys\x18\x04 \x03(\x0c\x12\x17\n\x0frevoked_serials\x18\x05 \x03(\t\x12,\n\x06quotas\x18\x06 \x03(\x0b\x32\x1c.stampede_rt.v1.QuotaSetting\"e\n\x14\x41\x64\x64\x41\x63\x63\x65ssRuleRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x04rule\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\x0f\n\x07\x64ry_run\x18\x03 \x01(\x08\"u\n\x15\x41\x64\x64\x41\x63\x63\x65ssRuleResponse\x12\r\n\x05\x61\x64\x64\x65\x64\x18\x01 \x01(\x08\x12\r\n\x05rules\x18\x02 \x01(\r\x12-\n\x07\x65\x66\x66\x65\x63ts\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.AccessEffect\x12\x0f\n\x07version\x18\x04 \x01(\x04\"h\n\x17RemoveAccessRuleRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12(\n\x04rule\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\x0f\n\x07\x64ry_run\x18\x03 \x01(\x08\"z\n\x18RemoveAccessRuleResponse\x12\x0f\n\x07removed\x18\x01 \x01(\x08\x12\r\n\x05rules\x18\x02 \x01(\r\x12-\n\x07\x65\x66\x66\x65\x63ts\x18\x03 \x03(\x0b\x32\x1c.stampede_rt.v1.AccessEffect\x12\x0f\n\x07version\x18\x04 \x01(\x04\"\x81\x01\n\x0c\x41\x63\x63\x65ssEffect\x12(\n\x04verb\x18\x01 \x01(\x0e\x32\x1a.stampede_rt.v1.AccessVerb\x12(\n\x04kind\x18\x02 \x01(\x0e\x32\x1a.stampede_rt.v1.AccessKind\x12\x0c\n\x04name\x18\x03 \x01(\t\x12\x0f\n\x07\x61llowed\x18\x04 \x01(\x08\"*\n\x16ListAccessRulesRequest\x12\x10\n\x08stale_ok\x18\x01 \x01(\x08\"U\n\x17ListAccessRulesResponse\x12)\n\x05rules\x18\x01 \x03(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\x0f\n\x07version\x18\x02 \x01(\x04\"\x83\x01\n\x12\x43heckAccessRequest\x12\x0b\n\x03who\x18\x01 \x01(\t\x12(\n\x04verb\x18\x02 \x01(\x0e\x32\x1a.stampede_rt.v1.AccessVerb\x12(\n\x04kind\x18\x03 \x01(\x0e\x32\x1a.stampede_rt.v1.AccessKind\x12\x0c\n\x04name\x18\x04 \x01(\t\"_\n\x13\x43heckAccessResponse\x12\x0f\n\x07\x61llowed\x18\x01 \x01(\x08\x12(\n\x04rule\x18\x02 \x01(\x0b\x32\x1a.stampede_rt.v1.AccessRule\x12\r\n\x05rules\x18\x03 \x01(\r\"=\n\x17RevokeCredentialRequest\x12\x12\n\nrequest_id\x18\x01 \x01(\x0c\x12\x0e\n\x06serial\x18\x02 \x01(\t\"<\n\x18RevokeCredentialResponse\x12\x0f\n\x07revoked\x18\x01 \x01(\x08\x12\x0f\n\x07version\x18\x02 \x01(\x04\"\x1f\n\x1dListRevokedCredentialsRequest\"1\n\x1eListRevokedCredentialsResponse\x12\x0f\n\x07serials\x18\x01 \x03(\t2\xbb\x06\n\rAccessService\x12h\n\x11\x43reateClientToken\x12(.stampede_rt.v1.CreateClientTokenRequest\x1a).stampede_rt.v1.CreateClientTokenResponse\x12\\\n\rAddAccessRule\x12$.stampede_rt.v1.AddAccessRuleRequest\x1a%.stampede_rt.v1.AddAccessRuleResponse\x12\x65\n\x10RemoveAccessRule\x12\'.stampede_rt.v1.RemoveAccessRuleRequest\x1a(.stampede_rt.v1.RemoveAccessRuleResponse\x12\x62\n\x0fListAccessRules\x12&.stampede_rt.v1.ListAccessRulesRequest\x1a\'.stampede_rt.v1.ListAccessRulesResponse\x12V\n\x0b\x43heckAccess\x12\".stampede_rt.v1.CheckAccessRequest\x1a#.stampede_rt.v1.CheckAccessResponse\x12\x65\n\x10RevokeCredential\x12\'.stampede_rt.v1.RevokeCredentialRequest\x1a(.stampede_rt.v1.RevokeCredentialResponse\x12w\n\x16ListRevokedCredentials\x12-.stampede_rt.v1.ListRevokedCredentialsRequest\x1a..stampede_rt.v1.ListRevokedCredentialsResponse\x12_\n\x0eGetAccessState\x12%.stampede_rt.v1.GetAccessStateRequest\x1a&.stampede_rt.v1.GetAccessStateResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
@@ -36,37 +36,37 @@ if not _descriptor._USE_C_DESCRIPTORS:
   _globals['_CREATECLIENTTOKENREQUEST']._serialized_start=112
   _globals['_CREATECLIENTTOKENREQUEST']._serialized_end=229
   _globals['_CREATECLIENTTOKENRESPONSE']._serialized_start=231
-  _globals['_CREATECLIENTTOKENRESPONSE']._serialized_end=320
-  _globals['_GETACCESSSTATEREQUEST']._serialized_start=322
-  _globals['_GETACCESSSTATEREQUEST']._serialized_end=363
-  _globals['_GETACCESSSTATERESPONSE']._serialized_start=366
-  _globals['_GETACCESSSTATERESPONSE']._serialized_end=561
-  _globals['_ADDACCESSRULEREQUEST']._serialized_start=563
-  _globals['_ADDACCESSRULEREQUEST']._serialized_end=664
-  _globals['_ADDACCESSRULERESPONSE']._serialized_start=666
-  _globals['_ADDACCESSRULERESPONSE']._serialized_end=783
-  _globals['_REMOVEACCESSRULEREQUEST']._serialized_start=785
-  _globals['_REMOVEACCESSRULEREQUEST']._serialized_end=889
-  _globals['_REMOVEACCESSRULERESPONSE']._serialized_start=891
-  _globals['_REMOVEACCESSRULERESPONSE']._serialized_end=1013
-  _globals['_ACCESSEFFECT']._serialized_start=1016
-  _globals['_ACCESSEFFECT']._serialized_end=1145
-  _globals['_LISTACCESSRULESREQUEST']._serialized_start=1147
-  _globals['_LISTACCESSRULESREQUEST']._serialized_end=1189
-  _globals['_LISTACCESSRULESRESPONSE']._serialized_start=1191
-  _globals['_LISTACCESSRULESRESPONSE']._serialized_end=1276
-  _globals['_CHECKACCESSREQUEST']._serialized_start=1279
-  _globals['_CHECKACCESSREQUEST']._serialized_end=1410
-  _globals['_CHECKACCESSRESPONSE']._serialized_start=1412
-  _globals['_CHECKACCESSRESPONSE']._serialized_end=1507
-  _globals['_REVOKECREDENTIALREQUEST']._serialized_start=1509
-  _globals['_REVOKECREDENTIALREQUEST']._serialized_end=1570
-  _globals['_REVOKECREDENTIALRESPONSE']._serialized_start=1572
-  _globals['_REVOKECREDENTIALRESPONSE']._serialized_end=1632
-  _globals['_LISTREVOKEDCREDENTIALSREQUEST']._serialized_start=1634
-  _globals['_LISTREVOKEDCREDENTIALSREQUEST']._serialized_end=1665
-  _globals['_LISTREVOKEDCREDENTIALSRESPONSE']._serialized_start=1667
-  _globals['_LISTREVOKEDCREDENTIALSRESPONSE']._serialized_end=1716
-  _globals['_ACCESSSERVICE']._serialized_start=1719
-  _globals['_ACCESSSERVICE']._serialized_end=2546
+  _globals['_CREATECLIENTTOKENRESPONSE']._serialized_end=337
+  _globals['_GETACCESSSTATEREQUEST']._serialized_start=339
+  _globals['_GETACCESSSTATEREQUEST']._serialized_end=380
+  _globals['_GETACCESSSTATERESPONSE']._serialized_start=383
+  _globals['_GETACCESSSTATERESPONSE']._serialized_end=578
+  _globals['_ADDACCESSRULEREQUEST']._serialized_start=580
+  _globals['_ADDACCESSRULEREQUEST']._serialized_end=681
+  _globals['_ADDACCESSRULERESPONSE']._serialized_start=683
+  _globals['_ADDACCESSRULERESPONSE']._serialized_end=800
+  _globals['_REMOVEACCESSRULEREQUEST']._serialized_start=802
+  _globals['_REMOVEACCESSRULEREQUEST']._serialized_end=906
+  _globals['_REMOVEACCESSRULERESPONSE']._serialized_start=908
+  _globals['_REMOVEACCESSRULERESPONSE']._serialized_end=1030
+  _globals['_ACCESSEFFECT']._serialized_start=1033
+  _globals['_ACCESSEFFECT']._serialized_end=1162
+  _globals['_LISTACCESSRULESREQUEST']._serialized_start=1164
+  _globals['_LISTACCESSRULESREQUEST']._serialized_end=1206
+  _globals['_LISTACCESSRULESRESPONSE']._serialized_start=1208
+  _globals['_LISTACCESSRULESRESPONSE']._serialized_end=1293
+  _globals['_CHECKACCESSREQUEST']._serialized_start=1296
+  _globals['_CHECKACCESSREQUEST']._serialized_end=1427
+  _globals['_CHECKACCESSRESPONSE']._serialized_start=1429
+  _globals['_CHECKACCESSRESPONSE']._serialized_end=1524
+  _globals['_REVOKECREDENTIALREQUEST']._serialized_start=1526
+  _globals['_REVOKECREDENTIALREQUEST']._serialized_end=1587
+  _globals['_REVOKECREDENTIALRESPONSE']._serialized_start=1589
+  _globals['_REVOKECREDENTIALRESPONSE']._serialized_end=1649
+  _globals['_LISTREVOKEDCREDENTIALSREQUEST']._serialized_start=1651
+  _globals['_LISTREVOKEDCREDENTIALSREQUEST']._serialized_end=1682
+  _globals['_LISTREVOKEDCREDENTIALSRESPONSE']._serialized_start=1684
+  _globals['_LISTREVOKEDCREDENTIALSRESPONSE']._serialized_end=1733
+  _globals['_ACCESSSERVICE']._serialized_start=1736
+  _globals['_ACCESSSERVICE']._serialized_end=2563
 # @@protoc_insertion_point(module_scope)

@@ -21,14 +21,16 @@ class CreateClientTokenRequest(_message.Message):
     def __init__(self, request_id: _Optional[bytes] = ..., name: _Optional[str] = ..., roles: _Optional[_Iterable[str]] = ..., valid_nanos: _Optional[int] = ...) -> None: ...
 
 class CreateClientTokenResponse(_message.Message):
-    __slots__ = ("token", "serial", "valid_until_unix_nano")
+    __slots__ = ("token", "serial", "valid_until_unix_nano", "version")
     TOKEN_FIELD_NUMBER: _ClassVar[int]
     SERIAL_FIELD_NUMBER: _ClassVar[int]
     VALID_UNTIL_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
+    VERSION_FIELD_NUMBER: _ClassVar[int]
     token: str
     serial: str
     valid_until_unix_nano: int
-    def __init__(self, token: _Optional[str] = ..., serial: _Optional[str] = ..., valid_until_unix_nano: _Optional[int] = ...) -> None: ...
+    version: int
+    def __init__(self, token: _Optional[str] = ..., serial: _Optional[str] = ..., valid_until_unix_nano: _Optional[int] = ..., version: _Optional[int] = ...) -> None: ...
 
 class GetAccessStateRequest(_message.Message):
     __slots__ = ("stale_ok",)

@@ -9,7 +9,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.errors import PermissionDenied, StampedeError
+from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import abort
 from stampede_rt_runtime.access.caller import Caller, Certified
 from stampede_rt_runtime.access.control import AccessControl
@@ -87,8 +87,9 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
             self._control.check_valid(caller)
             if refusal := why_refused(method, caller):
                 raise PermissionDenied(refusal)
-        except PermissionDenied:
-            self._control.audit.denied(caller, context.peer(), method.rpartition(".")[2], "")
+        except (PermissionDenied, Unavailable) as error:
+            if isinstance(error, PermissionDenied) or error.reason == "CERTIFICATE_EXPIRED":
+                self._control.audit.denied(caller, context.peer(), method.rpartition(".")[2], "")
             raise
         return caller
 

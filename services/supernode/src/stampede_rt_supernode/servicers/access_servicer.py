@@ -63,11 +63,11 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         check_id(request.request_id, "request_id")
         valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else VALID_NANOS_DEFAULT
         roles = check_claims(request.name, request.roles, valid_nanos)
-        token_key = await self._calls.read(context, lambda directory: directory.access.token_key)
-        if not token_key:
+        access = await self._calls.read(context, lambda directory: directory.access)
+        if not access.token_key:
             operation = commands.CreateTokenKey(new_token_key=secrets.token_bytes(KEY_BYTES))
             await self._calls.submit(context, operation, commands.TokenKeyCreated, request.request_id)
-            token_key = await self._calls.read(context, lambda directory: directory.access.token_key)
+            access = await self._calls.read(context, lambda directory: directory.access)
         claims = TokenClaims(
             cluster_id=await self._calls.read(context, lambda directory: directory.cluster_id, stale_ok=True),
             name=request.name,
@@ -77,7 +77,10 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         )
         audit_change("issue token", f"{claims.name} {' '.join(roles)} serial {claims.serial}")
         return pb.CreateClientTokenResponse(
-            token=make_token(token_key, claims), serial=claims.serial, valid_until_unix_nano=claims.ends_unix_nano
+            token=make_token(access.token_key, claims),
+            serial=claims.serial,
+            valid_until_unix_nano=claims.ends_unix_nano,
+            version=access.version,
         )
 
     @errors_as_status
