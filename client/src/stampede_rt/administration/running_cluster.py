@@ -151,8 +151,7 @@ class Cluster:
             if not _is_unknown(error):
                 raise
             raise VersionMismatch(
-                f"no supernode that answers has {what}: all are of an earlier release; upgrade the supernodes (runbook: "
-                "upgrade)"
+                f"no supernode that answers has {what}: all are of an earlier release; upgrade them (runbook: upgrade)"
             ) from error
 
     def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
