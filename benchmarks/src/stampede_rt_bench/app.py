@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.cli.interrupts import unwinding
-from stampede_rt_bench.comparison import measure_limits
+from stampede_rt_bench.comparison import SYSTEMS, measure_limits, measure_peers
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import get_cost, interval_cost, memory_cost, skew, visibility
 from stampede_rt_bench.tables import Table
-from stampede_rt_bench.works.catalogue import works
+from stampede_rt_bench.works.catalogue import READERS, works
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 ITEMS_MAX = 10_000_000
 RUNS_MAX = 100
+READERS_MAX = 256
 SECONDS_MIN, SECONDS_MAX = 0.1, 600.0
 
 Figure = Callable[[Effort, Path], Table]
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     kinds = parser.add_subparsers(dest="kind", metavar="NAME")
     _add_paper(kinds)
     _add_limits(kinds)
+    _add_peers(kinds)
     text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"
     matching = kinds.add_parser("matching", help=text, description=text)
     matching.add_argument("--seconds", type=_between(15, 3600), default=60, help="of each recording (default: 60)")
@@ -118,9 +120,31 @@ def _add_limits(kinds: Any) -> None:
     limits.set_defaults(run=measure_limits)
 
 
+def _add_peers(kinds: Any) -> None:
+    text = "the same work on Redis streams, NATS, JetStream and Zenoh, each with its real server, beside ours"
+    peers = kinds.add_parser("peers", help=text, description=f"Measure {text}.")
+    peers.add_argument(
+        "--system",
+        action="append",
+        choices=SYSTEMS,
+        metavar="NAME",
+        help=f"this one only; may be repeated; {', '.join(SYSTEMS)}",
+    )
+    peers.add_argument(
+        "--readers",
+        action="append",
+        type=_between(1, READERS_MAX),
+        metavar="N",
+        help=f"so many readers of frames; may be repeated (default: {', '.join(map(str, READERS))})",
+    )
+    _add_effort(peers, Path("out/bench"))
+    peers.set_defaults(run=measure_peers)
+
+
 def _add_effort(parser: argparse.ArgumentParser, folder: Path) -> None:
     names = [work.name for work in works()]
-    kinds = [name.partition("-")[0] for name in names]
+    parts = [name.split("-") for name in names]
+    kinds = ["-".join(part[:count]) for part in parts for count in range(1, len(part))]
     parser.add_argument(
         "--work",
         action="append",

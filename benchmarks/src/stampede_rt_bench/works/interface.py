@@ -17,11 +17,13 @@ Block = bytes | bytearray
 
 @dataclass(frozen=True, kw_only=True)
 class Room:
-    """What the work needs: the bytes of one item, and how many items may wait in any queue."""
+    """What the work needs: the bytes of an item, items that may wait in any queue, readers, items to be read later."""
 
     item_bytes: int
     items_max: int
     batch_items: int
+    readers: int = 1
+    keeps: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,11 +18,12 @@ WINDOW_BYTES, WINDOW_ITEMS_MAX, WINDOW_ITEMS_MIN = 8 << 20, 50_000, 32
 ROOM_FACTOR = 4
 
 
-def room_for(item_bytes: int, items_min: int = 0) -> Room:
+def room_for(item_bytes: int, items_min: int = 0, *, readers: int = 1, keeps: bool = False) -> Room:
     """Room for four times what may be on its way, so that no system must throw anything away."""
     window = window_items(item_bytes)
     batch = max(BATCH_ITEMS_MIN, min(BATCH_ITEMS_MAX, BATCH_BYTES // item_bytes))
-    return Room(item_bytes=item_bytes, items_max=max(items_min, ROOM_FACTOR * window), batch_items=batch)
+    items_max = max(items_min, ROOM_FACTOR * window)
+    return Room(item_bytes=item_bytes, items_max=items_max, batch_items=batch, readers=readers, keeps=keeps)
 
 
 def window_items(item_bytes: int) -> int:

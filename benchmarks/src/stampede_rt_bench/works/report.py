@@ -66,15 +66,15 @@ class Report:
         measured = results.runs[work]
         if self.ours:
             same = self.ours not in measured or system == self.ours
-            cells.append("" if same else f"{results.speed(work, self.ours, system):.2f}")
+            cells.append("" if same else f"{results.speed(work, self.ours, system):.2g}")
         if self.limits:
             cells.append(self._share_of_limit(results, work, system))
         return cells
 
     def _share_of_limit(self, results: Results, work: Work, system: str) -> str:
         """`0.42 of bare gRPC, 0.10 of ...`: of each limit that was measured."""
-        measured = [limit for limit in self.limits if limit in results.runs[work] and limit != system]
-        return ", ".join(f"{results.speed(work, system, limit):.2f} of {limit}" for limit in measured)
+        measured = [] if system in self.limits else [limit for limit in self.limits if limit in results.runs[work]]
+        return ", ".join(f"{results.speed(work, system, limit):.2g} of {limit}" for limit in measured)
 
     def readers(self, results: Results) -> list[tuple[str, Table]]:
         """For each size of frames, how many readers each system serves with under 1 % lost."""

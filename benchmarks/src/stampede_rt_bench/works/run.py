@@ -19,11 +19,11 @@ from stampede_rt_bench.works.processes import cpu_seconds
 from stampede_rt_bench.works.roles import Assignment, Role, WorkerOutcome, operate, play, publish, read
 from stampede_rt_bench.works.run_counters import RunCounters
 
-START_SECONDS, DRAIN_SECONDS, END_SECONDS = 60.0, 1.0, 30.0
+START_SECONDS, DRAIN_SECONDS, END_SECONDS = 30.0, 1.0, 30.0
 WARM_SHARE, WARM_SECONDS_MIN = 0.2, 0.3
 LATE_NANOS = 1_000_000_000
 NANOS_PER_US, US_PER_SECOND = 1000, 1_000_000
-PRELOADED = ["stampede_rt", "grpc", "grpc.aio", "stampede_rt_bench.works.roles"]
+PRELOADED = ["stampede_rt", "grpc", "grpc.aio", "stampede_rt_bench.works.roles", "redis", "nats", "zenoh"]  # if there
 
 
 class RunFailed(Exception):
@@ -52,7 +52,7 @@ def measure(system: System, work: Work, seconds: float) -> Measured:
     """Run the work on the system. Raises RunFailed, ServerFailed."""
     context = get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
-    room = room_for(work.item_bytes, items_min=2 * work.items)
+    room = room_for(work.item_bytes, 2 * work.items, readers=work.readers, keeps=work.is_operation)
     progress = RunCounters(context, work.readers)
     with ExitStack() as stack:
         served = stack.enter_context(system.served(room))
@@ -132,13 +132,15 @@ class _Team:
             time.sleep(0.01)
 
     def finish(self) -> list[WorkerOutcome]:
-        """End the work: first the publisher, then, once all is read or after a second, the readers."""
+        """End the work: first the publisher, then, once all is read or nothing comes for a second, the readers."""
         progress, work = self._assignment.progress, self._assignment.work
         progress.stop_publishing()
         publisher = [] if work.is_operation else [self._accept(self._members[0][1])]
-        until_s = time.monotonic() + DRAIN_SECONDS
-        while progress.received_by_all() < progress.published() * work.readers and time.monotonic() < until_s:
+        received, moved_s = progress.received_by_all(), time.monotonic()
+        while received < progress.published() * work.readers and time.monotonic() - moved_s < DRAIN_SECONDS:
             time.sleep(0.01)
+            if progress.received_by_all() > received:
+                received, moved_s = progress.received_by_all(), time.monotonic()
         progress.end()
         return publisher + [self._accept(results) for _, results in self._members[len(publisher) :]]
 

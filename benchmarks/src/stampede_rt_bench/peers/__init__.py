@@ -1,0 +1,1 @@
+"""Stampede RT and what users would pick instead, each with its real server and its own Python client."""

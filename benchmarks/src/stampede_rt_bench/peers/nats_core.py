@@ -1,0 +1,97 @@
+"""NATS core, through nats-py: publish and subscribe. It keeps no item, and acknowledges none."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+from stampede_rt_bench.peers.nats_server import connect, nats_server, raise_first, why_unavailable
+from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
+
+SUBJECT = "bench.items"
+LOOK_SECONDS = 0.05
+KEEPS_NOTHING = "it keeps no items"
+
+
+@dataclass(frozen=True)
+class NatsCore:
+    """One subject of one server."""
+
+    name: str = "NATS core"
+
+    @property
+    def lacks(self) -> Mapping[str, str]:
+        """Whatever needs a store."""
+        return {"put": "it acknowledges nothing", "newest": KEEPS_NOTHING, "interval": KEEPS_NOTHING}
+
+    def unavailable_because(self) -> str | None:
+        """Server and client are Python packages."""
+        return why_unavailable()
+
+    def served(self, room: Room) -> AbstractContextManager[Served]:
+        """A server without JetStream."""
+        return nats_server()
+
+    def connect(self, served: Served, room: Room) -> NatsClient:
+        """A client, which connects with each work."""
+        return NatsClient(served.address)
+
+
+class NatsClient:
+    """One loop of asyncio for each work."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+
+    def put(self, payloads: Iterator[bytes]) -> None:
+        """Not offered."""
+        raise NotImplementedError
+
+    def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
+        """Not offered."""
+        raise NotImplementedError
+
+    def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
+        """Not offered."""
+        raise NotImplementedError
+
+    def publish(self, steps: Iterator[Step]) -> None:
+        """`publish` buffers up to 2 MiB, and a task of the client writes; the loop has a turn after each step."""
+        asyncio.run(self._publish(steps))
+
+    def subscribe(self, receiver: Receiver) -> None:
+        """A subscription with a callback; the client keeps at most 128 MiB for it."""
+        asyncio.run(self._subscribe(receiver))
+
+    def close(self) -> None:
+        """Each work closes its connection."""
+
+    async def _publish(self, steps: Iterator[Step]) -> None:
+        connection = await connect(self._address)
+        for step in steps:
+            if isinstance(step, float):
+                await asyncio.sleep(step)
+                continue
+            for payload in step:
+                await connection.publish(SUBJECT, payload)
+            await asyncio.sleep(0)
+        await connection.flush()
+        await connection.close()
+
+    async def _subscribe(self, receiver: Receiver) -> None:
+        failures: list[Exception] = []
+
+        async def take(message: Any) -> None:
+            receiver.take(0, 0, message.data)
+
+        connection = await connect(self._address, failures)
+        await connection.subscribe(SUBJECT, cb=take)
+        await connection.flush()
+        receiver.ready()
+        while not receiver.ended() and not failures:  # noqa: ASYNC110 - another process ends it
+            await asyncio.sleep(LOOK_SECONDS)
+        await connection.close()
+        raise_first(failures)

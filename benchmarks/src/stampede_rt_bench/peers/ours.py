@@ -1,0 +1,98 @@
+"""Stampede RT: a host, a supernode and a front-end as processes, and the synchronous client."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import stampede_rt as st
+from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
+from stampede_rt_local.cluster import LocalCluster
+
+NAME = "bench/items"
+LOOK_SECONDS = 0.05
+
+
+@dataclass(frozen=True)
+class StampedeRt:
+    """One channel of a separate host."""
+
+    name: str = "Stampede RT"
+
+    @property
+    def lacks(self) -> Mapping[str, str]:
+        """Nothing."""
+        return {}
+
+    def unavailable_because(self) -> str | None:
+        """It is here."""
+        return None
+
+    @contextmanager
+    def served(self, room: Room) -> Iterator[Served]:
+        """A cluster of one supernode and one host."""
+        with LocalCluster(hosts=1, supernodes=1, durable=False) as cluster:
+            secret = {"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}
+            pids = [process.pid for process in cluster.processes()]
+            yield Served(address=cluster.address, pids=pids, environment=secret)
+
+    def connect(self, served: Served, room: Room) -> StampedeClient:
+        """A connection."""
+        return StampedeClient(served.address, room)
+
+
+class StampedeClient:
+    """Items with time and seq, through the public interface alone."""
+
+    def __init__(self, address: str, room: Room) -> None:
+        self._rt = st.connect(address)
+        self._channel = self._rt.channel(NAME, max_items=room.items_max)
+
+    def put(self, payloads: Iterator[bytes]) -> None:
+        """`put` waits for the acknowledgement."""
+        for payload in payloads:
+            self._channel.put(payload)
+
+    def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
+        """`newest`."""
+        for _ in turns:
+            item = self._channel.newest()
+            if item is not None:
+                receiver.take(item.time, item.seq, item.payload or b"")
+
+    def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
+        """`get` from the oldest item on."""
+        for items in turns:
+            for item in self._channel.get(st.OLDEST, st.NEWEST, limit=items):
+                receiver.take(item.time, item.seq, item.payload or b"")
+
+    def publish(self, steps: Iterator[Step]) -> None:
+        """A producer, which bounds the unacknowledged bytes."""
+        with self._channel.producer() as producer:
+            for step in steps:
+                if isinstance(step, float):
+                    time.sleep(step)
+                    continue
+                for payload in step:
+                    producer.put(payload)
+
+    def subscribe(self, receiver: Receiver) -> None:
+        """A subscription to every item."""
+        subscription = self._channel.subscribe()
+        threading.Thread(target=_close_at_end, args=(subscription, receiver), daemon=True).start()
+        receiver.ready()
+        for item in subscription:
+            receiver.take(item.time, item.seq, item.payload or b"")
+
+    def close(self) -> None:
+        """End the connection."""
+        self._rt.close()
+
+
+def _close_at_end(subscription: st.Subscription, receiver: Receiver) -> None:
+    while not receiver.ended():
+        time.sleep(LOOK_SECONDS)
+    subscription.close()

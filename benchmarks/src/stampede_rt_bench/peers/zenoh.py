@@ -1,0 +1,180 @@
+"""Zenoh, through eclipse-zenoh: through a router, from peer to peer, and from peer to peer in its shared memory.
+
+Publishers block instead of dropping, as Zenoh's throughput examples do.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+from stampede_rt_bench.peers.reachable import is_listening
+from stampede_rt_bench.peers.zenoh_segments import segments_removed
+from stampede_rt_bench.peers.zenoh_sessions import KEY, SHARED_MEMORY_BYTES, open_session
+from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
+from stampede_rt_bench.works.processes import server
+from stampede_rt_local.ports import free_ports
+
+LOOK_SECONDS, MEET_SECONDS, SETTLE_SECONDS = 0.05, 20.0, 0.2
+STORED_SECONDS = 5.0
+NO_SERVER = "there is no server that keeps items"
+
+
+@dataclass(frozen=True)
+class Zenoh:
+    """One key expression."""
+
+    way: Literal["router", "peer", "shared memory"]
+
+    @property
+    def name(self) -> str:
+        """As tables show it."""
+        return {
+            "router": "Zenoh, router",
+            "peer": "Zenoh, peer to peer",
+            "shared memory": "Zenoh, shared memory",
+        }[self.way]
+
+    @property
+    def lacks(self) -> Mapping[str, str]:
+        """No put is acknowledged; peers alone keep nothing."""
+        without = {"put": "it acknowledges no put"}
+        return without if self.way == "router" else {**without, "newest": NO_SERVER, "interval": NO_SERVER}
+
+    def unavailable_because(self) -> str | None:
+        """All of it is a Python package."""
+        return None if find_spec("zenoh") else 'Zenoh is not installed; pip install "stampede-rt-bench[peers]"'
+
+    @contextmanager
+    def served(self, room: Room) -> Iterator[Served]:
+        """A router in a process of its own, or nothing but an address at which the publisher will listen."""
+        (port,) = free_ports(1, "127.0.0.1")
+        address = f"tcp/127.0.0.1:{port}"
+        if self.way != "router":
+            with segments_removed():
+                yield Served(address=address)
+            return
+        with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
+            storage = [str(room.items_max)] if room.keeps else []
+            command = [sys.executable, "-P", "-m", "stampede_rt_bench.peers.zenoh_router", address, *storage]
+            with server(command, Path(folder, "log"), partial(is_listening, port)) as pid:
+                yield Served(address=address, pids=[pid])
+
+    def connect(self, served: Served, room: Room) -> ZenohClient:
+        """A session, opened with each work."""
+        return ZenohClient(self.way, served.address, room)
+
+
+class ZenohClient:
+    """A publisher listens where there is no router, and readers come to it."""
+
+    def __init__(self, way: str, address: str, room: Room) -> None:
+        self._way, self._address, self._room = way, address, room
+
+    def put(self, payloads: Iterator[bytes]) -> None:
+        """Not offered."""
+        raise NotImplementedError
+
+    def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
+        """A get from the storage."""
+        self._get(turns, lambda items: f"{KEY}?newest=1", receiver)
+
+    def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
+        """A get from the storage, whose replies are not merged."""
+        self._get(turns, lambda items: f"{KEY}?items={items}", receiver)
+
+    def publish(self, steps: Iterator[Step]) -> None:
+        """`put` of a declared publisher, once all readers are there."""
+        import zenoh
+
+        with self._open(listens=self._way != "router") as session:
+            publisher = session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.BLOCK)
+            self._meet(session, publisher)
+            send = self._send_shared(publisher) if self._way == "shared memory" else publisher.put
+            for step in steps:
+                if isinstance(step, float):
+                    time.sleep(step)
+                    continue
+                for payload in step:
+                    send(payload)
+            if self._room.keeps:
+                self._wait_until_stored(session)
+
+    def subscribe(self, receiver: Receiver) -> None:
+        """A subscriber with a callback."""
+
+        failures: list[Exception] = []
+
+        def take(sample: Any) -> None:
+            try:
+                receiver.take(_nanos(sample), 0, sample.payload.to_bytes())
+            except Exception as error:  # noqa: BLE001 - Zenoh would only print it
+                failures.append(error)
+
+        with self._open(listens=False) as session:
+            subscriber = session.declare_subscriber(KEY, take)
+            receiver.ready()
+            while not receiver.ended() and not failures:
+                time.sleep(LOOK_SECONDS)
+            subscriber.undeclare()
+        if failures:
+            raise failures[0]
+
+    def close(self) -> None:
+        """Each work closes its session."""
+
+    def _open(self, *, listens: bool) -> Any:
+        mode: Literal["client", "peer"] = "client" if self._way == "router" else "peer"
+        return open_session(mode, self._address, listens=listens, shared_memory=self._way == "shared memory")
+
+    def _get(self, turns: Iterator[int], selector: Callable[[int], str], receiver: Receiver) -> None:
+        import zenoh
+
+        with self._open(listens=False) as session:
+            for items in turns:
+                for reply in session.get(selector(items), consolidation=zenoh.ConsolidationMode.NONE):
+                    receiver.take(_nanos(reply.ok), 0, reply.ok.payload.to_bytes())
+
+    def _meet(self, session: Any, publisher: Any) -> None:
+        """Wait until all readers have come. Raises TimeoutError."""
+        until_s = time.monotonic() + MEET_SECONDS
+        readers = 0 if self._way == "router" else self._room.readers
+        while not publisher.matching_status.matching or len(session.info.peers_zid()) < readers:
+            if time.monotonic() > until_s:
+                raise TimeoutError(f"the readers did not come within {MEET_SECONDS:g} s")
+            time.sleep(0.01)
+        time.sleep(SETTLE_SECONDS)
+
+    def _wait_until_stored(self, session: Any) -> None:
+        """The storage keeps items a moment after they were put. Raises TimeoutError."""
+        until_s = time.monotonic() + STORED_SECONDS
+        while not any(True for _ in session.get(f"{KEY}?newest=1")):
+            if time.monotonic() > until_s:
+                raise TimeoutError(f"no item was stored within {STORED_SECONDS:g} s")
+        time.sleep(SETTLE_SECONDS)
+
+    def _send_shared(self, publisher: Any) -> Callable[[bytes], None]:
+        """Copy each payload into a buffer of the shared memory, and publish that."""
+        from zenoh.shm import BlockOn, Defragment, GarbageCollect, ShmProvider
+
+        provider = ShmProvider.default_backend(SHARED_MEMORY_BYTES)
+        policy = BlockOn(GarbageCollect(Defragment()))
+
+        def send(payload: bytes) -> None:
+            buffer = provider.alloc(len(payload), policy=policy)
+            buffer[:] = payload
+            publisher.put(buffer)
+
+        return send
+
+
+def _nanos(sample: Any) -> int:
+    return int(sample.timestamp.get_time_as_ntp64().as_nanos())
