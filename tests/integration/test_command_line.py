@@ -116,9 +116,9 @@ def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, in
 @pytest.mark.parametrize(
     ("channel", "arguments", "sentence"),
     [
-        ("cli/thinned", ["+0", "+1000"], "COLLECTED: max_items (2) has collected what the channel held before 20"),
-        ("cli/thinned", ["--before", "+0"], "COLLECTED: max_items (2) has collected what the channel held before 20"),
-        ("cli/thinned", ["+2500", "+2600"], "NEVER: the channel is past the interval and nothing was put that matches"),
+        ("cli/thinned", ["+0", "+1000"], "COLLECTED: max_items (2) has collected the items before 20"),
+        ("cli/thinned", ["--before", "+0"], "COLLECTED: max_items (2) has collected the items before 20"),
+        ("cli/thinned", ["+2500", "+2600"], "NEVER: the channel is past the interval, and no matching item was put"),
         ("cli/thinned", ["--bounds", "[)", "+2500", "+2500"], "NEVER: the interval is empty as it was resolved"),
         ("cli/thinned", ["now+1h", "now+2h"], "NOT_YET: the channel is at 20"),
         ("cli/empty", ["--last", "5s"], "NOT_YET: the channel holds nothing; items up to 20"),

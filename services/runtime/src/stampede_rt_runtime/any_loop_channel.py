@@ -43,15 +43,15 @@ class AnyLoopChannel(grpc.aio.Channel):
 
     def get_state(self, try_to_connect: bool = False) -> grpc.ChannelConnectivity:
         """Not offered."""
-        raise NotImplementedError("calls tell how the connection is")
+        raise NotImplementedError("make a call: its status shows the state of the connection")
 
     async def wait_for_state_change(self, last_observed_state: grpc.ChannelConnectivity) -> None:
         """Not offered."""
-        raise NotImplementedError("calls tell how the connection is")
+        raise NotImplementedError("make a call: its status shows the state of the connection")
 
     async def channel_ready(self) -> None:
         """Not offered."""
-        raise NotImplementedError("calls tell how the connection is")
+        raise NotImplementedError("make a call: its status shows the state of the connection")
 
     def unary_unary(self, *args: Any, **kwargs: Any) -> Any:
         """A callable for one request and one response."""

@@ -3,7 +3,7 @@
 The last reference frees an item or record. Only objects in a reference cycle need the collector. Python starts it when
 there are many more objects than at its last run. A full channel replaces its items, so their number does not grow. So
 Python would start the collector only when all held items are new, and would then walk over all of them at once. So the
-event loop starts the collector, too: the faster objects come, the more often (decision 0122).
+event loop starts the collector, too, and does so more often when more objects are created (decision 0122).
 """
 
 from __future__ import annotations

@@ -234,8 +234,8 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
         if status.has_lost_store:
             here = "another data folder" if keeps else "a data folder, and was started without --data-dir now"
             raise StampedeError(
-                f"supernode {status.self_id} was here before with {here}; that folder holds what it promised: start it "
-                f"with --data-dir and that one, or, if it is lost, {anew}"
+                f"supernode {status.self_id} was here before with {here}; that folder holds its votes and "
+                f"entries: start it with --data-dir and that folder, or, if the folder is lost, {anew}"
             )
         if status.too_old:
             raise StampedeError(f"supernode {status.too_old}; {NEWER_RELEASE}")

@@ -47,8 +47,8 @@ def test_a_caller_makes_as_many_channels_as_its_quota_and_what_it_deletes_makes_
         log.apply(by("cam", open_channel(f"c{number}")))
     error = refusal(log.apply(by("cam", open_channel("c12"))))
     assert error.message == (
-        "cam has made 2 channels that are there; its quota channels is 2; delete some, or have an operator raise it "
-        "(stampede quota set cam channels=LIMIT)"
+        "cam has created 2 channels that still exist; its quota channels is 2; delete some, or have an operator raise "
+        "it (stampede quota set cam channels=LIMIT)"
     )
     assert error.metadata == {"quota": "channels", "subject": "cam", "used": "2", "limit": "2"}
     log.apply(delete(log.directory.tables.channel_ids["c10"]))

@@ -179,7 +179,7 @@ class ChannelPuts:
         if self._ending is not None:  # the run may be a repetition of one that still waits
             return refused(run.first_number, run.items, self._ending, now, self._channel.incarnation)
         if self._recognise(run, now) or (not self._line and self._claim_and_offer(run, now)):
-            assert run.ack is not None, "what does not wait is finished"
+            assert run.ack is not None, "a run that does not wait has an ack"
             return run.ack
         if run.wait_nanos is not None and run.wait_nanos <= 0:
             return self._refuse_rest(run, now)
@@ -239,7 +239,7 @@ class ChannelPuts:
         self._leave_line(run)
         self._fail(run, error, now)
         self.changed(now)
-        assert run.ack is not None, "what failed is finished"
+        assert run.ack is not None, "a failed run has an ack"
         return run.ack
 
     def withdraw(self, run: IncomingRun) -> None:

@@ -70,7 +70,7 @@ class OpenStreams:
         except StampedeError as error:
             await _end(context, error)
         except InternalError as error:
-            logger.debug("the caller went while it was written to", extra={"why": str(error)})
+            logger.debug("the caller left during a write", extra={"why": str(error)})
             raise asyncio.CancelledError from error  # there is no caller left for a status
         except asyncio.CancelledError:
             if stream.error is None:
@@ -99,5 +99,5 @@ async def _end(context: Context, error: StampedeError) -> None:
     try:
         await abort(context, error)
     except InternalError as failure:
-        logger.debug("the caller went before it was told", extra={"why": str(failure)})
+        logger.debug("the caller left before the status was sent", extra={"why": str(failure)})
         raise asyncio.CancelledError from failure

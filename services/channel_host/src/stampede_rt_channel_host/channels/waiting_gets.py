@@ -266,7 +266,7 @@ class WaitingGets:
         if self._releases:
             release = self._releases[0]
             found = release.take(self._by_need, GETS_PER_PIECE)
-            assert release.then is not None, "it is kept with the state of its moment"
+            assert release.then is not None, "each release was stored with its state"
             self._look_at(found, release.then, now)
             if not found and self._releases and self._releases[0] is release:
                 self._releases.popleft().close()

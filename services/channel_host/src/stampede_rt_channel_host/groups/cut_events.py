@@ -103,7 +103,7 @@ class CutEvents:
             )
         if not await group.reach(floor, SETTLE_SECONDS_MAX):
             raise Unavailable(
-                f"group {group.record.name} is not as far as the reader was, {group.held_by()}; try again"
+                f"group {group.record.name} has not reached the reader's position yet, {group.held_by()}; try again"
             )
         self._cut = floor if resumes else group.cut.cut
         self._incarnation = group.record.incarnation

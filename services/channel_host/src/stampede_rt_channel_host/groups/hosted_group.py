@@ -117,9 +117,9 @@ class HostedGroup:
         """The members or hosts that hold the cut back, as a phrase for error texts."""
         if not self.cut.is_confirmed:
             hosts = ", ".join(sorted(self.host_names.get(one, one.hex()) for one in self.unheard)) or "the directory"
-            return f"until {hosts} has told how far it was"
+            return f"until {hosts} has reported its position"
         names = [self.name_of(one) for one in self.cut.waiting_on(self._now())]
-        return f"held back by {', '.join(names)}" if names else "where its members have not come again yet"
+        return f"held back by {', '.join(names)}" if names else "because its members have not registered again yet"
 
     def waiting_on(self) -> list[bytes]:
         """The members that hold the cut back. While hosts have not told their cuts, the members at those hosts."""

@@ -190,7 +190,7 @@ def _check_life(group: HostedGroup, incarnation: int) -> None:
     if incarnation not in (0, group.record.incarnation):
         raise IncarnationLost(
             f"the position comes from another incarnation of group {group.record.name}, which began anew after all "
-            "hosts of its members were lost with what they held; match from now on"
+            "hosts of its members were lost with their items; match from now on"
         )
 
 

@@ -111,7 +111,7 @@ def answer(run: Enqueue, now: int, incarnation: int) -> pb.PutAck:
     """The ack of a run that is done."""
     if run.error is not None:
         return refused(run.first_number, len(run.lengths), run.error, now, incarnation)
-    assert run.outcome is not None, "a run that is through has an outcome"
+    assert run.outcome is not None, "a run that is done has an outcome or an error"
     ack = ack_of(run.first_number, run.outcome, incarnation)
     ack.duplicate = run.is_duplicate
     return ack

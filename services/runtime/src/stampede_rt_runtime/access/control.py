@@ -106,7 +106,7 @@ class AccessControl:
             return None
         state = self._known()
         if not state.token_keys:
-            raise Unavailable("the service has not heard yet what client tokens are signed with; try again in a moment")
+            raise Unavailable("the service has not received the keys of client tokens yet; try again in a moment")
         claims = self._tokens.get(text)
         if claims is None:
             claims = read_token(text, keys=state.token_keys, cluster_id=state.cluster_id)
@@ -132,7 +132,9 @@ class AccessControl:
     def _known(self) -> AccessState:
         state = self.refresh()
         if state is None:
-            raise Unavailable("the service has not heard from the directory yet who may do what; try again in a moment")
+            raise Unavailable(
+                "the service has not received the rules of access from the directory yet; try again in a moment"
+            )
         return state
 
     @contextlib.asynccontextmanager

@@ -34,7 +34,7 @@ class Creators:
             return
         name = operation.created_by
         raise Overloaded(
-            f"{name} has made {made} {kind} that are there; its quota {kind} is {limit}; delete some, or have an "
+            f"{name} has created {made} {kind} that still exist; its quota {kind} is {limit}; delete some, or have an "
             f"operator raise it (stampede quota set {name} {kind}=LIMIT)",
             metadata={"quota": kind, "subject": name, "used": str(made), "limit": str(limit)},
         )

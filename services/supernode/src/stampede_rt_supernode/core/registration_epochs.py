@@ -21,7 +21,9 @@ EPOCH_MAX = 2**63 - 1
 def check_registration_epoch(operation: RegisterHost | RegisterPeer) -> None:
     """Check the operation without the tables. Raises InvalidArgument."""
     if not 0 <= operation.registration_epoch <= EPOCH_MAX:
-        text = f"registration_epoch is {operation.registration_epoch}; take the next one after that which was reached"
+        text = (
+            f"registration_epoch is {operation.registration_epoch}; take the epoch after the last one that was reached"
+        )
         raise InvalidArgument(text, metadata={"field": "registration_epoch"})
 
 

@@ -50,8 +50,8 @@ def check_age(context: Context) -> None:
     if age_nanos >= REPEAT_NANOS_MAX:
         raise InvalidArgument(
             f"the request was first sent {age_nanos / 1e9:.0f} s ago; answers are remembered for "
-            f"{REPEAT_NANOS_MAX / 1e9:.0f} s, so that it might be done twice; look what became of it, and send what is "
-            "still wanted under a new request id"
+            f"{REPEAT_NANOS_MAX / 1e9:.0f} s, so the request might be done twice; look at its result, and send it "
+            "again under a new request id if it is still wanted"
         )
 
 

@@ -128,7 +128,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         try:
             await self._log.confirm_read(timeout=min(seconds, QUORUM_SECONDS))
         except replication.LogUnavailable as error:
-            text = f"{error}; what this supernode holds by itself can be had with stale_ok (--stale-ok)"
+            text = f"{error}; stale_ok (--stale-ok) returns the state that this supernode holds"
             raise Unavailable(text, reason="NO_QUORUM") from error
 
     @errors_as_status

@@ -179,7 +179,7 @@ class Reading:
             return self._gone(region)
         consumed = self.consumed_up_to is not None and self.consumed_up_to >= region.start
         but = ", or all consumers have consumed it" if consumed else ""
-        return Reason("NEVER", f"the channel is past the interval and nothing was put that matches{but}")
+        return Reason("NEVER", f"the channel is past the interval, and no matching item was put{but}")
 
     def _gone(self, region: ResolvedInterval) -> Reason:
         """The reason for a region that begins before collected items, or before those of a lost incarnation."""
@@ -198,7 +198,7 @@ class Reading:
         held = self._held
         policy = self._retention.limits.describe(held.collected_by)
         before = format_instant(held.gone_before or 0)
-        return Reason("COLLECTED", f"{policy} has collected what the channel held before {before}")
+        return Reason("COLLECTED", f"{policy} has collected the items before {before}")
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
         """The reason while no item matches yet. If the region reaches back into a loss, the reason is the loss."""

@@ -179,7 +179,7 @@ class Retention:
         time.
         """
         oldest = self._held.oldest
-        assert oldest is not None, "nothing ages where nothing is held"
+        assert oldest is not None, "the caller has checked that the channel holds items"
         return oldest if start is None else max(start, oldest)
 
     def _asked_as_far_as(self, time: int, first: int) -> int:

@@ -134,7 +134,7 @@ class VisibleNewest:
             time, end_seq = saved.low or FIRST_KEY
             self._last = time, end_seq - 1
         elif after is not None:
-            assert after.seq is not None, "else VisibleAll had refused it"
+            assert after.seq is not None, "VisibleAll refuses a position without a seq"
             self._last = after.time, after.seq
         elif start is None:
             newest = self._newest(horizon, now)

@@ -197,7 +197,9 @@ def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet
         )
         raise InvalidArgument(f"{text}; add a warm replica", metadata={"channel": channel.name})
     if operation.in_sync and not tables.hosts[channel.host_id].alive:
-        raise _no_copy(channel, channel.host_id, "owns it without a lease, and can say nothing of it; register again")
+        raise _no_copy(
+            channel, channel.host_id, "owns it without a lease, so its report does not count; register again"
+        )
     changed = replace(replica, in_sync=operation.in_sync, epoch=channel.epoch)
     held = tables.replicas.of(channel.channel_id)
     store(tables, channel, tuple(changed if one is replica else one for one in held))

@@ -21,7 +21,7 @@ ANOTHER_STORE = "has come with another store before"
 # The words that refuse a member whose store lacks promises that it has made.
 OLDER_STORE = "comes with an older copy of its store"
 # The words that refuse a member without a store, while the others have stores.
-NO_STORE = "keeps nothing, and the others do"
+NO_STORE = "has no store, but the others have stores"
 # The words that refuse a member of another cluster.
 OTHER_CLUSTER = "is of another cluster"
 # The words that refuse an unknown caller. A newcomer is unknown for a moment.

@@ -205,7 +205,7 @@ class PeerLink:
                 self._probe_due = False
                 await call.write(pb.RaftServiceExchangeRequest())
             if self._greet_anew:
-                raise LinkBroken("it is greeted anew, since another member refuses this one")
+                raise LinkBroken("this member sends a new hello, because another member refuses it")
             if self._overflow:
                 raise LinkBroken("the queue is full: the peer does not keep up")
 
