@@ -27,7 +27,7 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class ChannelServiceStub:
-    """The data of channels, served by the host that owns them (paper, sections 3.2 and 4.1). Found by
+    """The data of channels. The host that owns a channel serves it (paper, sections 3.2 and 4.1). To find the host, call
     DirectoryService.ResolveChannel, then GatekeeperService.BindChannel.
     """
 
@@ -36,74 +36,74 @@ class ChannelServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> ChannelServiceAsyncStub: ...
     Put: _grpc.StreamStreamMultiCallable[_channel_service_pb2.PutRequest, _channel_service_pb2.PutResponse]
-    """Put items. Each PutRun is answered by one PutAck, in order. Many may be in flight. Retrying a run with the same
-    producer id and number is safe: the host recognises it and answers as before.
-    Errors that concern a single run or item come inside the acks; the stream goes on.
+    """Put items. The host answers each PutRun with one PutAck, in order. Many runs may be in flight. A caller may safely
+    send a run again with the same producer id and number: the host recognises it and answers as before. An error of a
+    single run or item comes inside the ack, and the stream goes on.
     """
     Get: _grpc.StreamStreamMultiCallable[_channel_service_pb2.GetRequest, _channel_service_pb2.GetResponse]
-    """Read by interval. Each request is answered by responses that carry its call id, the last of them with a summary or
-    an error. Requests on one stream are independent: a waiting one holds up no other. Reads change nothing.
-    To read once: send one request, close the sending side, read to the end.
+    """Read by interval. The host answers each request with responses that carry its call id. The last of them has a
+    summary or an error. Requests on one stream are independent: a waiting request does not block others. Reads change
+    nothing. To read once: send one request, close the sending side, read to the end.
     """
     Subscribe: _grpc.StreamStreamMultiCallable[_channel_service_pb2.SubscribeRequest, _channel_service_pb2.SubscribeResponse]
-    """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
-    missed without a `gap`. A slow reader delays no other. If retention collects items before the host sends them, the
-    host reports them as a gap.
-    A caller that closes its sending side gets what its credit still allows; then the stream ends.
+    """Get items as the host accepts them. The host sends them while it has credit. The first response has `opened`; after
+    it the host sends every accepted item or reports it in a `gap`. A slow reader delays no other. If retention
+    collects items before the host sends them, the host reports them as a gap. If the caller closes its sending side,
+    the host sends items until the credit is used up. Then the stream ends.
     """
     Advance: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]
-    """Promise that nothing earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
+    """Promise that no item earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
     Consume: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.ConsumeRequest, _channel_service_pb2.ConsumeResponse]
-    """Use items up, on channels with `consumers` or `max_age_unconsumed`. Idempotent.
-    The first call takes one of the channel's places for its consumer, and every call renews the lease on it: a consumer
-    that has nothing to consume for a while sends no seqs, three times in a lease, say. A place never taken holds back
-    all items; one whose lease has ended holds back none until it is taken again. A new consumer gets the place that
-    ended the longest ago, and starts at the newest item; if there is none, one never taken, and starts at the oldest.
-    Errors: INVALID_ARGUMENT (also for a channel that counts no consumption), CHANNEL_FULL (all places are taken),
-    INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
+    """Consume items of channels with `consumers` or `max_age_unconsumed`. Idempotent. The first call takes one of the
+    channel's places for its consumer, and every call renews the lease of the place. A consumer that has nothing to
+    consume should still call, without seqs, about three times in a lease. A place that was never taken holds back all
+    items. A place whose lease has ended holds back no item until a consumer takes it again. A new consumer gets the
+    place whose lease ended the longest ago, and starts at the newest item. If there is none, it gets a place that was
+    never taken, and starts at the oldest item. Errors: INVALID_ARGUMENT (also for a channel without consumer places),
+    CHANNEL_FULL (all places are taken), INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
     """
     GetChannelStatus: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.GetChannelStatusRequest, _channel_service_pb2.GetChannelStatusResponse]
-    """Counters and bounds, taken atomically."""
+    """Get counters and bounds of one moment."""
 
 @_typing.type_check_only
 class ChannelServiceAsyncStub(ChannelServiceStub):
-    """The data of channels, served by the host that owns them (paper, sections 3.2 and 4.1). Found by
+    """The data of channels. The host that owns a channel serves it (paper, sections 3.2 and 4.1). To find the host, call
     DirectoryService.ResolveChannel, then GatekeeperService.BindChannel.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Put: _aio.StreamStreamMultiCallable[_channel_service_pb2.PutRequest, _channel_service_pb2.PutResponse]  # type: ignore[assignment]
-    """Put items. Each PutRun is answered by one PutAck, in order. Many may be in flight. Retrying a run with the same
-    producer id and number is safe: the host recognises it and answers as before.
-    Errors that concern a single run or item come inside the acks; the stream goes on.
+    """Put items. The host answers each PutRun with one PutAck, in order. Many runs may be in flight. A caller may safely
+    send a run again with the same producer id and number: the host recognises it and answers as before. An error of a
+    single run or item comes inside the ack, and the stream goes on.
     """
     Get: _aio.StreamStreamMultiCallable[_channel_service_pb2.GetRequest, _channel_service_pb2.GetResponse]  # type: ignore[assignment]
-    """Read by interval. Each request is answered by responses that carry its call id, the last of them with a summary or
-    an error. Requests on one stream are independent: a waiting one holds up no other. Reads change nothing.
-    To read once: send one request, close the sending side, read to the end.
+    """Read by interval. The host answers each request with responses that carry its call id. The last of them has a
+    summary or an error. Requests on one stream are independent: a waiting request does not block others. Reads change
+    nothing. To read once: send one request, close the sending side, read to the end.
     """
     Subscribe: _aio.StreamStreamMultiCallable[_channel_service_pb2.SubscribeRequest, _channel_service_pb2.SubscribeResponse]  # type: ignore[assignment]
-    """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
-    missed without a `gap`. A slow reader delays no other. If retention collects items before the host sends them, the
-    host reports them as a gap.
-    A caller that closes its sending side gets what its credit still allows; then the stream ends.
+    """Get items as the host accepts them. The host sends them while it has credit. The first response has `opened`; after
+    it the host sends every accepted item or reports it in a `gap`. A slow reader delays no other. If retention
+    collects items before the host sends them, the host reports them as a gap. If the caller closes its sending side,
+    the host sends items until the credit is used up. Then the stream ends.
     """
     Advance: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.AdvanceRequest, _channel_service_pb2.AdvanceResponse]  # type: ignore[assignment]
-    """Promise that nothing earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
+    """Promise that no item earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
     Consume: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.ConsumeRequest, _channel_service_pb2.ConsumeResponse]  # type: ignore[assignment]
-    """Use items up, on channels with `consumers` or `max_age_unconsumed`. Idempotent.
-    The first call takes one of the channel's places for its consumer, and every call renews the lease on it: a consumer
-    that has nothing to consume for a while sends no seqs, three times in a lease, say. A place never taken holds back
-    all items; one whose lease has ended holds back none until it is taken again. A new consumer gets the place that
-    ended the longest ago, and starts at the newest item; if there is none, one never taken, and starts at the oldest.
-    Errors: INVALID_ARGUMENT (also for a channel that counts no consumption), CHANNEL_FULL (all places are taken),
-    INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
+    """Consume items of channels with `consumers` or `max_age_unconsumed`. Idempotent. The first call takes one of the
+    channel's places for its consumer, and every call renews the lease of the place. A consumer that has nothing to
+    consume should still call, without seqs, about three times in a lease. A place that was never taken holds back all
+    items. A place whose lease has ended holds back no item until a consumer takes it again. A new consumer gets the
+    place whose lease ended the longest ago, and starts at the newest item. If there is none, it gets a place that was
+    never taken, and starts at the oldest item. Errors: INVALID_ARGUMENT (also for a channel without consumer places),
+    CHANNEL_FULL (all places are taken), INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
     """
     GetChannelStatus: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.GetChannelStatusRequest, _channel_service_pb2.GetChannelStatusResponse]  # type: ignore[assignment]
-    """Counters and bounds, taken atomically."""
+    """Get counters and bounds of one moment."""
 
 class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The data of channels, served by the host that owns them (paper, sections 3.2 and 4.1). Found by
+    """The data of channels. The host that owns a channel serves it (paper, sections 3.2 and 4.1). To find the host, call
     DirectoryService.ResolveChannel, then GatekeeperService.BindChannel.
     """
 
@@ -113,9 +113,9 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_channel_service_pb2.PutRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_channel_service_pb2.PutResponse], _abc.AsyncIterator[_channel_service_pb2.PutResponse]]:
-        """Put items. Each PutRun is answered by one PutAck, in order. Many may be in flight. Retrying a run with the same
-        producer id and number is safe: the host recognises it and answers as before.
-        Errors that concern a single run or item come inside the acks; the stream goes on.
+        """Put items. The host answers each PutRun with one PutAck, in order. Many runs may be in flight. A caller may safely
+        send a run again with the same producer id and number: the host recognises it and answers as before. An error of a
+        single run or item comes inside the ack, and the stream goes on.
         """
 
     @_abc_1.abstractmethod
@@ -124,9 +124,9 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_channel_service_pb2.GetRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_channel_service_pb2.GetResponse], _abc.AsyncIterator[_channel_service_pb2.GetResponse]]:
-        """Read by interval. Each request is answered by responses that carry its call id, the last of them with a summary or
-        an error. Requests on one stream are independent: a waiting one holds up no other. Reads change nothing.
-        To read once: send one request, close the sending side, read to the end.
+        """Read by interval. The host answers each request with responses that carry its call id. The last of them has a
+        summary or an error. Requests on one stream are independent: a waiting request does not block others. Reads change
+        nothing. To read once: send one request, close the sending side, read to the end.
         """
 
     @_abc_1.abstractmethod
@@ -135,10 +135,10 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_channel_service_pb2.SubscribeRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_channel_service_pb2.SubscribeResponse], _abc.AsyncIterator[_channel_service_pb2.SubscribeResponse]]:
-        """Be sent items as they are accepted, as credit allows. The first response has `opened`; after it no accepted item is
-        missed without a `gap`. A slow reader delays no other. If retention collects items before the host sends them, the
-        host reports them as a gap.
-        A caller that closes its sending side gets what its credit still allows; then the stream ends.
+        """Get items as the host accepts them. The host sends them while it has credit. The first response has `opened`; after
+        it the host sends every accepted item or reports it in a `gap`. A slow reader delays no other. If retention
+        collects items before the host sends them, the host reports them as a gap. If the caller closes its sending side,
+        the host sends items until the credit is used up. Then the stream ends.
         """
 
     @_abc_1.abstractmethod
@@ -147,7 +147,7 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _channel_service_pb2.AdvanceRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_channel_service_pb2.AdvanceResponse, _abc.Awaitable[_channel_service_pb2.AdvanceResponse]]:
-        """Promise that nothing earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
+        """Promise that no item earlier than an instant will come. Idempotent; a lower promise than before changes nothing."""
 
     @_abc_1.abstractmethod
     def Consume(
@@ -155,13 +155,13 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _channel_service_pb2.ConsumeRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_channel_service_pb2.ConsumeResponse, _abc.Awaitable[_channel_service_pb2.ConsumeResponse]]:
-        """Use items up, on channels with `consumers` or `max_age_unconsumed`. Idempotent.
-        The first call takes one of the channel's places for its consumer, and every call renews the lease on it: a consumer
-        that has nothing to consume for a while sends no seqs, three times in a lease, say. A place never taken holds back
-        all items; one whose lease has ended holds back none until it is taken again. A new consumer gets the place that
-        ended the longest ago, and starts at the newest item; if there is none, one never taken, and starts at the oldest.
-        Errors: INVALID_ARGUMENT (also for a channel that counts no consumption), CHANNEL_FULL (all places are taken),
-        INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
+        """Consume items of channels with `consumers` or `max_age_unconsumed`. Idempotent. The first call takes one of the
+        channel's places for its consumer, and every call renews the lease of the place. A consumer that has nothing to
+        consume should still call, without seqs, about three times in a lease. A place that was never taken holds back all
+        items. A place whose lease has ended holds back no item until a consumer takes it again. A new consumer gets the
+        place whose lease ended the longest ago, and starts at the newest item. If there is none, it gets a place that was
+        never taken, and starts at the oldest item. Errors: INVALID_ARGUMENT (also for a channel without consumer places),
+        CHANNEL_FULL (all places are taken), INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
         """
 
     @_abc_1.abstractmethod
@@ -170,6 +170,6 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _channel_service_pb2.GetChannelStatusRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_channel_service_pb2.GetChannelStatusResponse, _abc.Awaitable[_channel_service_pb2.GetChannelStatusResponse]]:
-        """Counters and bounds, taken atomically."""
+        """Get counters and bounds of one moment."""
 
 def add_ChannelServiceServicer_to_server(servicer: ChannelServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -26,11 +26,11 @@ if _version_not_supported:
 
 
 class GroupDirectoryServiceStub(object):
-    """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
-    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
-    10000 groups, or a channel is in 1000 of them.
+    """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
+    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
+    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     def __init__(self, channel):
@@ -67,15 +67,15 @@ class GroupDirectoryServiceStub(object):
 
 
 class GroupDirectoryServiceServicer(object):
-    """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
-    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
-    10000 groups, or a channel is in 1000 of them.
+    """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
+    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
+    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     def OpenGroup(self, request, context):
-        """Get or create a group by name. Atomic: of two creators one wins; the other gets the same group if its spec is the
+        """Get or create a group by name. Atomic: of two creators one wins. The other gets the same group if its spec is the
         same, else GROUP_EXISTS. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, CHANNEL_NOT_FOUND (a
         member), GROUP_NOT_FOUND (create = false), GROUP_EXISTS.
         """
@@ -91,17 +91,17 @@ class GroupDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def UpdateGroup(self, request, context):
-        """Add and remove members. The cut stays. The items of a new member below the cut are readable at once. Idempotent by
-        request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
-        go; more than 64 members).
+        """Add and remove members. The cut does not move. The items of a new member before the cut are readable at once.
+        Idempotent by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (it removes the reference or
+        the last member; more than 64 members).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def DeleteGroup(self, request, context):
-        """Forget a group; its channels stay, its readers are told GROUP_NOT_FOUND. Idempotent by request id.
-        Errors: GROUP_NOT_FOUND.
+        """Delete a group. Its channels stay, and its readers get GROUP_NOT_FOUND. Idempotent by request id. Errors:
+        GROUP_NOT_FOUND.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -151,11 +151,11 @@ def add_GroupDirectoryServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class GroupDirectoryService(object):
-    """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
-    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
-    10000 groups, or a channel is in 1000 of them.
+    """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
+    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
+    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     @staticmethod

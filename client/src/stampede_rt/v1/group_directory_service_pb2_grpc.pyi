@@ -27,11 +27,11 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class GroupDirectoryServiceStub:
-    """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
-    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
-    10000 groups, or a channel is in 1000 of them.
+    """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
+    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
+    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     @_typing.overload
@@ -39,59 +39,59 @@ class GroupDirectoryServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> GroupDirectoryServiceAsyncStub: ...
     OpenGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.OpenGroupRequest, _group_directory_service_pb2.OpenGroupResponse]
-    """Get or create a group by name. Atomic: of two creators one wins; the other gets the same group if its spec is the
+    """Get or create a group by name. Atomic: of two creators one wins. The other gets the same group if its spec is the
     same, else GROUP_EXISTS. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, CHANNEL_NOT_FOUND (a
     member), GROUP_NOT_FOUND (create = false), GROUP_EXISTS.
     """
     ResolveGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.ResolveGroupRequest, _group_directory_service_pb2.ResolveGroupResponse]
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]
-    """Add and remove members. The cut stays. The items of a new member below the cut are readable at once. Idempotent by
-    request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
-    go; more than 64 members).
+    """Add and remove members. The cut does not move. The items of a new member before the cut are readable at once.
+    Idempotent by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (it removes the reference or
+    the last member; more than 64 members).
     """
     DeleteGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]
-    """Forget a group; its channels stay, its readers are told GROUP_NOT_FOUND. Idempotent by request id.
-    Errors: GROUP_NOT_FOUND.
+    """Delete a group. Its channels stay, and its readers get GROUP_NOT_FOUND. Idempotent by request id. Errors:
+    GROUP_NOT_FOUND.
     """
     ListGroups: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.ListGroupsRequest, _group_directory_service_pb2.ListGroupsResponse]
     """List groups by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
 
 @_typing.type_check_only
 class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
-    """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
-    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
-    10000 groups, or a channel is in 1000 of them.
+    """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
+    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
+    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     OpenGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.OpenGroupRequest, _group_directory_service_pb2.OpenGroupResponse]  # type: ignore[assignment]
-    """Get or create a group by name. Atomic: of two creators one wins; the other gets the same group if its spec is the
+    """Get or create a group by name. Atomic: of two creators one wins. The other gets the same group if its spec is the
     same, else GROUP_EXISTS. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, CHANNEL_NOT_FOUND (a
     member), GROUP_NOT_FOUND (create = false), GROUP_EXISTS.
     """
     ResolveGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.ResolveGroupRequest, _group_directory_service_pb2.ResolveGroupResponse]  # type: ignore[assignment]
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]  # type: ignore[assignment]
-    """Add and remove members. The cut stays. The items of a new member below the cut are readable at once. Idempotent by
-    request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
-    go; more than 64 members).
+    """Add and remove members. The cut does not move. The items of a new member before the cut are readable at once.
+    Idempotent by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (it removes the reference or
+    the last member; more than 64 members).
     """
     DeleteGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]  # type: ignore[assignment]
-    """Forget a group; its channels stay, its readers are told GROUP_NOT_FOUND. Idempotent by request id.
-    Errors: GROUP_NOT_FOUND.
+    """Delete a group. Its channels stay, and its readers get GROUP_NOT_FOUND. Idempotent by request id. Errors:
+    GROUP_NOT_FOUND.
     """
     ListGroups: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.ListGroupsRequest, _group_directory_service_pb2.ListGroupsResponse]  # type: ignore[assignment]
     """List groups by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
 
 class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The groups of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. A deleted channel leaves its groups, which raises their
-    spec_version; a group that loses its reference or its last member that way is forgotten with it. OVERLOADED: there are
-    10000 groups, or a channel is in 1000 of them.
+    """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
+    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
+    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     @_abc_1.abstractmethod
@@ -100,7 +100,7 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _group_directory_service_pb2.OpenGroupRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_group_directory_service_pb2.OpenGroupResponse, _abc.Awaitable[_group_directory_service_pb2.OpenGroupResponse]]:
-        """Get or create a group by name. Atomic: of two creators one wins; the other gets the same group if its spec is the
+        """Get or create a group by name. Atomic: of two creators one wins. The other gets the same group if its spec is the
         same, else GROUP_EXISTS. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, CHANNEL_NOT_FOUND (a
         member), GROUP_NOT_FOUND (create = false), GROUP_EXISTS.
         """
@@ -119,9 +119,9 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _group_directory_service_pb2.UpdateGroupRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_group_directory_service_pb2.UpdateGroupResponse, _abc.Awaitable[_group_directory_service_pb2.UpdateGroupResponse]]:
-        """Add and remove members. The cut stays. The items of a new member below the cut are readable at once. Idempotent by
-        request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the reference or the last member would
-        go; more than 64 members).
+        """Add and remove members. The cut does not move. The items of a new member before the cut are readable at once.
+        Idempotent by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (it removes the reference or
+        the last member; more than 64 members).
         """
 
     @_abc_1.abstractmethod
@@ -130,8 +130,8 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _group_directory_service_pb2.DeleteGroupRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_group_directory_service_pb2.DeleteGroupResponse, _abc.Awaitable[_group_directory_service_pb2.DeleteGroupResponse]]:
-        """Forget a group; its channels stay, its readers are told GROUP_NOT_FOUND. Idempotent by request id.
-        Errors: GROUP_NOT_FOUND.
+        """Delete a group. Its channels stay, and its readers get GROUP_NOT_FOUND. Idempotent by request id. Errors:
+        GROUP_NOT_FOUND.
         """
 
     @_abc_1.abstractmethod

@@ -27,10 +27,9 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class GroupServiceStub:
-    """Groups on the channel hosts, on the port of the gatekeeper (paper, section 4.1). Reading through a group needs none
-    of these calls: GetRequest and SubscribeRequest name the group. Every host learns the record of a group from
-    the directory when it is first named.
-    A server that does not serve groups yet answers UNIMPLEMENTED.
+    """Groups at the channel hosts, on the port of the gatekeeper (paper, section 4.1). A read through a group needs none of
+    these calls: GetRequest and SubscribeRequest name the group. A host gets the record of a group from the directory
+    when a request first names the group. A server that does not serve groups yet answers UNIMPLEMENTED.
     """
 
     @_typing.overload
@@ -38,71 +37,73 @@ class GroupServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> GroupServiceAsyncStub: ...
     ExchangeTimes: _grpc.StreamStreamMultiCallable[_group_service_pb2.ExchangeTimesRequest, _group_service_pb2.ExchangeTimesResponse]
-    """Between hosts only: how far channels are and how far cuts have come. One stream for each pair of hosts that share a
-    group, opened by the one with the lower host id; both sides send. Coalesced: while a message is being written, only
-    the latest of each channel and group is kept. Nothing is repeated after a break: both sides begin with all they
-    know. Idempotent, since every value is merged by maximum. Errors: VERSION_MISMATCH, HOST_NOT_FOUND (the caller's
-    lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another host).
+    """Only between hosts: exchange the times of channels, and cuts. There is one stream for each pair of hosts that own
+    members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
+    keeps only the latest values of each channel and group for the next one. After a break both sides begin with all
+    values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
+    HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
+    host).
     """
     GetCut: _grpc.UnaryUnaryMultiCallable[_group_service_pb2.GetCutRequest, _group_service_pb2.GetCutResponse]
-    """Take the cut for one read of several channels: the caller then reads every channel up to it. Changes nothing.
+    """Get the cut for one read of several channels. The caller then reads every channel up to this cut. Changes nothing.
     Errors: GROUP_NOT_FOUND, OVERLOADED.
     """
     SubscribeCuts: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeCutsRequest, _group_service_pb2.SubscribeCutsResponse]
     """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
     members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
-    others, and each answers with the items of its own channels. Each item comes in exactly one event. An event comes
-    when the caller asks for one by credit: a slow reader gets larger events, not more of them.
-    Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
+    others, and each answers with the items of its own channels. Each item comes in exactly one event. The host sends
+    an event when the caller grants credit for one. So a slow reader gets fewer and larger events. Errors:
+    GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
     """
     SubscribeMatches: _grpc.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]
-    """Be sent, for each item of one channel in time order, the nearest item of every other member. Served by the owner of
-    that one channel, which follows the others without payloads, as credit allows. A caller that closes its sending side
-    gets what its credit still allows; then the stream ends. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
+    """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
+    that channel serves them while it has credit. It subscribes to the other members without payloads. If the caller
+    closes its sending side, the host sends matches until the credit is used up. Then the stream ends. Errors: as
+    SubscribeCuts; NOT_HERE, WRONG_EPOCH.
     """
     GetGroupStatus: _grpc.UnaryUnaryMultiCallable[_group_service_pb2.GetGroupStatusRequest, _group_service_pb2.GetGroupStatusResponse]
-    """The cut, what holds it back, and each member's place. Changes nothing. Errors: GROUP_NOT_FOUND."""
+    """Get the cut, the members that hold it back, and the state of each member. Changes nothing. Errors: GROUP_NOT_FOUND."""
 
 @_typing.type_check_only
 class GroupServiceAsyncStub(GroupServiceStub):
-    """Groups on the channel hosts, on the port of the gatekeeper (paper, section 4.1). Reading through a group needs none
-    of these calls: GetRequest and SubscribeRequest name the group. Every host learns the record of a group from
-    the directory when it is first named.
-    A server that does not serve groups yet answers UNIMPLEMENTED.
+    """Groups at the channel hosts, on the port of the gatekeeper (paper, section 4.1). A read through a group needs none of
+    these calls: GetRequest and SubscribeRequest name the group. A host gets the record of a group from the directory
+    when a request first names the group. A server that does not serve groups yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     ExchangeTimes: _aio.StreamStreamMultiCallable[_group_service_pb2.ExchangeTimesRequest, _group_service_pb2.ExchangeTimesResponse]  # type: ignore[assignment]
-    """Between hosts only: how far channels are and how far cuts have come. One stream for each pair of hosts that share a
-    group, opened by the one with the lower host id; both sides send. Coalesced: while a message is being written, only
-    the latest of each channel and group is kept. Nothing is repeated after a break: both sides begin with all they
-    know. Idempotent, since every value is merged by maximum. Errors: VERSION_MISMATCH, HOST_NOT_FOUND (the caller's
-    lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another host).
+    """Only between hosts: exchange the times of channels, and cuts. There is one stream for each pair of hosts that own
+    members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
+    keeps only the latest values of each channel and group for the next one. After a break both sides begin with all
+    values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
+    HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
+    host).
     """
     GetCut: _aio.UnaryUnaryMultiCallable[_group_service_pb2.GetCutRequest, _group_service_pb2.GetCutResponse]  # type: ignore[assignment]
-    """Take the cut for one read of several channels: the caller then reads every channel up to it. Changes nothing.
+    """Get the cut for one read of several channels. The caller then reads every channel up to this cut. Changes nothing.
     Errors: GROUP_NOT_FOUND, OVERLOADED.
     """
     SubscribeCuts: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeCutsRequest, _group_service_pb2.SubscribeCutsResponse]  # type: ignore[assignment]
     """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
     members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
-    others, and each answers with the items of its own channels. Each item comes in exactly one event. An event comes
-    when the caller asks for one by credit: a slow reader gets larger events, not more of them.
-    Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
+    others, and each answers with the items of its own channels. Each item comes in exactly one event. The host sends
+    an event when the caller grants credit for one. So a slow reader gets fewer and larger events. Errors:
+    GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
     """
     SubscribeMatches: _aio.StreamStreamMultiCallable[_group_service_pb2.SubscribeMatchesRequest, _group_service_pb2.SubscribeMatchesResponse]  # type: ignore[assignment]
-    """Be sent, for each item of one channel in time order, the nearest item of every other member. Served by the owner of
-    that one channel, which follows the others without payloads, as credit allows. A caller that closes its sending side
-    gets what its credit still allows; then the stream ends. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
+    """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
+    that channel serves them while it has credit. It subscribes to the other members without payloads. If the caller
+    closes its sending side, the host sends matches until the credit is used up. Then the stream ends. Errors: as
+    SubscribeCuts; NOT_HERE, WRONG_EPOCH.
     """
     GetGroupStatus: _aio.UnaryUnaryMultiCallable[_group_service_pb2.GetGroupStatusRequest, _group_service_pb2.GetGroupStatusResponse]  # type: ignore[assignment]
-    """The cut, what holds it back, and each member's place. Changes nothing. Errors: GROUP_NOT_FOUND."""
+    """Get the cut, the members that hold it back, and the state of each member. Changes nothing. Errors: GROUP_NOT_FOUND."""
 
 class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Groups on the channel hosts, on the port of the gatekeeper (paper, section 4.1). Reading through a group needs none
-    of these calls: GetRequest and SubscribeRequest name the group. Every host learns the record of a group from
-    the directory when it is first named.
-    A server that does not serve groups yet answers UNIMPLEMENTED.
+    """Groups at the channel hosts, on the port of the gatekeeper (paper, section 4.1). A read through a group needs none of
+    these calls: GetRequest and SubscribeRequest name the group. A host gets the record of a group from the directory
+    when a request first names the group. A server that does not serve groups yet answers UNIMPLEMENTED.
     """
 
     @_abc_1.abstractmethod
@@ -111,11 +112,12 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_group_service_pb2.ExchangeTimesRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.ExchangeTimesResponse], _abc.AsyncIterator[_group_service_pb2.ExchangeTimesResponse]]:
-        """Between hosts only: how far channels are and how far cuts have come. One stream for each pair of hosts that share a
-        group, opened by the one with the lower host id; both sides send. Coalesced: while a message is being written, only
-        the latest of each channel and group is kept. Nothing is repeated after a break: both sides begin with all they
-        know. Idempotent, since every value is merged by maximum. Errors: VERSION_MISMATCH, HOST_NOT_FOUND (the caller's
-        lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another host).
+        """Only between hosts: exchange the times of channels, and cuts. There is one stream for each pair of hosts that own
+        members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
+        keeps only the latest values of each channel and group for the next one. After a break both sides begin with all
+        values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
+        HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
+        host).
         """
 
     @_abc_1.abstractmethod
@@ -124,7 +126,7 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _group_service_pb2.GetCutRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_group_service_pb2.GetCutResponse, _abc.Awaitable[_group_service_pb2.GetCutResponse]]:
-        """Take the cut for one read of several channels: the caller then reads every channel up to it. Changes nothing.
+        """Get the cut for one read of several channels. The caller then reads every channel up to this cut. Changes nothing.
         Errors: GROUP_NOT_FOUND, OVERLOADED.
         """
 
@@ -136,9 +138,9 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.SubscribeCutsResponse], _abc.AsyncIterator[_group_service_pb2.SubscribeCutsResponse]]:
         """Receive cut events: the items that the group makes visible together. Open one stream to each host that owns
         members. The caller chooses one host, which decides when an event is due. The caller passes each decision to the
-        others, and each answers with the items of its own channels. Each item comes in exactly one event. An event comes
-        when the caller asks for one by credit: a slow reader gets larger events, not more of them.
-        Errors: GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
+        others, and each answers with the items of its own channels. Each item comes in exactly one event. The host sends
+        an event when the caller grants credit for one. So a slow reader gets fewer and larger events. Errors:
+        GROUP_NOT_FOUND, INVALID_ARGUMENT, INCARNATION_LOST (resume of another incarnation), OVERLOADED.
         """
 
     @_abc_1.abstractmethod
@@ -147,9 +149,10 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_group_service_pb2.SubscribeMatchesRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.SubscribeMatchesResponse], _abc.AsyncIterator[_group_service_pb2.SubscribeMatchesResponse]]:
-        """Be sent, for each item of one channel in time order, the nearest item of every other member. Served by the owner of
-        that one channel, which follows the others without payloads, as credit allows. A caller that closes its sending side
-        gets what its credit still allows; then the stream ends. Errors: as SubscribeCuts; NOT_HERE, WRONG_EPOCH.
+        """Receive matches: each item of one channel, in time order, with the nearest item of every other member. The owner of
+        that channel serves them while it has credit. It subscribes to the other members without payloads. If the caller
+        closes its sending side, the host sends matches until the credit is used up. Then the stream ends. Errors: as
+        SubscribeCuts; NOT_HERE, WRONG_EPOCH.
         """
 
     @_abc_1.abstractmethod
@@ -158,6 +161,6 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _group_service_pb2.GetGroupStatusRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_group_service_pb2.GetGroupStatusResponse, _abc.Awaitable[_group_service_pb2.GetGroupStatusResponse]]:
-        """The cut, what holds it back, and each member's place. Changes nothing. Errors: GROUP_NOT_FOUND."""
+        """Get the cut, the members that hold it back, and the state of each member. Changes nothing. Errors: GROUP_NOT_FOUND."""
 
 def add_GroupServiceServicer_to_server(servicer: GroupServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

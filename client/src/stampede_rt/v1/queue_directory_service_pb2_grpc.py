@@ -26,9 +26,10 @@ if _version_not_supported:
 
 
 class QueueDirectoryServiceStub(object):
-    """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
+    """The queues of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. PeerService creates and deletes
+    mailboxes.
     """
 
     def __init__(self, channel):
@@ -65,14 +66,15 @@ class QueueDirectoryServiceStub(object):
 
 
 class QueueDirectoryServiceServicer(object):
-    """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
+    """The queues of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. PeerService creates and deletes
+    mailboxes.
     """
 
     def OpenQueue(self, request, context):
-        """Get or create a queue by name. Atomic: of two creators one wins; the other gets the same queue, or QUEUE_EXISTS if
-        a field that it states contradicts one stated before. If the owner's lease has ended, the queue gets a new owner,
+        """Get or create a queue by name. Atomic: of two creators one wins. The other gets the same queue, or QUEUE_EXISTS if
+        one of its stated fields contradicts an earlier one. If the owner's lease has ended, the queue gets a new owner,
         epoch and incarnation. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, QUEUE_NOT_FOUND (create =
         false, or the dead-letter queue), QUEUE_EXISTS, HOST_NOT_FOUND, NO_HOST.
         """
@@ -88,7 +90,7 @@ class QueueDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def UpdateQueue(self, request, context):
-        """Change the policy of a queue while it runs; fields left out stay. Idempotent by request id.
+        """Change the policy of a queue while it runs. A field that is left out stays as it is. Idempotent by request id.
         Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -96,8 +98,8 @@ class QueueDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeleteQueue(self, request, context):
-        """Forget a queue with all that it holds; its takers are told QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by
-        request id. Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
+        """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by request id.
+        Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -147,9 +149,10 @@ def add_QueueDirectoryServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class QueueDirectoryService(object):
-    """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
+    """The queues of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. PeerService creates and deletes
+    mailboxes.
     """
 
     @staticmethod

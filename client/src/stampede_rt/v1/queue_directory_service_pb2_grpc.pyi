@@ -27,9 +27,10 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class QueueDirectoryServiceStub:
-    """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
+    """The queues of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. PeerService creates and deletes
+    mailboxes.
     """
 
     @_typing.overload
@@ -37,55 +38,57 @@ class QueueDirectoryServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> QueueDirectoryServiceAsyncStub: ...
     OpenQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.OpenQueueRequest, _queue_directory_service_pb2.OpenQueueResponse]
-    """Get or create a queue by name. Atomic: of two creators one wins; the other gets the same queue, or QUEUE_EXISTS if
-    a field that it states contradicts one stated before. If the owner's lease has ended, the queue gets a new owner,
+    """Get or create a queue by name. Atomic: of two creators one wins. The other gets the same queue, or QUEUE_EXISTS if
+    one of its stated fields contradicts an earlier one. If the owner's lease has ended, the queue gets a new owner,
     epoch and incarnation. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, QUEUE_NOT_FOUND (create =
     false, or the dead-letter queue), QUEUE_EXISTS, HOST_NOT_FOUND, NO_HOST.
     """
     ResolveQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.ResolveQueueRequest, _queue_directory_service_pb2.ResolveQueueResponse]
     """Find a queue by id or name, or a mailbox by its peer's name. Changes nothing. Errors: QUEUE_NOT_FOUND."""
     UpdateQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.UpdateQueueRequest, _queue_directory_service_pb2.UpdateQueueResponse]
-    """Change the policy of a queue while it runs; fields left out stay. Idempotent by request id.
+    """Change the policy of a queue while it runs. A field that is left out stays as it is. Idempotent by request id.
     Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
     """
     DeleteQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.DeleteQueueRequest, _queue_directory_service_pb2.DeleteQueueResponse]
-    """Forget a queue with all that it holds; its takers are told QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by
-    request id. Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
+    """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by request id.
+    Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
     """
     ListQueues: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.ListQueuesRequest, _queue_directory_service_pb2.ListQueuesResponse]
     """List queues by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
 
 @_typing.type_check_only
 class QueueDirectoryServiceAsyncStub(QueueDirectoryServiceStub):
-    """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
+    """The queues of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. PeerService creates and deletes
+    mailboxes.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     OpenQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.OpenQueueRequest, _queue_directory_service_pb2.OpenQueueResponse]  # type: ignore[assignment]
-    """Get or create a queue by name. Atomic: of two creators one wins; the other gets the same queue, or QUEUE_EXISTS if
-    a field that it states contradicts one stated before. If the owner's lease has ended, the queue gets a new owner,
+    """Get or create a queue by name. Atomic: of two creators one wins. The other gets the same queue, or QUEUE_EXISTS if
+    one of its stated fields contradicts an earlier one. If the owner's lease has ended, the queue gets a new owner,
     epoch and incarnation. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, QUEUE_NOT_FOUND (create =
     false, or the dead-letter queue), QUEUE_EXISTS, HOST_NOT_FOUND, NO_HOST.
     """
     ResolveQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.ResolveQueueRequest, _queue_directory_service_pb2.ResolveQueueResponse]  # type: ignore[assignment]
     """Find a queue by id or name, or a mailbox by its peer's name. Changes nothing. Errors: QUEUE_NOT_FOUND."""
     UpdateQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.UpdateQueueRequest, _queue_directory_service_pb2.UpdateQueueResponse]  # type: ignore[assignment]
-    """Change the policy of a queue while it runs; fields left out stay. Idempotent by request id.
+    """Change the policy of a queue while it runs. A field that is left out stays as it is. Idempotent by request id.
     Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
     """
     DeleteQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.DeleteQueueRequest, _queue_directory_service_pb2.DeleteQueueResponse]  # type: ignore[assignment]
-    """Forget a queue with all that it holds; its takers are told QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by
-    request id. Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
+    """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by request id.
+    Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
     """
     ListQueues: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.ListQueuesRequest, _queue_directory_service_pb2.ListQueuesResponse]  # type: ignore[assignment]
     """List queues by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
 
 class QueueDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The queues of the replicated directory, served by every supernode on the port of DirectoryService and with its
-    promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which repeats the
-    answer; reads see every acknowledged update unless stale_ok. Mailboxes come and go with PeerService.
+    """The queues of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
+    promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
+    gets the same answer. Reads see every acknowledged update, unless stale_ok is set. PeerService creates and deletes
+    mailboxes.
     """
 
     @_abc_1.abstractmethod
@@ -94,8 +97,8 @@ class QueueDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_directory_service_pb2.OpenQueueRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_directory_service_pb2.OpenQueueResponse, _abc.Awaitable[_queue_directory_service_pb2.OpenQueueResponse]]:
-        """Get or create a queue by name. Atomic: of two creators one wins; the other gets the same queue, or QUEUE_EXISTS if
-        a field that it states contradicts one stated before. If the owner's lease has ended, the queue gets a new owner,
+        """Get or create a queue by name. Atomic: of two creators one wins. The other gets the same queue, or QUEUE_EXISTS if
+        one of its stated fields contradicts an earlier one. If the owner's lease has ended, the queue gets a new owner,
         epoch and incarnation. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, QUEUE_NOT_FOUND (create =
         false, or the dead-letter queue), QUEUE_EXISTS, HOST_NOT_FOUND, NO_HOST.
         """
@@ -114,7 +117,7 @@ class QueueDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_directory_service_pb2.UpdateQueueRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_directory_service_pb2.UpdateQueueResponse, _abc.Awaitable[_queue_directory_service_pb2.UpdateQueueResponse]]:
-        """Change the policy of a queue while it runs; fields left out stay. Idempotent by request id.
+        """Change the policy of a queue while it runs. A field that is left out stays as it is. Idempotent by request id.
         Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
         """
 
@@ -124,8 +127,8 @@ class QueueDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_directory_service_pb2.DeleteQueueRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_directory_service_pb2.DeleteQueueResponse, _abc.Awaitable[_queue_directory_service_pb2.DeleteQueueResponse]]:
-        """Forget a queue with all that it holds; its takers are told QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by
-        request id. Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
+        """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by request id.
+        Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
         """
 
     @_abc_1.abstractmethod

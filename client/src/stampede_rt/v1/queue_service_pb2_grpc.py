@@ -26,9 +26,9 @@ if _version_not_supported:
 
 
 class QueueServiceStub(object):
-    """The items of queues and mailboxes, served on the gatekeeper's port of the host that owns the queue (paper, section
-    3.5). Found by QueueDirectoryService.ResolveQueue; there is nothing to bind.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
+    """The messages of queues and mailboxes. The host that owns a queue serves them, on the port of the gatekeeper (paper,
+    section 3.5). QueueDirectoryService.ResolveQueue finds the host; a binding is not needed. A server that does not
+    serve queues yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel):
@@ -65,35 +65,36 @@ class QueueServiceStub(object):
 
 
 class QueueServiceServicer(object):
-    """The items of queues and mailboxes, served on the gatekeeper's port of the host that owns the queue (paper, section
-    3.5). Found by QueueDirectoryService.ResolveQueue; there is nothing to bind.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
+    """The messages of queues and mailboxes. The host that owns a queue serves them, on the port of the gatekeeper (paper,
+    section 3.5). QueueDirectoryService.ResolveQueue finds the host; a binding is not needed. A server that does not
+    serve queues yet answers UNIMPLEMENTED.
     """
 
     def Enqueue(self, request_iterator, context):
-        """Put items into a queue. Each EnqueueRun is answered by one PutAck, in order; many may be in flight. Retrying a run
-        with the same producer id and number is safe: the last 1024 numbers of a producer are known for 10 minutes, and the
-        answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, QUEUE_FULL, WRONG_EPOCH, NOT_HERE,
-        MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+        """Put messages into a queue. The host answers each EnqueueRun with one PutAck, in order. Many runs may be in flight.
+        A caller may safely send a run again with the same producer id and number: the host knows the last 1024 numbers of
+        a producer for 10 minutes, and answers as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE,
+        QUEUE_FULL, WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT,
+        OVERLOADED, SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Take(self, request_iterator, context):
-        """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker may be
-        frozen if a lease of it has ended and the host has heard nothing of it since that lease began. The host sends it a
-        sign of life at once, and gives it no items until it answers. The stream's end gives nothing back: delivered items
-        stay leased until they are settled or their leases end. A taker that comes back may settle them by their ids.
-        Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED,
-        SHUTTING_DOWN.
+        """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. A taker
+        may be frozen if one of its leases has ended and the host has heard nothing of it since that lease began. The host
+        sends it a sign of life at once, and gives it no messages until it answers. The end of the stream gives no messages
+        back: delivered messages stay leased until the taker settles them or their leases end. A taker that comes back may
+        settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
+        INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Settle(self, request, context):
-        """Settle deliveries without a stream, such as those of one that broke. Idempotent for acknowledgements; each
+        """Settle deliveries without a Take stream, for example after it broke. Idempotent for acknowledgements. Each
         settlement has its own result. Errors: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -101,15 +102,16 @@ class QueueServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ListPending(self, request, context):
-        """The leased items with their takers and the times of their leases, page by page in the order of deliveries. Changes
-        nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+        """List the leased messages with their takers and the times of their leases, page by page in the order of deliveries.
+        Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetQueueStatus(self, request, context):
-        """Counters and waiters, taken atomically. Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND.
+        """Get the counters, and the numbers of waiting callers, at one moment. Changes nothing. Errors: NOT_HERE,
+        WRONG_EPOCH, QUEUE_NOT_FOUND.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -152,9 +154,9 @@ def add_QueueServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class QueueService(object):
-    """The items of queues and mailboxes, served on the gatekeeper's port of the host that owns the queue (paper, section
-    3.5). Found by QueueDirectoryService.ResolveQueue; there is nothing to bind.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
+    """The messages of queues and mailboxes. The host that owns a queue serves them, on the port of the gatekeeper (paper,
+    section 3.5). QueueDirectoryService.ResolveQueue finds the host; a binding is not needed. A server that does not
+    serve queues yet answers UNIMPLEMENTED.
     """
 
     @staticmethod

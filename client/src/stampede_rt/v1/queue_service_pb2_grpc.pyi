@@ -27,9 +27,9 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class QueueServiceStub:
-    """The items of queues and mailboxes, served on the gatekeeper's port of the host that owns the queue (paper, section
-    3.5). Found by QueueDirectoryService.ResolveQueue; there is nothing to bind.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
+    """The messages of queues and mailboxes. The host that owns a queue serves them, on the port of the gatekeeper (paper,
+    section 3.5). QueueDirectoryService.ResolveQueue finds the host; a binding is not needed. A server that does not
+    serve queues yet answers UNIMPLEMENTED.
     """
 
     @_typing.overload
@@ -37,67 +37,73 @@ class QueueServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> QueueServiceAsyncStub: ...
     Enqueue: _grpc.StreamStreamMultiCallable[_queue_service_pb2.EnqueueRequest, _queue_service_pb2.EnqueueResponse]
-    """Put items into a queue. Each EnqueueRun is answered by one PutAck, in order; many may be in flight. Retrying a run
-    with the same producer id and number is safe: the last 1024 numbers of a producer are known for 10 minutes, and the
-    answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, QUEUE_FULL, WRONG_EPOCH, NOT_HERE,
-    MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+    """Put messages into a queue. The host answers each EnqueueRun with one PutAck, in order. Many runs may be in flight.
+    A caller may safely send a run again with the same producer id and number: the host knows the last 1024 numbers of
+    a producer for 10 minutes, and answers as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE,
+    QUEUE_FULL, WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT,
+    OVERLOADED, SHUTTING_DOWN.
     """
     Take: _grpc.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]
-    """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker may be
-    frozen if a lease of it has ended and the host has heard nothing of it since that lease began. The host sends it a
-    sign of life at once, and gives it no items until it answers. The stream's end gives nothing back: delivered items
-    stay leased until they are settled or their leases end. A taker that comes back may settle them by their ids.
-    Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED,
-    SHUTTING_DOWN.
+    """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. A taker
+    may be frozen if one of its leases has ended and the host has heard nothing of it since that lease began. The host
+    sends it a sign of life at once, and gives it no messages until it answers. The end of the stream gives no messages
+    back: delivered messages stay leased until the taker settles them or their leases end. A taker that comes back may
+    settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
+    INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
     """
     Settle: _grpc.UnaryUnaryMultiCallable[_queue_service_pb2.SettleRequest, _queue_service_pb2.SettleResponse]
-    """Settle deliveries without a stream, such as those of one that broke. Idempotent for acknowledgements; each
+    """Settle deliveries without a Take stream, for example after it broke. Idempotent for acknowledgements. Each
     settlement has its own result. Errors: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
     """
     ListPending: _grpc.UnaryUnaryMultiCallable[_queue_service_pb2.ListPendingRequest, _queue_service_pb2.ListPendingResponse]
-    """The leased items with their takers and the times of their leases, page by page in the order of deliveries. Changes
-    nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+    """List the leased messages with their takers and the times of their leases, page by page in the order of deliveries.
+    Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
     """
     GetQueueStatus: _grpc.UnaryUnaryMultiCallable[_queue_service_pb2.GetQueueStatusRequest, _queue_service_pb2.GetQueueStatusResponse]
-    """Counters and waiters, taken atomically. Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND."""
+    """Get the counters, and the numbers of waiting callers, at one moment. Changes nothing. Errors: NOT_HERE,
+    WRONG_EPOCH, QUEUE_NOT_FOUND.
+    """
 
 @_typing.type_check_only
 class QueueServiceAsyncStub(QueueServiceStub):
-    """The items of queues and mailboxes, served on the gatekeeper's port of the host that owns the queue (paper, section
-    3.5). Found by QueueDirectoryService.ResolveQueue; there is nothing to bind.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
+    """The messages of queues and mailboxes. The host that owns a queue serves them, on the port of the gatekeeper (paper,
+    section 3.5). QueueDirectoryService.ResolveQueue finds the host; a binding is not needed. A server that does not
+    serve queues yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Enqueue: _aio.StreamStreamMultiCallable[_queue_service_pb2.EnqueueRequest, _queue_service_pb2.EnqueueResponse]  # type: ignore[assignment]
-    """Put items into a queue. Each EnqueueRun is answered by one PutAck, in order; many may be in flight. Retrying a run
-    with the same producer id and number is safe: the last 1024 numbers of a producer are known for 10 minutes, and the
-    answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, QUEUE_FULL, WRONG_EPOCH, NOT_HERE,
-    MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+    """Put messages into a queue. The host answers each EnqueueRun with one PutAck, in order. Many runs may be in flight.
+    A caller may safely send a run again with the same producer id and number: the host knows the last 1024 numbers of
+    a producer for 10 minutes, and answers as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE,
+    QUEUE_FULL, WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT,
+    OVERLOADED, SHUTTING_DOWN.
     """
     Take: _aio.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]  # type: ignore[assignment]
-    """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker may be
-    frozen if a lease of it has ended and the host has heard nothing of it since that lease began. The host sends it a
-    sign of life at once, and gives it no items until it answers. The stream's end gives nothing back: delivered items
-    stay leased until they are settled or their leases end. A taker that comes back may settle them by their ids.
-    Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED,
-    SHUTTING_DOWN.
+    """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. A taker
+    may be frozen if one of its leases has ended and the host has heard nothing of it since that lease began. The host
+    sends it a sign of life at once, and gives it no messages until it answers. The end of the stream gives no messages
+    back: delivered messages stay leased until the taker settles them or their leases end. A taker that comes back may
+    settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
+    INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
     """
     Settle: _aio.UnaryUnaryMultiCallable[_queue_service_pb2.SettleRequest, _queue_service_pb2.SettleResponse]  # type: ignore[assignment]
-    """Settle deliveries without a stream, such as those of one that broke. Idempotent for acknowledgements; each
+    """Settle deliveries without a Take stream, for example after it broke. Idempotent for acknowledgements. Each
     settlement has its own result. Errors: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
     """
     ListPending: _aio.UnaryUnaryMultiCallable[_queue_service_pb2.ListPendingRequest, _queue_service_pb2.ListPendingResponse]  # type: ignore[assignment]
-    """The leased items with their takers and the times of their leases, page by page in the order of deliveries. Changes
-    nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+    """List the leased messages with their takers and the times of their leases, page by page in the order of deliveries.
+    Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
     """
     GetQueueStatus: _aio.UnaryUnaryMultiCallable[_queue_service_pb2.GetQueueStatusRequest, _queue_service_pb2.GetQueueStatusResponse]  # type: ignore[assignment]
-    """Counters and waiters, taken atomically. Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND."""
+    """Get the counters, and the numbers of waiting callers, at one moment. Changes nothing. Errors: NOT_HERE,
+    WRONG_EPOCH, QUEUE_NOT_FOUND.
+    """
 
 class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The items of queues and mailboxes, served on the gatekeeper's port of the host that owns the queue (paper, section
-    3.5). Found by QueueDirectoryService.ResolveQueue; there is nothing to bind.
-    A server that does not serve queues yet answers UNIMPLEMENTED.
+    """The messages of queues and mailboxes. The host that owns a queue serves them, on the port of the gatekeeper (paper,
+    section 3.5). QueueDirectoryService.ResolveQueue finds the host; a binding is not needed. A server that does not
+    serve queues yet answers UNIMPLEMENTED.
     """
 
     @_abc_1.abstractmethod
@@ -106,10 +112,11 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_queue_service_pb2.EnqueueRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_queue_service_pb2.EnqueueResponse], _abc.AsyncIterator[_queue_service_pb2.EnqueueResponse]]:
-        """Put items into a queue. Each EnqueueRun is answered by one PutAck, in order; many may be in flight. Retrying a run
-        with the same producer id and number is safe: the last 1024 numbers of a producer are known for 10 minutes, and the
-        answer is as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE, QUEUE_FULL, WRONG_EPOCH, NOT_HERE,
-        MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+        """Put messages into a queue. The host answers each EnqueueRun with one PutAck, in order. Many runs may be in flight.
+        A caller may safely send a run again with the same producer id and number: the host knows the last 1024 numbers of
+        a producer for 10 minutes, and answers as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE,
+        QUEUE_FULL, WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT,
+        OVERLOADED, SHUTTING_DOWN.
         """
 
     @_abc_1.abstractmethod
@@ -118,12 +125,12 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_queue_service_pb2.TakeRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_queue_service_pb2.TakeResponse], _abc.AsyncIterator[_queue_service_pb2.TakeResponse]]:
-        """Be given items, each leased to this taker, as credit allows. Takers that wait are served in turn. A taker may be
-        frozen if a lease of it has ended and the host has heard nothing of it since that lease began. The host sends it a
-        sign of life at once, and gives it no items until it answers. The stream's end gives nothing back: delivered items
-        stay leased until they are settled or their leases end. A taker that comes back may settle them by their ids.
-        Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED,
-        SHUTTING_DOWN.
+        """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. A taker
+        may be frozen if one of its leases has ended and the host has heard nothing of it since that lease began. The host
+        sends it a sign of life at once, and gives it no messages until it answers. The end of the stream gives no messages
+        back: delivered messages stay leased until the taker settles them or their leases end. A taker that comes back may
+        settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
+        INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
         """
 
     @_abc_1.abstractmethod
@@ -132,7 +139,7 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_service_pb2.SettleRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_service_pb2.SettleResponse, _abc.Awaitable[_queue_service_pb2.SettleResponse]]:
-        """Settle deliveries without a stream, such as those of one that broke. Idempotent for acknowledgements; each
+        """Settle deliveries without a Take stream, for example after it broke. Idempotent for acknowledgements. Each
         settlement has its own result. Errors: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
         """
 
@@ -142,8 +149,8 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_service_pb2.ListPendingRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_service_pb2.ListPendingResponse, _abc.Awaitable[_queue_service_pb2.ListPendingResponse]]:
-        """The leased items with their takers and the times of their leases, page by page in the order of deliveries. Changes
-        nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
+        """List the leased messages with their takers and the times of their leases, page by page in the order of deliveries.
+        Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND, INVALID_ARGUMENT.
         """
 
     @_abc_1.abstractmethod
@@ -152,6 +159,8 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_service_pb2.GetQueueStatusRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_service_pb2.GetQueueStatusResponse, _abc.Awaitable[_queue_service_pb2.GetQueueStatusResponse]]:
-        """Counters and waiters, taken atomically. Changes nothing. Errors: NOT_HERE, WRONG_EPOCH, QUEUE_NOT_FOUND."""
+        """Get the counters, and the numbers of waiting callers, at one moment. Changes nothing. Errors: NOT_HERE,
+        WRONG_EPOCH, QUEUE_NOT_FOUND.
+        """
 
 def add_QueueServiceServicer_to_server(servicer: QueueServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...
