@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from stampede_rt.cli.interrupts import unwinding
+from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt_bench.comparison import SYSTEMS, measure_limits, measure_peers
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
@@ -47,7 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None or "out" not in arguments:
             raise
-        print(f"stampede bench: {error.filename}: {error.strerror}; name another folder with --out", file=sys.stderr)
+        text = f"stampede bench: {error.filename}: {error.strerror}; name another folder with --out"
+        print(escaped(text), file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
         print("\nstampede bench: interrupted", file=sys.stderr)
@@ -71,9 +73,7 @@ def _matching(arguments: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="stampede bench", description="Benchmarks, beside other software for the same task."
-    )
+    parser = TerminalParser(prog="stampede bench", description="Benchmarks, beside other software for the same task.")
     kinds = parser.add_subparsers(dest="kind", metavar="NAME")
     _add_paper(kinds)
     _add_limits(kinds)

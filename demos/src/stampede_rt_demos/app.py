@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from stampede_rt.cli.interrupts import unwinding
+from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.film import require_libraries
 
@@ -33,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             run: Callable[[argparse.Namespace], int] = arguments.run
             return run(arguments)
     except DemoFailed as failure:
-        print(f"stampede demo {arguments.demo}: {failure}", file=sys.stderr)
+        print(f"stampede demo {arguments.demo}: {escaped(str(failure))}", file=sys.stderr)
         return EXIT_FAILED
     except KeyboardInterrupt:
         print(f"\nstampede demo {arguments.demo}: interrupted; nothing is left running", file=sys.stderr)
@@ -41,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="stampede demo", description=_listing(), formatter_class=_Formatter)
+    parser = TerminalParser(prog="stampede demo", description=_listing(), formatter_class=_Formatter)
     demos = parser.add_subparsers(dest="demo", metavar="NAME")
     for name, run in (("tv-watcher", _tv_watcher), ("stereo", _stereo)):
         demo = demos.add_parser(name, description=DEMOS[name], formatter_class=_Formatter)

@@ -10,8 +10,8 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from stampede_rt.cli.interrupts import interruption
-from stampede_rt.cli.terminal import TerminalParser
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
+from stampede_rt.escaping import TerminalParser
 from stampede_rt.values.policy import ON_FULL
 from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_instant
 

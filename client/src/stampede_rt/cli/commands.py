@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from stampede_rt.cli.interrupts import INTERRUPTED, interruption
-from stampede_rt.cli.terminal import TerminalParser, escaped
 from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.version import VERSION
 
 if TYPE_CHECKING:

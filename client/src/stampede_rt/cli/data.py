@@ -22,8 +22,9 @@ from stampede_rt.cli.arguments import (
 )
 from stampede_rt.cli.messages import add_payload, payload_of
 from stampede_rt.cli.output import item_line, item_row
-from stampede_rt.cli.terminal import check_raw_output, escaped
+from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.escaping import escaped
 from stampede_rt.values.model import Item, Items, Reason
 from stampede_rt.values.timeline import MIN_INSTANT, NEWEST, OLDEST, format_instant, last
 

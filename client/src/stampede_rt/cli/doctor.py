@@ -11,7 +11,7 @@ from stampede_rt.cli.clock_findings import CLOCK_OFFSET_NANOS_MAX, UNKNOWN
 from stampede_rt.cli.diagnosis import diagnose
 from stampede_rt.cli.observations import PEER, CheckResult, Observation
 from stampede_rt.cli.output import print_rows
-from stampede_rt.cli.terminal import escaped
+from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration
 from stampede_rt.version import VERSION
 

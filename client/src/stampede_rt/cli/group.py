@@ -17,8 +17,8 @@ from stampede_rt.cli.arguments import (
     parse_count,
 )
 from stampede_rt.cli.output import item_line, item_row, print_rows
-from stampede_rt.cli.terminal import escaped
 from stampede_rt.errors import GroupNotFound
+from stampede_rt.escaping import escaped
 from stampede_rt.values.grouping import Cut, GroupInfo, GroupStatus, Matched
 from stampede_rt.values.model import Item, Reason
 from stampede_rt.values.timeline import format_duration, format_instant

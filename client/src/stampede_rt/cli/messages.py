@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from stampede_rt.cli.arguments import parse_count
 from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, preview, print_rows
-from stampede_rt.cli.terminal import check_raw_output, escaped
+from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration, format_instant
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from stampede_rt.cli.terminal import columns_max, escaped, table_lines
+from stampede_rt.cli.terminal import columns_max, table_lines
+from stampede_rt.escaping import escaped
 from stampede_rt.values.model import Item, Policy
 from stampede_rt.values.timeline import format_duration, format_instant
 

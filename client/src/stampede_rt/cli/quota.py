@@ -11,8 +11,8 @@ from typing import Any
 
 from stampede_rt.cli.arguments import VerbParser, add_verb
 from stampede_rt.cli.output import bytes_text, print_behind, print_facts, print_rows
-from stampede_rt.cli.terminal import escaped
 from stampede_rt.errors import StampedeError
+from stampede_rt.escaping import escaped
 
 QUOTAS = (
     "streams", "subscriptions", "waiting-calls", "bytes-in-flight", "channels", "queues", "changes-per-second",

@@ -15,9 +15,9 @@ from stampede_rt.administration.running_cluster import Cluster, is_there, no_mem
 from stampede_rt.cli.backup_file import write_backup
 from stampede_rt.cli.output import print_facts, print_rows
 from stampede_rt.cli.supernode_findings import IN_DOUBT, gathered, level_finding, refusal
-from stampede_rt.cli.terminal import TerminalParser
 from stampede_rt.cluster.cluster_ids import IN_MEMORY
 from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.v1.directory_pb2 import SupernodeRecord
 from stampede_rt.values.timeline import format_duration, format_instant
 
@@ -60,11 +60,11 @@ def administer(argv: Sequence[str]) -> int:
     try:
         return int(parsed.run(parsed))
     except StampedeError as error:
-        print(f"stampede supernode: {error.message}", file=sys.stderr)
+        print(f"stampede supernode: {escaped(error.message)}", file=sys.stderr)
         return FAILED
     except OSError as error:
         file = error.filename or parsed.out  # an error of an open file has no file name
-        print(f"stampede supernode: {file} cannot be written: {error.strerror}", file=sys.stderr)
+        print(escaped(f"stampede supernode: {file} cannot be written: {error.strerror}"), file=sys.stderr)
         return FAILED
 
 
@@ -104,16 +104,15 @@ def _run_status(arguments: argparse.Namespace) -> int:
     enough = 2 * serving > len(rows)
     if arguments.output == "table":
         verdict = "a majority serves" if enough else f"no majority: start supernodes until {len(rows) // 2 + 1} serve"
-        print(
-            f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}. Cluster {own_id or 'not founded yet'}."
-        )
+        cluster_id = escaped(own_id) or "not founded yet"
+        print(f"\n{serving} of {len(rows)} serve; {verdict}. Term {listed.term}. Cluster {cluster_id}.")
         if own_id.startswith(IN_MEMORY):
-            print(IN_MEMORY_ADVICE.format(names=", ".join(sorted(pongs))))
+            print(IN_MEMORY_ADVICE.format(names=escaped(", ".join(sorted(pongs)))))
         levels = {row["supernode"]: row["highest_feature_level"] for row in rows}
-        print(_level_line(max(_cluster_levels(pongs), default=listed.feature_level), levels))
+        print(escaped(_level_line(max(_cluster_levels(pongs), default=listed.feature_level), levels)))
         for name, why in sorted(refused.items()):
             state, advice = refusal(why)
-            print(f"{name} is {IN_DOUBT if state == IN_DOUBT else 'refused'}: {advice}.")
+            print(escaped(f"{name} is {IN_DOUBT if state == IN_DOUBT else 'refused'}: {advice}."))
         if serving < len(rows):
             print("`stampede doctor` says why the others do not.")
     return 0 if enough else FAILED
@@ -189,12 +188,12 @@ def _run_add(arguments: argparse.Namespace) -> int:
         print_facts({"token": made.token, "id": name, "cluster_id": made.cluster_id, "join": command}, "json")
         return 0
     until = format_instant(made.valid_until_unix_nano // 10**9 * 10**9).replace(".000000000", "")
-    print(f"The token lets supernode {name} join at {arguments.address}, once, until {until}.")
+    print(escaped(f"The token lets supernode {name} join at {arguments.address}, once, until {until}."))
     if is_secured:
         print("It needs its own certificate. Name the files there in $STAMPEDE_TLS_CA, ..._CERTIFICATE and ..._KEY:\n")
         host = arguments.address.rpartition(":")[0]
-        print(f"  stampede certs issue --role supernode --name {name} --address {host}\n")
-    print(f"On its machine, run:\n\n  {command}")
+        print(f"  {escaped(f'stampede certs issue --role supernode --name {name} --address {host}')}\n")
+    print(f"On its machine, run:\n\n  {escaped(command)}")
     return 0
 
 
@@ -205,7 +204,7 @@ def _run_remove(arguments: argparse.Namespace) -> int:
     if arguments.output == "json":
         print_facts({"removed": arguments.id, "supernodes": remaining, "index": removed.index}, "json")
     else:
-        print(f"{arguments.id} is no longer a member; the members are {', '.join(remaining)}.")
+        print(escaped(f"{arguments.id} is no longer a member; the members are {', '.join(remaining)}."))
     return 0
 
 

@@ -1,38 +1,17 @@
-"""Text for terminals. The module escapes control characters, and fits lines to the width of the terminal."""
+"""Text for terminals: payloads that may go there as they are, and tables that fit the width of the terminal."""
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sys
 import textwrap
 from collections.abc import Sequence
 from itertools import zip_longest
-from typing import NoReturn
 
 from stampede_rt.errors import InvalidArgument
 
 GAP = "  "
 CELL_CHARACTERS_MIN = 8
-
-
-def escaped(text: str) -> str:
-    r"""`text` on one line. Each character that does not print becomes an escape, such as `\n` or `\x1b`.
-
-    Names, attributes, content types, payloads and error texts come from other programs. Without escapes they could move
-    the cursor, change the window's title, or forge lines of output.
-    """
-    if text.isprintable():
-        return text
-    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
-
-
-class TerminalParser(argparse.ArgumentParser):
-    """A parser of arguments that escapes its error texts: a script may pass on arguments that others wrote."""
-
-    def error(self, message: str) -> NoReturn:
-        """Say what is wrong, and exit with status 2."""
-        super().error(escaped(message))
 
 
 def check_raw_output(payload: bytes) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from stampede_rt.cli.interrupts import unwinding
 from stampede_rt.errors import PermissionDenied
+from stampede_rt.escaping import escaped
 from stampede_rt.security.credentials import secret_file
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
@@ -88,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _complain(error: Exception, code: int) -> int:
-    print(f"stampede dev: {error}", file=sys.stderr)
+    print(f"stampede dev: {escaped(str(error))}", file=sys.stderr)
     return code
 
 
@@ -98,7 +99,7 @@ def _run(settings: DevSettings, began: float) -> int:
 
     def pass_on(process: ServiceProcess, line: str) -> None:
         if ready.is_set():  # while they start, services complain of each other
-            print(f"{process.name}: {line}", file=sys.stderr)
+            print(escaped(f"{process.name}: {line}"), file=sys.stderr)
 
     cluster = LocalCluster(
         hosts=settings.hosts,

@@ -13,6 +13,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.values.timeline import parse_duration
 from stampede_rt_runtime.certificates import (
     CertificateError,
@@ -42,18 +43,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(end.code or 0)
     try:
         for line in arguments.run(arguments):
-            sys.stdout.write(line + "\n")
+            sys.stdout.write(escaped(line) + "\n")
     except (CertificateError, StampedeError, ValueError) as error:
-        sys.stderr.write(f"stampede certs: {error}\n")
+        sys.stderr.write(f"stampede certs: {escaped(str(error))}\n")
         return EXIT_BAD_SETTINGS if isinstance(error, ValueError) else EXIT_FAILED
     except OSError as error:
-        sys.stderr.write(f"stampede certs: {error.filename} cannot be used: {error.strerror}\n")
+        sys.stderr.write(f"stampede certs: {escaped(str(error.filename))} cannot be used: {error.strerror}\n")
         return EXIT_FAILED
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="stampede certs", description=__doc__, allow_abbrev=False)
+    parser = TerminalParser(prog="stampede certs", description=__doc__, allow_abbrev=False)
     verbs = parser.add_subparsers(metavar="VERB", required=True)
     init = verbs.add_parser("init", help="make the cluster's authority in a folder that only this user may open")
     init.add_argument(

@@ -15,6 +15,7 @@ import grpc
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.escaping import escaped
 from stampede_rt.security.tls import CLIENT_VARIABLES, TlsFiles, TlsReader, files_from_environment
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt_runtime.certificates import CertificateError, describe
@@ -92,13 +93,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         target = own_address(sys.argv[1:] if argv is None else argv, os.environ)
     except ValueError as error:
-        sys.stderr.write(f"health check: {error}\n")
+        sys.stderr.write(f"health check: {escaped(str(error))}\n")
         return EXIT_BAD_ADDRESS
     try:
         status = status_of(target, files=_files_of_service(os.environ))
     except (StampedeError, CertificateError) as error:
         status = str(error)
-    sys.stdout.write(f"{target}: {status}\n")
+    sys.stdout.write(escaped(f"{target}: {status}") + "\n")
     return EXIT_SERVING if status == "SERVING" else EXIT_NOT_SERVING
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from stampede_rt.errors import StampedeError
+from stampede_rt.escaping import escaped
 from stampede_rt.security.tls import CLIENT_VARIABLES, TlsFiles
 from stampede_rt_runtime import allocator, open_files
 from stampede_rt_runtime.auth import Secret, load_client_secret, load_secret
@@ -148,7 +149,7 @@ def _tell_of_clients_certificates(settings: ServiceSettings, service: str) -> No
 
 
 def _complain(service: str, error: Exception | str, code: int) -> int:
-    sys.stderr.write(f"stampede {service}: {error}\n")
+    sys.stderr.write(f"stampede {service}: {escaped(str(error))}\n")
     return code
 
 
@@ -173,5 +174,5 @@ def run_loop(work: Awaitable[R]) -> R:
 
 def announce(line: str) -> None:
     """Print the ready line on stdout at once, because the process's starter waits for it."""
-    sys.stdout.write(line + "\n")
+    sys.stdout.write(escaped(line) + "\n")
     sys.stdout.flush()

@@ -13,6 +13,7 @@ from typing import Any
 
 from stampede_rt.administration.options import ADMINISTRATIVE_VERBS
 from stampede_rt.errors import StampedeError
+from stampede_rt.escaping import escaped
 from stampede_rt.v1 import (
     access_service_pb2_grpc,
     directory_service_pb2_grpc,
@@ -323,7 +324,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words and words[0] in PREPARING:
         return prepare(words)
     if words and not words[0].startswith("-"):
-        sys.stderr.write(f"stampede supernode: {_not_a_verb(words[0])}\n")
+        sys.stderr.write(f"stampede supernode: {escaped(_not_a_verb(words[0]))}\n")
         return EXIT_BAD_SETTINGS
     return run_service(SupernodeSettings, "supernode", argv, serve)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.cli.output import item_line, preview
-from stampede_rt.cli.terminal import escaped, table_lines
+from stampede_rt.cli.terminal import table_lines
+from stampede_rt.escaping import escaped
 from stampede_rt.values.model import Item
 
 HOSTILE = "a\x1b]0;title\x07b\r\nforged\u202e\x9b31m"

@@ -14,6 +14,7 @@ from stampede_rt.administration.options import add_cluster_options
 from stampede_rt.administration.running_cluster import reached
 from stampede_rt.cluster.addresses import is_loopback
 from stampede_rt.errors import StampedeError
+from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.security.tls import CLIENT_VARIABLES
 from stampede_rt.values.policy import parse_name
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_target
@@ -29,7 +30,7 @@ ID_BYTES = 4
 
 def prepare(argv: Sequence[str]) -> int:
     """Run one of the verbs in PREPARING. Returns the exit code."""
-    parser = argparse.ArgumentParser(prog="stampede supernode", description=__doc__)
+    parser = TerminalParser(prog="stampede supernode", description=__doc__)
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     init = verbs.add_parser(
         "init", help="found a cluster of one supernode", description="Found a cluster of one supernode. Do this once."
@@ -61,10 +62,10 @@ def prepare(argv: Sequence[str]) -> int:
     try:
         return int(parsed.run(parsed))
     except (StampedeError, ValueError) as error:
-        sys.stderr.write(f"stampede supernode: {error}\n")
+        sys.stderr.write(f"stampede supernode: {escaped(str(error))}\n")
         return FAILED if isinstance(error, StampedeError) else MISUSED
     except OSError as error:  # after StampedeError, because Unavailable is an OSError, too
-        sys.stderr.write(f"stampede supernode: {error.filename} cannot be used: {error.strerror}\n")
+        sys.stderr.write(f"stampede supernode: {escaped(str(error.filename))} cannot be used: {error.strerror}\n")
         return FAILED
 
 
@@ -149,7 +150,7 @@ def _check_callable(address: str, members: Mapping[str, str]) -> None:
 
 
 def _say(text: str) -> None:
-    sys.stdout.write(text + "\n")
+    sys.stdout.write(escaped(text) + "\n")
 
 
 def _name(arguments: argparse.Namespace) -> str:

@@ -16,6 +16,7 @@ import traceback
 from collections.abc import Callable
 from typing import NoReturn, Protocol
 
+from stampede_rt.escaping import escaped
 from stampede_rt_supernode.replication.interface import ReleaseTooOld
 
 logger = logging.getLogger(__name__)
@@ -44,7 +45,7 @@ def end_process(error: BaseException) -> NoReturn:
     else:
         traceback.print_exception(error, file=sys.stderr)
         why = f"the replicated log failed and the process ends: {error!r}"
-    print(f"stampede supernode: {why}", file=sys.stderr)  # noqa: T201
+    print(f"stampede supernode: {escaped(why)}", file=sys.stderr)  # noqa: T201
     sys.stderr.flush()
     os._exit(code)
 
