@@ -26,9 +26,9 @@ if _version_not_supported:
 
 
 class AccessServiceStub(object):
-    """Who may do what: rules and client tokens. Served by every supernode, on the port of DirectoryService. Reads see every
-    change acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind).
-    Request ids are as in DirectoryService.
+    """Rules of access, client tokens and revocations. Every supernode serves them on the port of DirectoryService. A read
+    sees every change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the
+    members that do not know it). Request ids are as in DirectoryService.
     """
 
     def __init__(self, channel):
@@ -80,9 +80,9 @@ class AccessServiceStub(object):
 
 
 class AccessServiceServicer(object):
-    """Who may do what: rules and client tokens. Served by every supernode, on the port of DirectoryService. Reads see every
-    change acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind).
-    Request ids are as in DirectoryService.
+    """Rules of access, client tokens and revocations. Every supernode serves them on the port of DirectoryService. A read
+    sees every change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the
+    members that do not know it). Request ids are as in DirectoryService.
     """
 
     def CreateClientToken(self, request, context):
@@ -94,51 +94,52 @@ class AccessServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def AddAccessRule(self, request, context):
-        """Add a rule. One that is there is no error. For operators, as all that follow. With the first rule, all that no rule
-        allows is denied. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM, VERSION_MISMATCH.
+        """Add a rule. An existing rule is no error. This call and all following ones are for operators. From the first rule
+        on, clients may do only what a rule allows. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM,
+        VERSION_MISMATCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RemoveAccessRule(self, request, context):
-        """Remove a rule. One that is not there is no error. Errors: as AddAccessRule.
+        """Remove a rule. An absent rule is no error. Errors: as AddAccessRule.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListAccessRules(self, request, context):
-        """All rules.
+        """List all rules.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def CheckAccess(self, request, context):
-        """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT.
+        """Check whether a client of a name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RevokeCredential(self, request, context):
-        """Have no service take a certificate or client token any more. Open streams of its bearers end within 2 s. For good: issue
-        another one. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+        """Revoke a certificate or client token for good: all services refuse it. They end its open streams within 2 s.
+        Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListRevokedCredentials(self, request, context):
-        """All that were revoked.
+        """List all revoked certificates and client tokens.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetAccessState(self, request, context):
-        """What a port must know to judge its callers. For hosts and other members, which hear of changes by
+        """Get the facts that a port needs to judge its callers. For hosts and other members. They learn of changes by
         DirectoryService.Watch with include_access.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -197,9 +198,9 @@ def add_AccessServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class AccessService(object):
-    """Who may do what: rules and client tokens. Served by every supernode, on the port of DirectoryService. Reads see every
-    change acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind).
-    Request ids are as in DirectoryService.
+    """Rules of access, client tokens and revocations. Every supernode serves them on the port of DirectoryService. A read
+    sees every change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the
+    members that do not know it). Request ids are as in DirectoryService.
     """
 
     @staticmethod

@@ -27,9 +27,9 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class AccessServiceStub:
-    """Who may do what: rules and client tokens. Served by every supernode, on the port of DirectoryService. Reads see every
-    change acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind).
-    Request ids are as in DirectoryService.
+    """Rules of access, client tokens and revocations. Every supernode serves them on the port of DirectoryService. A read
+    sees every change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the
+    members that do not know it). Request ids are as in DirectoryService.
     """
 
     @_typing.overload
@@ -41,31 +41,32 @@ class AccessServiceStub:
     VERSION_MISMATCH.
     """
     AddAccessRule: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.AddAccessRuleRequest, _access_service_pb2.AddAccessRuleResponse]
-    """Add a rule. One that is there is no error. For operators, as all that follow. With the first rule, all that no rule
-    allows is denied. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM, VERSION_MISMATCH.
+    """Add a rule. An existing rule is no error. This call and all following ones are for operators. From the first rule
+    on, clients may do only what a rule allows. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM,
+    VERSION_MISMATCH.
     """
     RemoveAccessRule: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.RemoveAccessRuleRequest, _access_service_pb2.RemoveAccessRuleResponse]
-    """Remove a rule. One that is not there is no error. Errors: as AddAccessRule."""
+    """Remove a rule. An absent rule is no error. Errors: as AddAccessRule."""
     ListAccessRules: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.ListAccessRulesRequest, _access_service_pb2.ListAccessRulesResponse]
-    """All rules."""
+    """List all rules."""
     CheckAccess: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]
-    """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
+    """Check whether a client of a name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
     RevokeCredential: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.RevokeCredentialRequest, _access_service_pb2.RevokeCredentialResponse]
-    """Have no service take a certificate or client token any more. Open streams of its bearers end within 2 s. For good: issue
-    another one. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+    """Revoke a certificate or client token for good: all services refuse it. They end its open streams within 2 s.
+    Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
     """
     ListRevokedCredentials: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.ListRevokedCredentialsRequest, _access_service_pb2.ListRevokedCredentialsResponse]
-    """All that were revoked."""
+    """List all revoked certificates and client tokens."""
     GetAccessState: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]
-    """What a port must know to judge its callers. For hosts and other members, which hear of changes by
+    """Get the facts that a port needs to judge its callers. For hosts and other members. They learn of changes by
     DirectoryService.Watch with include_access.
     """
 
 @_typing.type_check_only
 class AccessServiceAsyncStub(AccessServiceStub):
-    """Who may do what: rules and client tokens. Served by every supernode, on the port of DirectoryService. Reads see every
-    change acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind).
-    Request ids are as in DirectoryService.
+    """Rules of access, client tokens and revocations. Every supernode serves them on the port of DirectoryService. A read
+    sees every change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the
+    members that do not know it). Request ids are as in DirectoryService.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -74,30 +75,31 @@ class AccessServiceAsyncStub(AccessServiceStub):
     VERSION_MISMATCH.
     """
     AddAccessRule: _aio.UnaryUnaryMultiCallable[_access_service_pb2.AddAccessRuleRequest, _access_service_pb2.AddAccessRuleResponse]  # type: ignore[assignment]
-    """Add a rule. One that is there is no error. For operators, as all that follow. With the first rule, all that no rule
-    allows is denied. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM, VERSION_MISMATCH.
+    """Add a rule. An existing rule is no error. This call and all following ones are for operators. From the first rule
+    on, clients may do only what a rule allows. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM,
+    VERSION_MISMATCH.
     """
     RemoveAccessRule: _aio.UnaryUnaryMultiCallable[_access_service_pb2.RemoveAccessRuleRequest, _access_service_pb2.RemoveAccessRuleResponse]  # type: ignore[assignment]
-    """Remove a rule. One that is not there is no error. Errors: as AddAccessRule."""
+    """Remove a rule. An absent rule is no error. Errors: as AddAccessRule."""
     ListAccessRules: _aio.UnaryUnaryMultiCallable[_access_service_pb2.ListAccessRulesRequest, _access_service_pb2.ListAccessRulesResponse]  # type: ignore[assignment]
-    """All rules."""
+    """List all rules."""
     CheckAccess: _aio.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]  # type: ignore[assignment]
-    """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
+    """Check whether a client of a name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
     RevokeCredential: _aio.UnaryUnaryMultiCallable[_access_service_pb2.RevokeCredentialRequest, _access_service_pb2.RevokeCredentialResponse]  # type: ignore[assignment]
-    """Have no service take a certificate or client token any more. Open streams of its bearers end within 2 s. For good: issue
-    another one. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+    """Revoke a certificate or client token for good: all services refuse it. They end its open streams within 2 s.
+    Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
     """
     ListRevokedCredentials: _aio.UnaryUnaryMultiCallable[_access_service_pb2.ListRevokedCredentialsRequest, _access_service_pb2.ListRevokedCredentialsResponse]  # type: ignore[assignment]
-    """All that were revoked."""
+    """List all revoked certificates and client tokens."""
     GetAccessState: _aio.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]  # type: ignore[assignment]
-    """What a port must know to judge its callers. For hosts and other members, which hear of changes by
+    """Get the facts that a port needs to judge its callers. For hosts and other members. They learn of changes by
     DirectoryService.Watch with include_access.
     """
 
 class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Who may do what: rules and client tokens. Served by every supernode, on the port of DirectoryService. Reads see every
-    change acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind).
-    Request ids are as in DirectoryService.
+    """Rules of access, client tokens and revocations. Every supernode serves them on the port of DirectoryService. A read
+    sees every change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the
+    members that do not know it). Request ids are as in DirectoryService.
     """
 
     @_abc_1.abstractmethod
@@ -116,8 +118,9 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.AddAccessRuleRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.AddAccessRuleResponse, _abc.Awaitable[_access_service_pb2.AddAccessRuleResponse]]:
-        """Add a rule. One that is there is no error. For operators, as all that follow. With the first rule, all that no rule
-        allows is denied. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM, VERSION_MISMATCH.
+        """Add a rule. An existing rule is no error. This call and all following ones are for operators. From the first rule
+        on, clients may do only what a rule allows. Errors: INVALID_ARGUMENT (also for more than 1000 rules), NO_QUORUM,
+        VERSION_MISMATCH.
         """
 
     @_abc_1.abstractmethod
@@ -126,7 +129,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.RemoveAccessRuleRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.RemoveAccessRuleResponse, _abc.Awaitable[_access_service_pb2.RemoveAccessRuleResponse]]:
-        """Remove a rule. One that is not there is no error. Errors: as AddAccessRule."""
+        """Remove a rule. An absent rule is no error. Errors: as AddAccessRule."""
 
     @_abc_1.abstractmethod
     def ListAccessRules(
@@ -134,7 +137,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.ListAccessRulesRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.ListAccessRulesResponse, _abc.Awaitable[_access_service_pb2.ListAccessRulesResponse]]:
-        """All rules."""
+        """List all rules."""
 
     @_abc_1.abstractmethod
     def CheckAccess(
@@ -142,7 +145,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.CheckAccessRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.CheckAccessResponse, _abc.Awaitable[_access_service_pb2.CheckAccessResponse]]:
-        """Whether a client of some name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
+        """Check whether a client of a name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
 
     @_abc_1.abstractmethod
     def RevokeCredential(
@@ -150,8 +153,8 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.RevokeCredentialRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.RevokeCredentialResponse, _abc.Awaitable[_access_service_pb2.RevokeCredentialResponse]]:
-        """Have no service take a certificate or client token any more. Open streams of its bearers end within 2 s. For good: issue
-        another one. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+        """Revoke a certificate or client token for good: all services refuse it. They end its open streams within 2 s.
+        Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
         """
 
     @_abc_1.abstractmethod
@@ -160,7 +163,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.ListRevokedCredentialsRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.ListRevokedCredentialsResponse, _abc.Awaitable[_access_service_pb2.ListRevokedCredentialsResponse]]:
-        """All that were revoked."""
+        """List all revoked certificates and client tokens."""
 
     @_abc_1.abstractmethod
     def GetAccessState(
@@ -168,7 +171,7 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.GetAccessStateRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.GetAccessStateResponse, _abc.Awaitable[_access_service_pb2.GetAccessStateResponse]]:
-        """What a port must know to judge its callers. For hosts and other members, which hear of changes by
+        """Get the facts that a port needs to judge its callers. For hosts and other members. They learn of changes by
         DirectoryService.Watch with include_access.
         """
 

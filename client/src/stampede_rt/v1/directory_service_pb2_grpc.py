@@ -26,19 +26,23 @@ if _version_not_supported:
 
 
 class DirectoryServiceStub(object):
-    """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
-    on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
-    answer, not the operation.
-    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
-    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
-    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    """The replicated directory. Every supernode serves it in the same way (paper, section 4.3). An update is acknowledged
+    when it is on stable storage at a majority. A read sees every update that was acknowledged before it began, unless
+    stale_ok is set.
+
+    Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
+    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
+    (INVALID_ARGUMENT), because it might be performed twice.
+
+    Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
-    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
-    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
-    their callers, if its own id begins so, too.
-    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
-    be remembered at present; nothing was done.
+    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
+    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
+    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+
+    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
+    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
     """
 
     def __init__(self, channel):
@@ -115,23 +119,27 @@ class DirectoryServiceStub(object):
 
 
 class DirectoryServiceServicer(object):
-    """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
-    on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
-    answer, not the operation.
-    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
-    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
-    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    """The replicated directory. Every supernode serves it in the same way (paper, section 4.3). An update is acknowledged
+    when it is on stable storage at a majority. A read sees every update that was acknowledged before it began, unless
+    stale_ok is set.
+
+    Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
+    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
+    (INVALID_ARGUMENT), because it might be performed twice.
+
+    Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
-    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
-    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
-    their callers, if its own id begins so, too.
-    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
-    be remembered at present; nothing was done.
+    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
+    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
+    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+
+    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
+    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
     """
 
     def Ping(self, request, context):
-        """Measure the round trip and the clock. Answered without consulting anyone.
+        """Measure the round trip and the clock. The supernode answers by itself, without the other members.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -161,37 +169,38 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def UpdateChannel(self, request, context):
-        """Change the policy of a channel while it runs; fields left out stay.
+        """Change the policy of a channel while it runs. A field that is left out stays as it is.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def DeleteChannel(self, request, context):
-        """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
-        Its copies go with it, and it leaves its groups; see GroupDirectoryService.
+        """Delete a channel. Its owner does not learn of this call at once, so callers should prefer
+        GatekeeperService.DropChannel of the owner. Its copies are deleted, too, and it leaves its groups; see
+        GroupDirectoryService.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RegisterHost(self, request, context):
-        """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
-        and the incarnation of all its channels, queues and mailboxes. Errors: HOST_EXISTS.
+        """Register a channel host, also again after a restart. Its lease begins. A new boot incarnation raises the epoch of
+        all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RenewHostLease(self, request, context):
-        """Keep a lease. Goes to the leader (NOT_LEADER names it). LEASE_EXPIRED: register again.
+        """Renew a lease. Only the leader does so (NOT_LEADER names it). LEASE_EXPIRED: register again.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterHost(self, request, context):
-        """A host leaves; its channels and queues are without an owner at once, and its mailboxes get another.
+        """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another one.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -212,14 +221,14 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ListSupernodes(self, request, context):
-        """The members of the consensus group, as this one sees them.
+        """List the members of the consensus group, as this supernode sees them.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Watch(self, request, context):
-        """Changes from an index on, without gaps, or WATCH_RESTART.
+        """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all of them any more.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -302,19 +311,23 @@ def add_DirectoryServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class DirectoryService(object):
-    """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
-    on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
-    answer, not the operation.
-    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
-    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
-    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    """The replicated directory. Every supernode serves it in the same way (paper, section 4.3). An update is acknowledged
+    when it is on stable storage at a majority. A read sees every update that was acknowledged before it began, unless
+    stale_ok is set.
+
+    Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
+    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
+    (INVALID_ARGUMENT), because it might be performed twice.
+
+    Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
-    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
-    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
-    their callers, if its own id begins so, too.
-    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
-    be remembered at present; nothing was done.
+    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
+    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
+    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+
+    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
+    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
     """
 
     @staticmethod

@@ -27,19 +27,23 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class DirectoryServiceStub:
-    """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
-    on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
-    answer, not the operation.
-    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
-    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
-    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    """The replicated directory. Every supernode serves it in the same way (paper, section 4.3). An update is acknowledged
+    when it is on stable storage at a majority. A read sees every update that was acknowledged before it began, unless
+    stale_ok is set.
+
+    Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
+    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
+    (INVALID_ARGUMENT), because it might be performed twice.
+
+    Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
-    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
-    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
-    their callers, if its own id begins so, too.
-    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
-    be remembered at present; nothing was done.
+    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
+    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
+    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+
+    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
+    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
     """
 
     @_typing.overload
@@ -47,7 +51,7 @@ class DirectoryServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> DirectoryServiceAsyncStub: ...
     Ping: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DirectoryServicePingRequest, _directory_service_pb2.DirectoryServicePingResponse]
-    """Measure the round trip and the clock. Answered without consulting anyone."""
+    """Measure the round trip and the clock. The supernode answers by itself, without the other members."""
     OpenChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.OpenChannelRequest, _directory_service_pb2.OpenChannelResponse]
     """Get or create a channel by name. Atomic: of two creators one wins, the other gets the same channel, or
     CHANNEL_EXISTS if a field that it states contradicts one stated before. If the owner's lease has ended, the channel
@@ -58,48 +62,53 @@ class DirectoryServiceStub:
     ListChannels: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListChannelsRequest, _directory_service_pb2.ListChannelsResponse]
     """List channels by name, page by page."""
     UpdateChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.UpdateChannelRequest, _directory_service_pb2.UpdateChannelResponse]
-    """Change the policy of a channel while it runs; fields left out stay."""
+    """Change the policy of a channel while it runs. A field that is left out stays as it is."""
     DeleteChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeleteChannelRequest, _directory_service_pb2.DeleteChannelResponse]
-    """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
-    Its copies go with it, and it leaves its groups; see GroupDirectoryService.
+    """Delete a channel. Its owner does not learn of this call at once, so callers should prefer
+    GatekeeperService.DropChannel of the owner. Its copies are deleted, too, and it leaves its groups; see
+    GroupDirectoryService.
     """
     RegisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.RegisterHostRequest, _directory_service_pb2.RegisterHostResponse]
-    """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
-    and the incarnation of all its channels, queues and mailboxes. Errors: HOST_EXISTS.
+    """Register a channel host, also again after a restart. Its lease begins. A new boot incarnation raises the epoch of
+    all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
     """
     RenewHostLease: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.RenewHostLeaseRequest, _directory_service_pb2.RenewHostLeaseResponse]
-    """Keep a lease. Goes to the leader (NOT_LEADER names it). LEASE_EXPIRED: register again."""
+    """Renew a lease. Only the leader does so (NOT_LEADER names it). LEASE_EXPIRED: register again."""
     DeregisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]
-    """A host leaves; its channels and queues are without an owner at once, and its mailboxes get another."""
+    """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another one."""
     ResolveHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]
     """Find a host by id or name."""
     ListHosts: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListHostsRequest, _directory_service_pb2.ListHostsResponse]
     """List hosts by name, page by page."""
     ListSupernodes: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListSupernodesRequest, _directory_service_pb2.ListSupernodesResponse]
-    """The members of the consensus group, as this one sees them."""
+    """List the members of the consensus group, as this supernode sees them."""
     Watch: _grpc.UnaryStreamMultiCallable[_directory_service_pb2.WatchRequest, _directory_service_pb2.WatchResponse]
-    """Changes from an index on, without gaps, or WATCH_RESTART."""
+    """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all of them any more."""
 
 @_typing.type_check_only
 class DirectoryServiceAsyncStub(DirectoryServiceStub):
-    """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
-    on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
-    answer, not the operation.
-    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
-    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
-    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    """The replicated directory. Every supernode serves it in the same way (paper, section 4.3). An update is acknowledged
+    when it is on stable storage at a majority. A read sees every update that was acknowledged before it began, unless
+    stale_ok is set.
+
+    Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
+    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
+    (INVALID_ARGUMENT), because it might be performed twice.
+
+    Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
-    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
-    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
-    their callers, if its own id begins so, too.
-    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
-    be remembered at present; nothing was done.
+    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
+    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
+    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+
+    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
+    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Ping: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DirectoryServicePingRequest, _directory_service_pb2.DirectoryServicePingResponse]  # type: ignore[assignment]
-    """Measure the round trip and the clock. Answered without consulting anyone."""
+    """Measure the round trip and the clock. The supernode answers by itself, without the other members."""
     OpenChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.OpenChannelRequest, _directory_service_pb2.OpenChannelResponse]  # type: ignore[assignment]
     """Get or create a channel by name. Atomic: of two creators one wins, the other gets the same channel, or
     CHANNEL_EXISTS if a field that it states contradicts one stated before. If the owner's lease has ended, the channel
@@ -110,42 +119,47 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     ListChannels: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListChannelsRequest, _directory_service_pb2.ListChannelsResponse]  # type: ignore[assignment]
     """List channels by name, page by page."""
     UpdateChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.UpdateChannelRequest, _directory_service_pb2.UpdateChannelResponse]  # type: ignore[assignment]
-    """Change the policy of a channel while it runs; fields left out stay."""
+    """Change the policy of a channel while it runs. A field that is left out stays as it is."""
     DeleteChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeleteChannelRequest, _directory_service_pb2.DeleteChannelResponse]  # type: ignore[assignment]
-    """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
-    Its copies go with it, and it leaves its groups; see GroupDirectoryService.
+    """Delete a channel. Its owner does not learn of this call at once, so callers should prefer
+    GatekeeperService.DropChannel of the owner. Its copies are deleted, too, and it leaves its groups; see
+    GroupDirectoryService.
     """
     RegisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.RegisterHostRequest, _directory_service_pb2.RegisterHostResponse]  # type: ignore[assignment]
-    """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
-    and the incarnation of all its channels, queues and mailboxes. Errors: HOST_EXISTS.
+    """Register a channel host, also again after a restart. Its lease begins. A new boot incarnation raises the epoch of
+    all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
     """
     RenewHostLease: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.RenewHostLeaseRequest, _directory_service_pb2.RenewHostLeaseResponse]  # type: ignore[assignment]
-    """Keep a lease. Goes to the leader (NOT_LEADER names it). LEASE_EXPIRED: register again."""
+    """Renew a lease. Only the leader does so (NOT_LEADER names it). LEASE_EXPIRED: register again."""
     DeregisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]  # type: ignore[assignment]
-    """A host leaves; its channels and queues are without an owner at once, and its mailboxes get another."""
+    """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another one."""
     ResolveHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]  # type: ignore[assignment]
     """Find a host by id or name."""
     ListHosts: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListHostsRequest, _directory_service_pb2.ListHostsResponse]  # type: ignore[assignment]
     """List hosts by name, page by page."""
     ListSupernodes: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListSupernodesRequest, _directory_service_pb2.ListSupernodesResponse]  # type: ignore[assignment]
-    """The members of the consensus group, as this one sees them."""
+    """List the members of the consensus group, as this supernode sees them."""
     Watch: _aio.UnaryStreamMultiCallable[_directory_service_pb2.WatchRequest, _directory_service_pb2.WatchResponse]  # type: ignore[assignment]
-    """Changes from an index on, without gaps, or WATCH_RESTART."""
+    """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all of them any more."""
 
 class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The replicated directory, served alike by every supernode (paper, section 4.3). Updates are acknowledged when they are
-    on stable storage at a majority. Reads see every update acknowledged before they began, unless stale_ok.
-    Every update carries a request id: 16 random bytes chosen by the caller; repeating it repeats the
-    answer, not the operation.
-    That holds for 30 s after the request was first sent. Every repetition says how long ago that was, in whole milliseconds,
-    in the metadata "stampede-request-age-ms"; from 30000 on it is refused (INVALID_ARGUMENT), since it might be done twice.
-    Every call, of this service and of all others that supernodes and hosts serve, may name the cluster that its caller is of
+    """The replicated directory. Every supernode serves it in the same way (paper, section 4.3). An update is acknowledged
+    when it is on stable storage at a majority. A read sees every update that was acknowledged before it began, unless
+    stale_ok is set.
+
+    Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
+    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
+    (INVALID_ARGUMENT), because it might be performed twice.
+
+    Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
-    (WRONG_CLUSTER); one that does not know its own yet answers NO_QUORUM. Ping alone answers everybody. A call that names
-    none is served. Ids that begin with "memory-" are those of clusters that end with their processes: another one serves
-    their callers, if its own id begins so, too.
-    AMBIGUOUS: this attempt took too long, and was not done; an earlier one may be: repeat it. OVERLOADED: no more answers can
-    be remembered at present; nothing was done.
+    (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
+    call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
+    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+
+    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
+    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
     """
 
     @_abc_1.abstractmethod
@@ -154,7 +168,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DirectoryServicePingRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DirectoryServicePingResponse, _abc.Awaitable[_directory_service_pb2.DirectoryServicePingResponse]]:
-        """Measure the round trip and the clock. Answered without consulting anyone."""
+        """Measure the round trip and the clock. The supernode answers by itself, without the other members."""
 
     @_abc_1.abstractmethod
     def OpenChannel(
@@ -189,7 +203,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.UpdateChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.UpdateChannelResponse, _abc.Awaitable[_directory_service_pb2.UpdateChannelResponse]]:
-        """Change the policy of a channel while it runs; fields left out stay."""
+        """Change the policy of a channel while it runs. A field that is left out stays as it is."""
 
     @_abc_1.abstractmethod
     def DeleteChannel(
@@ -197,8 +211,9 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DeleteChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DeleteChannelResponse, _abc.Awaitable[_directory_service_pb2.DeleteChannelResponse]]:
-        """Forget a channel. Its owner is told by its own gatekeeper (GatekeeperService.DropChannel), which callers should prefer.
-        Its copies go with it, and it leaves its groups; see GroupDirectoryService.
+        """Delete a channel. Its owner does not learn of this call at once, so callers should prefer
+        GatekeeperService.DropChannel of the owner. Its copies are deleted, too, and it leaves its groups; see
+        GroupDirectoryService.
         """
 
     @_abc_1.abstractmethod
@@ -207,8 +222,8 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.RegisterHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.RegisterHostResponse, _abc.Awaitable[_directory_service_pb2.RegisterHostResponse]]:
-        """A channel host enters, or enters again after a restart; its lease begins. A new boot incarnation raises the epoch
-        and the incarnation of all its channels, queues and mailboxes. Errors: HOST_EXISTS.
+        """Register a channel host, also again after a restart. Its lease begins. A new boot incarnation raises the epoch of
+        all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
         """
 
     @_abc_1.abstractmethod
@@ -217,7 +232,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.RenewHostLeaseRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.RenewHostLeaseResponse, _abc.Awaitable[_directory_service_pb2.RenewHostLeaseResponse]]:
-        """Keep a lease. Goes to the leader (NOT_LEADER names it). LEASE_EXPIRED: register again."""
+        """Renew a lease. Only the leader does so (NOT_LEADER names it). LEASE_EXPIRED: register again."""
 
     @_abc_1.abstractmethod
     def DeregisterHost(
@@ -225,7 +240,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DeregisterHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DeregisterHostResponse, _abc.Awaitable[_directory_service_pb2.DeregisterHostResponse]]:
-        """A host leaves; its channels and queues are without an owner at once, and its mailboxes get another."""
+        """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another one."""
 
     @_abc_1.abstractmethod
     def ResolveHost(
@@ -249,7 +264,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.ListSupernodesRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.ListSupernodesResponse, _abc.Awaitable[_directory_service_pb2.ListSupernodesResponse]]:
-        """The members of the consensus group, as this one sees them."""
+        """List the members of the consensus group, as this supernode sees them."""
 
     @_abc_1.abstractmethod
     def Watch(
@@ -257,6 +272,6 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.WatchRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_directory_service_pb2.WatchResponse], _abc.AsyncIterator[_directory_service_pb2.WatchResponse]]:
-        """Changes from an index on, without gaps, or WATCH_RESTART."""
+        """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all of them any more."""
 
 def add_DirectoryServiceServicer_to_server(servicer: DirectoryServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

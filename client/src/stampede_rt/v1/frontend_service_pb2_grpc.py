@@ -26,7 +26,8 @@ if _version_not_supported:
 
 
 class FrontendServiceStub(object):
-    """Where everyone starts (paper, section 4): tells callers which supernodes there are. Keeps nothing; run any number.
+    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
+    any number of front-ends may run.
     """
 
     def __init__(self, channel):
@@ -43,11 +44,13 @@ class FrontendServiceStub(object):
 
 
 class FrontendServiceServicer(object):
-    """Where everyone starts (paper, section 4): tells callers which supernodes there are. Keeps nothing; run any number.
+    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
+    any number of front-ends may run.
     """
 
     def Bind(self, request, context):
-        """Get the supernodes, best first. Versions are exchanged. Errors: VERSION_MISMATCH, NO_QUORUM (no supernode answers).
+        """Get the supernodes, best first. Caller and front-end tell each other their versions. Errors: VERSION_MISMATCH,
+        NO_QUORUM (no supernode answers).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -70,7 +73,8 @@ def add_FrontendServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class FrontendService(object):
-    """Where everyone starts (paper, section 4): tells callers which supernodes there are. Keeps nothing; run any number.
+    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
+    any number of front-ends may run.
     """
 
     @staticmethod

@@ -27,25 +27,35 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class FrontendServiceStub:
-    """Where everyone starts (paper, section 4): tells callers which supernodes there are. Keeps nothing; run any number."""
+    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
+    any number of front-ends may run.
+    """
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> FrontendServiceAsyncStub: ...
     Bind: _grpc.UnaryUnaryMultiCallable[_frontend_service_pb2.BindRequest, _frontend_service_pb2.BindResponse]
-    """Get the supernodes, best first. Versions are exchanged. Errors: VERSION_MISMATCH, NO_QUORUM (no supernode answers)."""
+    """Get the supernodes, best first. Caller and front-end tell each other their versions. Errors: VERSION_MISMATCH,
+    NO_QUORUM (no supernode answers).
+    """
 
 @_typing.type_check_only
 class FrontendServiceAsyncStub(FrontendServiceStub):
-    """Where everyone starts (paper, section 4): tells callers which supernodes there are. Keeps nothing; run any number."""
+    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
+    any number of front-ends may run.
+    """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Bind: _aio.UnaryUnaryMultiCallable[_frontend_service_pb2.BindRequest, _frontend_service_pb2.BindResponse]  # type: ignore[assignment]
-    """Get the supernodes, best first. Versions are exchanged. Errors: VERSION_MISMATCH, NO_QUORUM (no supernode answers)."""
+    """Get the supernodes, best first. Caller and front-end tell each other their versions. Errors: VERSION_MISMATCH,
+    NO_QUORUM (no supernode answers).
+    """
 
 class FrontendServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Where everyone starts (paper, section 4): tells callers which supernodes there are. Keeps nothing; run any number."""
+    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
+    any number of front-ends may run.
+    """
 
     @_abc_1.abstractmethod
     def Bind(
@@ -53,6 +63,8 @@ class FrontendServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _frontend_service_pb2.BindRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_frontend_service_pb2.BindResponse, _abc.Awaitable[_frontend_service_pb2.BindResponse]]:
-        """Get the supernodes, best first. Versions are exchanged. Errors: VERSION_MISMATCH, NO_QUORUM (no supernode answers)."""
+        """Get the supernodes, best first. Caller and front-end tell each other their versions. Errors: VERSION_MISMATCH,
+        NO_QUORUM (no supernode answers).
+        """
 
 def add_FrontendServiceServicer_to_server(servicer: FrontendServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -26,7 +26,8 @@ if _version_not_supported:
 
 
 class GatekeeperServiceStub(object):
-    """The door of every channel host (paper, section 4.1): binds callers to channels and negotiates how data travels.
+    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
+    transport.
     """
 
     def __init__(self, channel):
@@ -63,7 +64,8 @@ class GatekeeperServiceStub(object):
 
 
 class GatekeeperServiceServicer(object):
-    """The door of every channel host (paper, section 4.1): binds callers to channels and negotiates how data travels.
+    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
+    transport.
     """
 
     def Ping(self, request, context):
@@ -82,21 +84,21 @@ class GatekeeperServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DropChannel(self, request, context):
-        """Delete a channel, here and in the directory; its readers are told.
+        """Delete a channel, here and in the directory. The host tells its readers.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ConfigureChannel(self, request, context):
-        """Change the policy of a channel, here and in the directory; fields left out stay.
+        """Change the policy of a channel, here and in the directory. A field that is left out stays as it is.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListHostedChannels(self, request, context):
-        """The channels at this host with their counters, page by page.
+        """List the channels at this host with their counters, page by page.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -139,7 +141,8 @@ def add_GatekeeperServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class GatekeeperService(object):
-    """The door of every channel host (paper, section 4.1): binds callers to channels and negotiates how data travels.
+    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
+    transport.
     """
 
     @staticmethod

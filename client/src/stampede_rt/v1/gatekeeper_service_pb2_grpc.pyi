@@ -27,7 +27,9 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class GatekeeperServiceStub:
-    """The door of every channel host (paper, section 4.1): binds callers to channels and negotiates how data travels."""
+    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
+    transport.
+    """
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
@@ -40,15 +42,17 @@ class GatekeeperServiceStub:
     Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND.
     """
     DropChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.DropChannelRequest, _gatekeeper_service_pb2.DropChannelResponse]
-    """Delete a channel, here and in the directory; its readers are told."""
+    """Delete a channel, here and in the directory. The host tells its readers."""
     ConfigureChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ConfigureChannelRequest, _gatekeeper_service_pb2.ConfigureChannelResponse]
-    """Change the policy of a channel, here and in the directory; fields left out stay."""
+    """Change the policy of a channel, here and in the directory. A field that is left out stays as it is."""
     ListHostedChannels: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListHostedChannelsRequest, _gatekeeper_service_pb2.ListHostedChannelsResponse]
-    """The channels at this host with their counters, page by page."""
+    """List the channels at this host with their counters, page by page."""
 
 @_typing.type_check_only
 class GatekeeperServiceAsyncStub(GatekeeperServiceStub):
-    """The door of every channel host (paper, section 4.1): binds callers to channels and negotiates how data travels."""
+    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
+    transport.
+    """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Ping: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.GatekeeperServicePingRequest, _gatekeeper_service_pb2.GatekeeperServicePingResponse]  # type: ignore[assignment]
@@ -58,14 +62,16 @@ class GatekeeperServiceAsyncStub(GatekeeperServiceStub):
     Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND.
     """
     DropChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.DropChannelRequest, _gatekeeper_service_pb2.DropChannelResponse]  # type: ignore[assignment]
-    """Delete a channel, here and in the directory; its readers are told."""
+    """Delete a channel, here and in the directory. The host tells its readers."""
     ConfigureChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ConfigureChannelRequest, _gatekeeper_service_pb2.ConfigureChannelResponse]  # type: ignore[assignment]
-    """Change the policy of a channel, here and in the directory; fields left out stay."""
+    """Change the policy of a channel, here and in the directory. A field that is left out stays as it is."""
     ListHostedChannels: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListHostedChannelsRequest, _gatekeeper_service_pb2.ListHostedChannelsResponse]  # type: ignore[assignment]
-    """The channels at this host with their counters, page by page."""
+    """List the channels at this host with their counters, page by page."""
 
 class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The door of every channel host (paper, section 4.1): binds callers to channels and negotiates how data travels."""
+    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
+    transport.
+    """
 
     @_abc_1.abstractmethod
     def Ping(
@@ -91,7 +97,7 @@ class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _gatekeeper_service_pb2.DropChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_gatekeeper_service_pb2.DropChannelResponse, _abc.Awaitable[_gatekeeper_service_pb2.DropChannelResponse]]:
-        """Delete a channel, here and in the directory; its readers are told."""
+        """Delete a channel, here and in the directory. The host tells its readers."""
 
     @_abc_1.abstractmethod
     def ConfigureChannel(
@@ -99,7 +105,7 @@ class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _gatekeeper_service_pb2.ConfigureChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_gatekeeper_service_pb2.ConfigureChannelResponse, _abc.Awaitable[_gatekeeper_service_pb2.ConfigureChannelResponse]]:
-        """Change the policy of a channel, here and in the directory; fields left out stay."""
+        """Change the policy of a channel, here and in the directory. A field that is left out stays as it is."""
 
     @_abc_1.abstractmethod
     def ListHostedChannels(
@@ -107,6 +113,6 @@ class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _gatekeeper_service_pb2.ListHostedChannelsRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_gatekeeper_service_pb2.ListHostedChannelsResponse, _abc.Awaitable[_gatekeeper_service_pb2.ListHostedChannelsResponse]]:
-        """The channels at this host with their counters, page by page."""
+        """List the channels at this host with their counters, page by page."""
 
 def add_GatekeeperServiceServicer_to_server(servicer: GatekeeperServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -26,8 +26,8 @@ if _version_not_supported:
 
 
 class MembershipServiceStub(object):
-    """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
+    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     def __init__(self, channel):
@@ -59,42 +59,44 @@ class MembershipServiceStub(object):
 
 
 class MembershipServiceServicer(object):
-    """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
+    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     def CreateJoinToken(self, request, context):
-        """Make a token that lets one supernode join, under one id and at one address; any supernode can. Idempotent by
-        request id for as long as the same valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
+        """Make a token with which one supernode can join, with one id and at one address. Any supernode can make it.
+        Idempotent by request id, as long as valid_nanos is the same. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is
+        not founded yet).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def AddSupernode(self, request, context):
-        """A supernode asks to be a member. It is counted once it has caught up; until then the call waits. Idempotent by
-        supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, over, or of another cluster),
-        INVALID_ARGUMENT (an id that was a member before), OVERLOADED (another change is under way), VERSION_MISMATCH,
-        DEADLINE_EXCEEDED (it goes on), AMBIGUOUS (repeat, or ask ListSupernodes).
+        """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
+        call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
+        ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
+        is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RemoveSupernode(self, request, context):
-        """Remove a member for ever; its id never comes back. Idempotent: an absent one is no error. A leader that is to be
-        removed hands over first. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under way), INVALID_ARGUMENT
-        (the last member, or one without which no majority would be alive), AMBIGUOUS.
+        """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the leader is to be
+        removed, it first hands over to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under
+        way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority), AMBIGUOUS.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def TakeSnapshot(self, request, context):
-        """The supernode that is asked writes a snapshot of its replica now, besides those that it writes by itself, and says
-        what it holds; a backup of it follows if asked for. The first response has everything but `data`; those after it
-        have `data` alone. If nothing has changed since the last snapshot, that is the one. Errors: NO_QUORUM (unless
-        stale_ok), OVERLOADED (others are asking for one), DEADLINE_EXCEEDED (it goes on).
+        """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
+        first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
+        further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
+        one. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (another caller is asking for one), DEADLINE_EXCEEDED (the
+        work goes on).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -132,8 +134,8 @@ def add_MembershipServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class MembershipService(object):
-    """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
+    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     @staticmethod

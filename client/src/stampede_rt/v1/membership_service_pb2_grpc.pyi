@@ -27,8 +27,8 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class MembershipServiceStub:
-    """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
+    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     @_typing.overload
@@ -36,59 +36,63 @@ class MembershipServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MembershipServiceAsyncStub: ...
     CreateJoinToken: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.CreateJoinTokenRequest, _membership_service_pb2.CreateJoinTokenResponse]
-    """Make a token that lets one supernode join, under one id and at one address; any supernode can. Idempotent by
-    request id for as long as the same valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
+    """Make a token with which one supernode can join, with one id and at one address. Any supernode can make it.
+    Idempotent by request id, as long as valid_nanos is the same. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is
+    not founded yet).
     """
     AddSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]
-    """A supernode asks to be a member. It is counted once it has caught up; until then the call waits. Idempotent by
-    supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, over, or of another cluster),
-    INVALID_ARGUMENT (an id that was a member before), OVERLOADED (another change is under way), VERSION_MISMATCH,
-    DEADLINE_EXCEEDED (it goes on), AMBIGUOUS (repeat, or ask ListSupernodes).
+    """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
+    call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
+    ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
+    is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]
-    """Remove a member for ever; its id never comes back. Idempotent: an absent one is no error. A leader that is to be
-    removed hands over first. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under way), INVALID_ARGUMENT
-    (the last member, or one without which no majority would be alive), AMBIGUOUS.
+    """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the leader is to be
+    removed, it first hands over to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under
+    way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority), AMBIGUOUS.
     """
     TakeSnapshot: _grpc.UnaryStreamMultiCallable[_membership_service_pb2.TakeSnapshotRequest, _membership_service_pb2.TakeSnapshotResponse]
-    """The supernode that is asked writes a snapshot of its replica now, besides those that it writes by itself, and says
-    what it holds; a backup of it follows if asked for. The first response has everything but `data`; those after it
-    have `data` alone. If nothing has changed since the last snapshot, that is the one. Errors: NO_QUORUM (unless
-    stale_ok), OVERLOADED (others are asking for one), DEADLINE_EXCEEDED (it goes on).
+    """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
+    first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
+    further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
+    one. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (another caller is asking for one), DEADLINE_EXCEEDED (the
+    work goes on).
     """
 
 @_typing.type_check_only
 class MembershipServiceAsyncStub(MembershipServiceStub):
-    """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
+    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     CreateJoinToken: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.CreateJoinTokenRequest, _membership_service_pb2.CreateJoinTokenResponse]  # type: ignore[assignment]
-    """Make a token that lets one supernode join, under one id and at one address; any supernode can. Idempotent by
-    request id for as long as the same valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
+    """Make a token with which one supernode can join, with one id and at one address. Any supernode can make it.
+    Idempotent by request id, as long as valid_nanos is the same. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is
+    not founded yet).
     """
     AddSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.AddSupernodeRequest, _membership_service_pb2.AddSupernodeResponse]  # type: ignore[assignment]
-    """A supernode asks to be a member. It is counted once it has caught up; until then the call waits. Idempotent by
-    supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, over, or of another cluster),
-    INVALID_ARGUMENT (an id that was a member before), OVERLOADED (another change is under way), VERSION_MISMATCH,
-    DEADLINE_EXCEEDED (it goes on), AMBIGUOUS (repeat, or ask ListSupernodes).
+    """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
+    call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
+    ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
+    is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]  # type: ignore[assignment]
-    """Remove a member for ever; its id never comes back. Idempotent: an absent one is no error. A leader that is to be
-    removed hands over first. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under way), INVALID_ARGUMENT
-    (the last member, or one without which no majority would be alive), AMBIGUOUS.
+    """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the leader is to be
+    removed, it first hands over to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under
+    way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority), AMBIGUOUS.
     """
     TakeSnapshot: _aio.UnaryStreamMultiCallable[_membership_service_pb2.TakeSnapshotRequest, _membership_service_pb2.TakeSnapshotResponse]  # type: ignore[assignment]
-    """The supernode that is asked writes a snapshot of its replica now, besides those that it writes by itself, and says
-    what it holds; a backup of it follows if asked for. The first response has everything but `data`; those after it
-    have `data` alone. If nothing has changed since the last snapshot, that is the one. Errors: NO_QUORUM (unless
-    stale_ok), OVERLOADED (others are asking for one), DEADLINE_EXCEEDED (it goes on).
+    """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
+    first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
+    further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
+    one. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (another caller is asking for one), DEADLINE_EXCEEDED (the
+    work goes on).
     """
 
 class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Supernodes come and go (paper, section 4.3): any peer may volunteer, members are added and removed one at a time.
-    Served by every supernode on the port of DirectoryService; DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
+    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     @_abc_1.abstractmethod
@@ -97,8 +101,9 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.CreateJoinTokenRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_membership_service_pb2.CreateJoinTokenResponse, _abc.Awaitable[_membership_service_pb2.CreateJoinTokenResponse]]:
-        """Make a token that lets one supernode join, under one id and at one address; any supernode can. Idempotent by
-        request id for as long as the same valid_nanos is asked for. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is not founded yet).
+        """Make a token with which one supernode can join, with one id and at one address. Any supernode can make it.
+        Idempotent by request id, as long as valid_nanos is the same. Errors: INVALID_ARGUMENT, NO_QUORUM (the cluster is
+        not founded yet).
         """
 
     @_abc_1.abstractmethod
@@ -107,10 +112,10 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.AddSupernodeRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_membership_service_pb2.AddSupernodeResponse, _abc.Awaitable[_membership_service_pb2.AddSupernodeResponse]]:
-        """A supernode asks to be a member. It is counted once it has caught up; until then the call waits. Idempotent by
-        supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, over, or of another cluster),
-        INVALID_ARGUMENT (an id that was a member before), OVERLOADED (another change is under way), VERSION_MISMATCH,
-        DEADLINE_EXCEEDED (it goes on), AMBIGUOUS (repeat, or ask ListSupernodes).
+        """Add the calling supernode as a member. It counts for majorities once it has caught up with the log; until then the
+        call waits. Idempotent by supernode id. Errors: NOT_LEADER, NO_QUORUM, UNAUTHENTICATED (the token is used up, has
+        ended, or is of another cluster), INVALID_ARGUMENT (the id was that of a former member), OVERLOADED (another change
+        is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
         """
 
     @_abc_1.abstractmethod
@@ -119,9 +124,9 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.RemoveSupernodeRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_membership_service_pb2.RemoveSupernodeResponse, _abc.Awaitable[_membership_service_pb2.RemoveSupernodeResponse]]:
-        """Remove a member for ever; its id never comes back. Idempotent: an absent one is no error. A leader that is to be
-        removed hands over first. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under way), INVALID_ARGUMENT
-        (the last member, or one without which no majority would be alive), AMBIGUOUS.
+        """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the leader is to be
+        removed, it first hands over to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under
+        way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority), AMBIGUOUS.
         """
 
     @_abc_1.abstractmethod
@@ -130,10 +135,11 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.TakeSnapshotRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_membership_service_pb2.TakeSnapshotResponse], _abc.AsyncIterator[_membership_service_pb2.TakeSnapshotResponse]]:
-        """The supernode that is asked writes a snapshot of its replica now, besides those that it writes by itself, and says
-        what it holds; a backup of it follows if asked for. The first response has everything but `data`; those after it
-        have `data` alone. If nothing has changed since the last snapshot, that is the one. Errors: NO_QUORUM (unless
-        stale_ok), OVERLOADED (others are asking for one), DEADLINE_EXCEEDED (it goes on).
+        """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
+        first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
+        further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
+        one. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (another caller is asking for one), DEADLINE_EXCEEDED (the
+        work goes on).
         """
 
 def add_MembershipServiceServicer_to_server(servicer: MembershipServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -26,9 +26,9 @@ if _version_not_supported:
 
 
 class PeerServiceStub(object):
-    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
-    DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
-    repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2). Every supernode serves them on the port of
+    DirectoryService, with the same promises. Updates are linearizable, and carry a request id of 16 random bytes; a
+    repeated request with the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
     """
 
     def __init__(self, channel):
@@ -70,37 +70,37 @@ class PeerServiceStub(object):
 
 
 class PeerServiceServicer(object):
-    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
-    DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
-    repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2). Every supernode serves them on the port of
+    DirectoryService, with the same promises. Updates are linearizable, and carry a request id of 16 random bytes; a
+    repeated request with the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
     """
 
     def RegisterPeer(self, request, context):
-        """A peer registers, or registers again after a restart; its lease begins, and with a name its mailbox is made or
-        found. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer has the name and
-        the proof is another one), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
+        """Register a peer, also again after a restart. Its lease begins. A peer with a name gets its former mailbox or a new
+        one. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer with another proof
+        has the name), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RenewPeerLease(self, request, context):
-        """Keep a lease. Goes to the leader. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again).
+        """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterPeer(self, request, context):
-        """A peer leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
-        boot of the same peer is in).
+        """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
+        boot of the same peer is registered).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ResolvePeer(self, request, context):
-        """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
+        """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
         Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -116,7 +116,7 @@ class PeerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def WatchPeers(self, request, context):
-        """Changes among the peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there).
+        """Watch changes of peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -164,9 +164,9 @@ def add_PeerServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class PeerService(object):
-    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
-    DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
-    repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2). Every supernode serves them on the port of
+    DirectoryService, with the same promises. Updates are linearizable, and carry a request id of 16 random bytes; a
+    repeated request with the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
     """
 
     @staticmethod

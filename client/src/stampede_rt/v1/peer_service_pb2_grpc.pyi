@@ -27,9 +27,9 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class PeerServiceStub:
-    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
-    DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
-    repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2). Every supernode serves them on the port of
+    DirectoryService, with the same promises. Updates are linearizable, and carry a request id of 16 random bytes; a
+    repeated request with the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
     """
 
     @_typing.overload
@@ -37,18 +37,18 @@ class PeerServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> PeerServiceAsyncStub: ...
     RegisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.RegisterPeerRequest, _peer_service_pb2.RegisterPeerResponse]
-    """A peer registers, or registers again after a restart; its lease begins, and with a name its mailbox is made or
-    found. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer has the name and
-    the proof is another one), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
+    """Register a peer, also again after a restart. Its lease begins. A peer with a name gets its former mailbox or a new
+    one. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer with another proof
+    has the name), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
     """
     RenewPeerLease: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]
-    """Keep a lease. Goes to the leader. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
+    """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]
-    """A peer leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
-    boot of the same peer is in).
+    """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
+    boot of the same peer is registered).
     """
     ResolvePeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]
-    """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
+    """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
     Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
     """
     ListPeers: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]
@@ -56,29 +56,29 @@ class PeerServiceStub:
     NOT_LEADER (with_clocks).
     """
     WatchPeers: _grpc.UnaryStreamMultiCallable[_peer_service_pb2.WatchPeersRequest, _peer_service_pb2.WatchPeersResponse]
-    """Changes among the peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
+    """Watch changes of peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
 
 @_typing.type_check_only
 class PeerServiceAsyncStub(PeerServiceStub):
-    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
-    DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
-    repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2). Every supernode serves them on the port of
+    DirectoryService, with the same promises. Updates are linearizable, and carry a request id of 16 random bytes; a
+    repeated request with the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     RegisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.RegisterPeerRequest, _peer_service_pb2.RegisterPeerResponse]  # type: ignore[assignment]
-    """A peer registers, or registers again after a restart; its lease begins, and with a name its mailbox is made or
-    found. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer has the name and
-    the proof is another one), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
+    """Register a peer, also again after a restart. Its lease begins. A peer with a name gets its former mailbox or a new
+    one. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer with another proof
+    has the name), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
     """
     RenewPeerLease: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]  # type: ignore[assignment]
-    """Keep a lease. Goes to the leader. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
+    """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]  # type: ignore[assignment]
-    """A peer leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
-    boot of the same peer is in).
+    """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
+    boot of the same peer is registered).
     """
     ResolvePeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]  # type: ignore[assignment]
-    """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
+    """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
     Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
     """
     ListPeers: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]  # type: ignore[assignment]
@@ -86,12 +86,12 @@ class PeerServiceAsyncStub(PeerServiceStub):
     NOT_LEADER (with_clocks).
     """
     WatchPeers: _aio.UnaryStreamMultiCallable[_peer_service_pb2.WatchPeersRequest, _peer_service_pb2.WatchPeersResponse]  # type: ignore[assignment]
-    """Changes among the peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
+    """Watch changes of peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
 
 class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Registration and discovery of peers (paper, sections 3.5 and 4.2), served by every supernode on the port of
-    DirectoryService and with its promises: updates are linearizable and carry a request id of 16 random bytes, the
-    repetition of which repeats the answer; reads see every acknowledged update unless stale_ok.
+    """Registration and discovery of peers (paper, sections 3.5 and 4.2). Every supernode serves them on the port of
+    DirectoryService, with the same promises. Updates are linearizable, and carry a request id of 16 random bytes; a
+    repeated request with the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
     """
 
     @_abc_1.abstractmethod
@@ -100,9 +100,9 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.RegisterPeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.RegisterPeerResponse, _abc.Awaitable[_peer_service_pb2.RegisterPeerResponse]]:
-        """A peer registers, or registers again after a restart; its lease begins, and with a name its mailbox is made or
-        found. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer has the name and
-        the proof is another one), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
+        """Register a peer, also again after a restart. Its lease begins. A peer with a name gets its former mailbox or a new
+        one. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer with another proof
+        has the name), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
         """
 
     @_abc_1.abstractmethod
@@ -111,7 +111,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.RenewPeerLeaseRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.RenewPeerLeaseResponse, _abc.Awaitable[_peer_service_pb2.RenewPeerLeaseResponse]]:
-        """Keep a lease. Goes to the leader. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
+        """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
 
     @_abc_1.abstractmethod
     def DeregisterPeer(
@@ -119,8 +119,8 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.DeregisterPeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.DeregisterPeerResponse, _abc.Awaitable[_peer_service_pb2.DeregisterPeerResponse]]:
-        """A peer leaves; its name is free and its mailbox gone at once. Idempotent. Errors: LEASE_EXPIRED (another
-        boot of the same peer is in).
+        """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
+        boot of the same peer is registered).
         """
 
     @_abc_1.abstractmethod
@@ -129,7 +129,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.ResolvePeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.ResolvePeerResponse, _abc.Awaitable[_peer_service_pb2.ResolvePeerResponse]]:
-        """Find a peer: by id, also one whose lease ended lately, or a live one by name. Changes nothing.
+        """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
         Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
         """
 
@@ -149,6 +149,6 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.WatchPeersRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_peer_service_pb2.WatchPeersResponse], _abc.AsyncIterator[_peer_service_pb2.WatchPeersResponse]]:
-        """Changes among the peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
+        """Watch changes of peers from an index on, without gaps. Errors: WATCH_RESTART (list again, then watch from there)."""
 
 def add_PeerServiceServicer_to_server(servicer: PeerServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

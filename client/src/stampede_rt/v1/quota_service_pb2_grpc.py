@@ -26,9 +26,9 @@ if _version_not_supported:
 
 
 class QuotaServiceStub(object):
-    """The limits of quotas, for operators. Served by every supernode, on the port of DirectoryService. Reads see every change
-    acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind). Request
-    ids are as in DirectoryService. Services heed a change within a moment.
+    """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
+    change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
+    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
     """
 
     def __init__(self, channel):
@@ -60,35 +60,35 @@ class QuotaServiceStub(object):
 
 
 class QuotaServiceServicer(object):
-    """The limits of quotas, for operators. Served by every supernode, on the port of DirectoryService. Reads see every change
-    acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind). Request
-    ids are as in DirectoryService. Services heed a change within a moment.
+    """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
+    change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
+    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
     """
 
     def SetQuotas(self, request, context):
-        """Set limits. A setting of the same `who` and kind is replaced. Errors: INVALID_ARGUMENT (also for more than 1000
-        settings), NO_QUORUM, VERSION_MISMATCH.
+        """Set limits. A new setting replaces one with the same `who` and kind. Errors: INVALID_ARGUMENT (also for more than
+        1000 settings), NO_QUORUM, VERSION_MISMATCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RemoveQuotas(self, request, context):
-        """Remove settings. Those that are not there are no error. Errors: as SetQuotas.
+        """Remove settings. Absent settings are no error. Errors: as SetQuotas.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListQuotas(self, request, context):
-        """All settings, and the defaults.
+        """List all settings, and the defaults.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def CheckQuotas(self, request, context):
-        """The limits of one caller, and the settings that say so. Errors: INVALID_ARGUMENT.
+        """Get the limits of one caller, and the settings that decide them. Errors: INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -126,9 +126,9 @@ def add_QuotaServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class QuotaService(object):
-    """The limits of quotas, for operators. Served by every supernode, on the port of DirectoryService. Reads see every change
-    acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind). Request
-    ids are as in DirectoryService. Services heed a change within a moment.
+    """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
+    change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
+    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
     """
 
     @staticmethod

@@ -27,9 +27,9 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class QuotaServiceStub:
-    """The limits of quotas, for operators. Served by every supernode, on the port of DirectoryService. Reads see every change
-    acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind). Request
-    ids are as in DirectoryService. Services heed a change within a moment.
+    """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
+    change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
+    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
     """
 
     @_typing.overload
@@ -37,39 +37,39 @@ class QuotaServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> QuotaServiceAsyncStub: ...
     SetQuotas: _grpc.UnaryUnaryMultiCallable[_quota_service_pb2.SetQuotasRequest, _quota_service_pb2.SetQuotasResponse]
-    """Set limits. A setting of the same `who` and kind is replaced. Errors: INVALID_ARGUMENT (also for more than 1000
-    settings), NO_QUORUM, VERSION_MISMATCH.
+    """Set limits. A new setting replaces one with the same `who` and kind. Errors: INVALID_ARGUMENT (also for more than
+    1000 settings), NO_QUORUM, VERSION_MISMATCH.
     """
     RemoveQuotas: _grpc.UnaryUnaryMultiCallable[_quota_service_pb2.RemoveQuotasRequest, _quota_service_pb2.RemoveQuotasResponse]
-    """Remove settings. Those that are not there are no error. Errors: as SetQuotas."""
+    """Remove settings. Absent settings are no error. Errors: as SetQuotas."""
     ListQuotas: _grpc.UnaryUnaryMultiCallable[_quota_service_pb2.ListQuotasRequest, _quota_service_pb2.ListQuotasResponse]
-    """All settings, and the defaults."""
+    """List all settings, and the defaults."""
     CheckQuotas: _grpc.UnaryUnaryMultiCallable[_quota_service_pb2.CheckQuotasRequest, _quota_service_pb2.CheckQuotasResponse]
-    """The limits of one caller, and the settings that say so. Errors: INVALID_ARGUMENT."""
+    """Get the limits of one caller, and the settings that decide them. Errors: INVALID_ARGUMENT."""
 
 @_typing.type_check_only
 class QuotaServiceAsyncStub(QuotaServiceStub):
-    """The limits of quotas, for operators. Served by every supernode, on the port of DirectoryService. Reads see every change
-    acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind). Request
-    ids are as in DirectoryService. Services heed a change within a moment.
+    """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
+    change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
+    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     SetQuotas: _aio.UnaryUnaryMultiCallable[_quota_service_pb2.SetQuotasRequest, _quota_service_pb2.SetQuotasResponse]  # type: ignore[assignment]
-    """Set limits. A setting of the same `who` and kind is replaced. Errors: INVALID_ARGUMENT (also for more than 1000
-    settings), NO_QUORUM, VERSION_MISMATCH.
+    """Set limits. A new setting replaces one with the same `who` and kind. Errors: INVALID_ARGUMENT (also for more than
+    1000 settings), NO_QUORUM, VERSION_MISMATCH.
     """
     RemoveQuotas: _aio.UnaryUnaryMultiCallable[_quota_service_pb2.RemoveQuotasRequest, _quota_service_pb2.RemoveQuotasResponse]  # type: ignore[assignment]
-    """Remove settings. Those that are not there are no error. Errors: as SetQuotas."""
+    """Remove settings. Absent settings are no error. Errors: as SetQuotas."""
     ListQuotas: _aio.UnaryUnaryMultiCallable[_quota_service_pb2.ListQuotasRequest, _quota_service_pb2.ListQuotasResponse]  # type: ignore[assignment]
-    """All settings, and the defaults."""
+    """List all settings, and the defaults."""
     CheckQuotas: _aio.UnaryUnaryMultiCallable[_quota_service_pb2.CheckQuotasRequest, _quota_service_pb2.CheckQuotasResponse]  # type: ignore[assignment]
-    """The limits of one caller, and the settings that say so. Errors: INVALID_ARGUMENT."""
+    """Get the limits of one caller, and the settings that decide them. Errors: INVALID_ARGUMENT."""
 
 class QuotaServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The limits of quotas, for operators. Served by every supernode, on the port of DirectoryService. Reads see every change
-    acknowledged before they began. Changes need feature level 2 (VERSION_MISMATCH names the members that are behind). Request
-    ids are as in DirectoryService. Services heed a change within a moment.
+    """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
+    change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
+    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
     """
 
     @_abc_1.abstractmethod
@@ -78,8 +78,8 @@ class QuotaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _quota_service_pb2.SetQuotasRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_quota_service_pb2.SetQuotasResponse, _abc.Awaitable[_quota_service_pb2.SetQuotasResponse]]:
-        """Set limits. A setting of the same `who` and kind is replaced. Errors: INVALID_ARGUMENT (also for more than 1000
-        settings), NO_QUORUM, VERSION_MISMATCH.
+        """Set limits. A new setting replaces one with the same `who` and kind. Errors: INVALID_ARGUMENT (also for more than
+        1000 settings), NO_QUORUM, VERSION_MISMATCH.
         """
 
     @_abc_1.abstractmethod
@@ -88,7 +88,7 @@ class QuotaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _quota_service_pb2.RemoveQuotasRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_quota_service_pb2.RemoveQuotasResponse, _abc.Awaitable[_quota_service_pb2.RemoveQuotasResponse]]:
-        """Remove settings. Those that are not there are no error. Errors: as SetQuotas."""
+        """Remove settings. Absent settings are no error. Errors: as SetQuotas."""
 
     @_abc_1.abstractmethod
     def ListQuotas(
@@ -96,7 +96,7 @@ class QuotaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _quota_service_pb2.ListQuotasRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_quota_service_pb2.ListQuotasResponse, _abc.Awaitable[_quota_service_pb2.ListQuotasResponse]]:
-        """All settings, and the defaults."""
+        """List all settings, and the defaults."""
 
     @_abc_1.abstractmethod
     def CheckQuotas(
@@ -104,6 +104,6 @@ class QuotaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _quota_service_pb2.CheckQuotasRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_quota_service_pb2.CheckQuotasResponse, _abc.Awaitable[_quota_service_pb2.CheckQuotasResponse]]:
-        """The limits of one caller, and the settings that say so. Errors: INVALID_ARGUMENT."""
+        """Get the limits of one caller, and the settings that decide them. Errors: INVALID_ARGUMENT."""
 
 def add_QuotaServiceServicer_to_server(servicer: QuotaServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -26,7 +26,7 @@ if _version_not_supported:
 
 
 class QuotaUseServiceStub(object):
-    """What callers use of one service. Served by every host, supernode and front-end, for operators.
+    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators.
     """
 
     def __init__(self, channel):
@@ -43,11 +43,11 @@ class QuotaUseServiceStub(object):
 
 
 class QuotaUseServiceServicer(object):
-    """What callers use of one service. Served by every host, supernode and front-end, for operators.
+    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators.
     """
 
     def ListQuotaUse(self, request, context):
-        """Who uses something now, or was refused something.
+        """List the callers that use something now, or were refused something.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -70,7 +70,7 @@ def add_QuotaUseServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class QuotaUseService(object):
-    """What callers use of one service. Served by every host, supernode and front-end, for operators.
+    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators.
     """
 
     @staticmethod

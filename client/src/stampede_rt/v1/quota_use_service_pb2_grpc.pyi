@@ -27,25 +27,25 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class QuotaUseServiceStub:
-    """What callers use of one service. Served by every host, supernode and front-end, for operators."""
+    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators."""
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> QuotaUseServiceAsyncStub: ...
     ListQuotaUse: _grpc.UnaryUnaryMultiCallable[_quota_use_service_pb2.ListQuotaUseRequest, _quota_use_service_pb2.ListQuotaUseResponse]
-    """Who uses something now, or was refused something."""
+    """List the callers that use something now, or were refused something."""
 
 @_typing.type_check_only
 class QuotaUseServiceAsyncStub(QuotaUseServiceStub):
-    """What callers use of one service. Served by every host, supernode and front-end, for operators."""
+    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators."""
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     ListQuotaUse: _aio.UnaryUnaryMultiCallable[_quota_use_service_pb2.ListQuotaUseRequest, _quota_use_service_pb2.ListQuotaUseResponse]  # type: ignore[assignment]
-    """Who uses something now, or was refused something."""
+    """List the callers that use something now, or were refused something."""
 
 class QuotaUseServiceServicer(metaclass=_abc_1.ABCMeta):
-    """What callers use of one service. Served by every host, supernode and front-end, for operators."""
+    """Tells how much callers use of one service. Every host, supernode and front-end serves it, for operators."""
 
     @_abc_1.abstractmethod
     def ListQuotaUse(
@@ -53,6 +53,6 @@ class QuotaUseServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _quota_use_service_pb2.ListQuotaUseRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_quota_use_service_pb2.ListQuotaUseResponse, _abc.Awaitable[_quota_use_service_pb2.ListQuotaUseResponse]]:
-        """Who uses something now, or was refused something."""
+        """List the callers that use something now, or were refused something."""
 
 def add_QuotaUseServiceServicer_to_server(servicer: QuotaUseServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

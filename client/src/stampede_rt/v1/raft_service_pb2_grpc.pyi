@@ -29,47 +29,45 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class RaftServiceStub:
-    """The replicated log's own port service. It shares the supernode's port with the directory."""
+    """The service of the replicated log. It is on the supernode's port, with the directory."""
 
     @_typing.overload
     def __new__(cls, channel: _grpc.Channel) -> _Self: ...
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> RaftServiceAsyncStub: ...
     Exchange: _grpc.StreamStreamMultiCallable[_raft_service_pb2.RaftServiceExchangeRequest, _raft_service_pb2.RaftServiceExchangeResponse]
-    """Carries one member's messages to another, in order and at most once, for as long as both live.
-    The first request holds `hello` and nothing else, and is answered at once. Every later request holds messages.
-    While they come, the receiver answers about twice a second. A caller without an answer for 3 s knows that its
-    messages do not arrive. Each member opens one such stream to every other; a second stream from the same member ends
-    the first. Nothing is repeated after a break: the log itself catches up.
-    Not idempotent.
-    Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not a member, is
-    one no longer (then the message says "removed"), comes with another store than before ("another store"), or with
-    less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another
-    protocol version, or a release that does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when
-    the receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a newer one.
+    """Carries one member's messages to another, in order and at most once, for as long as both live. The first request
+    has only `hello`, and the receiver answers it at once. Every later request has messages. While they come, the
+    receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each member
+    opens one such stream to every other member. A second stream from the same member ends the first. After a break no
+    message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a malformed
+    hello or message; PERMISSION_DENIED for a caller that is not a member, is one no longer (then the message says
+    "removed"), comes with another store than before ("another store"), or with less than it has said to hold ("older
+    copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol version, or a release that
+    does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when the receiver is too far behind;
+    UNAVAILABLE when it closes or the stream was replaced by a newer one.
     """
 
 @_typing.type_check_only
 class RaftServiceAsyncStub(RaftServiceStub):
-    """The replicated log's own port service. It shares the supernode's port with the directory."""
+    """The service of the replicated log. It is on the supernode's port, with the directory."""
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Exchange: _aio.StreamStreamMultiCallable[_raft_service_pb2.RaftServiceExchangeRequest, _raft_service_pb2.RaftServiceExchangeResponse]  # type: ignore[assignment]
-    """Carries one member's messages to another, in order and at most once, for as long as both live.
-    The first request holds `hello` and nothing else, and is answered at once. Every later request holds messages.
-    While they come, the receiver answers about twice a second. A caller without an answer for 3 s knows that its
-    messages do not arrive. Each member opens one such stream to every other; a second stream from the same member ends
-    the first. Nothing is repeated after a break: the log itself catches up.
-    Not idempotent.
-    Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not a member, is
-    one no longer (then the message says "removed"), comes with another store than before ("another store"), or with
-    less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another
-    protocol version, or a release that does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when
-    the receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a newer one.
+    """Carries one member's messages to another, in order and at most once, for as long as both live. The first request
+    has only `hello`, and the receiver answers it at once. Every later request has messages. While they come, the
+    receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each member
+    opens one such stream to every other member. A second stream from the same member ends the first. After a break no
+    message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a malformed
+    hello or message; PERMISSION_DENIED for a caller that is not a member, is one no longer (then the message says
+    "removed"), comes with another store than before ("another store"), or with less than it has said to hold ("older
+    copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol version, or a release that
+    does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when the receiver is too far behind;
+    UNAVAILABLE when it closes or the stream was replaced by a newer one.
     """
 
 class RaftServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The replicated log's own port service. It shares the supernode's port with the directory."""
+    """The service of the replicated log. It is on the supernode's port, with the directory."""
 
     @_abc_1.abstractmethod
     def Exchange(
@@ -77,17 +75,16 @@ class RaftServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_raft_service_pb2.RaftServiceExchangeRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_raft_service_pb2.RaftServiceExchangeResponse], _abc.AsyncIterator[_raft_service_pb2.RaftServiceExchangeResponse]]:
-        """Carries one member's messages to another, in order and at most once, for as long as both live.
-        The first request holds `hello` and nothing else, and is answered at once. Every later request holds messages.
-        While they come, the receiver answers about twice a second. A caller without an answer for 3 s knows that its
-        messages do not arrive. Each member opens one such stream to every other; a second stream from the same member ends
-        the first. Nothing is repeated after a break: the log itself catches up.
-        Not idempotent.
-        Errors: INVALID_ARGUMENT for a malformed hello or message; PERMISSION_DENIED for a caller that is not a member, is
-        one no longer (then the message says "removed"), comes with another store than before ("another store"), or with
-        less than it has said to hold ("older copy"); FAILED_PRECONDITION for another cluster, another addressee, another
-        protocol version, or a release that does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when
-        the receiver is too far behind; UNAVAILABLE when it closes or the stream was replaced by a newer one.
+        """Carries one member's messages to another, in order and at most once, for as long as both live. The first request
+        has only `hello`, and the receiver answers it at once. Every later request has messages. While they come, the
+        receiver answers about twice a second. If a caller gets no answer for 3 s, its messages do not arrive. Each member
+        opens one such stream to every other member. A second stream from the same member ends the first. After a break no
+        message is sent again, because the log itself catches up. Not idempotent. Errors: INVALID_ARGUMENT for a malformed
+        hello or message; PERMISSION_DENIED for a caller that is not a member, is one no longer (then the message says
+        "removed"), comes with another store than before ("another store"), or with less than it has said to hold ("older
+        copy"); FAILED_PRECONDITION for another cluster, another addressee, another protocol version, or a release that
+        does not know the cluster's feature level ("too old"); RESOURCE_EXHAUSTED when the receiver is too far behind;
+        UNAVAILABLE when it closes or the stream was replaced by a newer one.
         """
 
 def add_RaftServiceServicer_to_server(servicer: RaftServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...
