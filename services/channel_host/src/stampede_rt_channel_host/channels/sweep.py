@@ -15,8 +15,8 @@ from stampede_rt_channel_host.core.deadlines import Deadlines
 
 ROUND_SECONDS = 0.5
 CHANNELS_PER_STEP_MAX = 256
-ENTRIES_PER_STEP_MAX = 128
-STEPS_PER_RECLAIM = 4
+ENTRIES_PER_STEP_MAX = 64
+STEPS_PER_RECLAIM = 8
 
 
 class Sweep:

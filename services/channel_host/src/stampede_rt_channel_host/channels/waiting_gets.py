@@ -230,10 +230,13 @@ class WaitingGets:
     def ending(self, error: StampedeError) -> Pieces[None]:
         """End the gets that wait now with `error`, in pieces, because the host serves the channel no more."""
         self._drop_releases()
-        for at, get in enumerate(list(self._waiting), 1):
-            if get in self._waiting:  # if not, it was released since the last piece
-                get.finish(error)
-            if at % GETS_PER_PIECE == 0:
+        gets = deque(self._waiting)  # emptied step by step: to free very many gets at once takes long
+        while gets:
+            for _ in range(min(GETS_PER_PIECE, len(gets))):
+                get = gets.popleft()
+                if get in self._waiting:  # if not, it was released since the last piece
+                    get.finish(error)
+            if gets:
                 yield
 
     def _keep(self, release: _Release, now: int) -> None:

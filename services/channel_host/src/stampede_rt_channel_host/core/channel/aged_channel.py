@@ -49,7 +49,7 @@ class AgedChannel:
         self._settled: int | None = None
         self._entries_to_free = 0  # entries that puts may have added since they last freed memory
 
-    def collect(self, now: int, entries_max: int = 128) -> bool:
+    def collect(self, now: int, entries_max: int = 64) -> bool:
         """Free memory of outdated items, a bounded part.
 
         Returns True if more is left. Puts and reads also free a little.
@@ -63,6 +63,7 @@ class AgedChannel:
         """Free all items, in pieces. The channel must not be used afterwards."""
         self._held.tell(None)
         self._held.outdate(self._held.front_of_items(self._held.items), COUNT, self._clock or 0)
+        yield
         while self._held.free(pieces.STEPS_PER_PIECE):
             yield
 
