@@ -12,7 +12,7 @@ import asyncio
 import gc
 import time
 
-_THRESHOLDS = (2_000, 5, 2**30)
+_THRESHOLDS = (1_000, 5, 2**30)
 """With these values Python still starts the collector if the number of objects grows, but never collects
 all objects.
 """

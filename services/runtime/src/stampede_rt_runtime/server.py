@@ -23,6 +23,7 @@ from stampede_rt_runtime.health import Health
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.listen import CannotListen, check_listen
 from stampede_rt_runtime.overload import RefusedCalls
+from stampede_rt_runtime.pacing import PacingInterceptor
 from stampede_rt_runtime.quotas.use_servicer import QuotaUseServicer
 from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.values import Address
@@ -69,6 +70,7 @@ class ServiceServer:
                 AdmissionInterceptor(accepted, self.access),
                 *([ClusterInterceptor(judge_cluster)] if judge_cluster else []),
                 CapacityInterceptor(limits, self.refused_calls),
+                PacingInterceptor(),
             ],
             options=limits.server_options(),
             maximum_concurrent_rpcs=limits.rpcs_max(),

@@ -1,0 +1,179 @@
+"""Few streams go on in each turn of the event loop, however many have been read or written."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt_runtime.pacing import STREAMS_PER_TURN, PacedContext, PacingInterceptor, TurnGate
+
+STREAMS = 200
+
+
+class Turns:
+    """Counts the turns of the event loop, and what went on in each of them."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self.went_on: Counter[int] = Counter()
+        self._counting = asyncio.get_running_loop().call_soon(self._count)
+
+    def _count(self) -> None:
+        self.number += 1
+        self._counting = asyncio.get_running_loop().call_soon(self._count)
+
+    def note(self) -> None:
+        self.went_on[self.number] += 1
+
+    async def until(self, condition: Callable[[], bool]) -> None:
+        while not condition():  # noqa: ASYNC110  (there is no event for it)
+            await asyncio.sleep(0)
+        self._counting.cancel()
+
+
+async def test_callers_go_on_a_few_in_each_turn_in_the_order_of_their_coming() -> None:
+    gate, turns, order = TurnGate(), Turns(), list[int]()
+
+    async def pass_through(number: int) -> None:
+        if not gate.admits():
+            await gate.turn()
+        turns.note()
+        order.append(number)
+
+    async with asyncio.TaskGroup() as group:
+        for number in range(STREAMS):
+            group.create_task(pass_through(number))
+        await turns.until(lambda: len(order) == STREAMS)
+    assert order == [*range(STREAMS)]
+    assert max(turns.went_on.values()) <= 2 * STREAMS_PER_TURN
+    assert len(turns.went_on) >= STREAMS / STREAMS_PER_TURN - 1
+
+
+async def test_a_caller_that_comes_alone_does_not_wait() -> None:
+    gate = TurnGate()
+    for _ in range(3):
+        assert gate.admits()
+        await asyncio.sleep(0)
+
+
+async def test_a_caller_that_gives_up_in_line_takes_nobodys_place() -> None:
+    gate = TurnGate()
+
+    async def enter() -> None:
+        if not gate.admits():
+            await gate.turn()
+
+    callers = [asyncio.create_task(enter()) for _ in range(20 * STREAMS_PER_TURN)]
+    await asyncio.sleep(0)
+    for caller in callers[STREAMS_PER_TURN : 19 * STREAMS_PER_TURN]:
+        caller.cancel()
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert all(caller.done() for caller in callers)
+    assert gate.admits()
+
+
+class Stream:
+    """A context whose reads and writes are done at once."""
+
+    def __init__(self) -> None:
+        self.written: list[bytes] = []
+
+    async def read(self) -> bytes:
+        await asyncio.sleep(0)
+        return b"request"
+
+    async def write(self, message: bytes) -> None:
+        await asyncio.sleep(0)
+        self.written.append(message)
+
+    def peer(self) -> str:
+        return "ipv4:1.2.3.4:5"
+
+
+@pytest.mark.parametrize("operation", ["read", "write"])
+async def test_streams_whose_messages_are_through_at_once_go_on_a_few_in_each_turn(operation: str) -> None:
+    turns, reads, writes, done = Turns(), TurnGate(), TurnGate(), list[Any]()
+
+    async def serve() -> None:
+        context = PacedContext(Stream(), reads, writes)  # type: ignore[arg-type]
+        done.append(await (context.read() if operation == "read" else context.write(b"m")))
+        turns.note()
+
+    async with asyncio.TaskGroup() as group:
+        for _ in range(STREAMS):
+            group.create_task(serve())
+        await turns.until(lambda: len(done) == STREAMS)
+    assert max(turns.went_on.values()) <= 2 * STREAMS_PER_TURN
+    assert {*done} == {b"request" if operation == "read" else None}
+
+
+def test_all_else_of_a_context_is_left_as_it_is() -> None:
+    assert PacedContext(Stream(), TurnGate(), TurnGate()).peer() == "ipv4:1.2.3.4:5"  # type: ignore[arg-type]
+
+
+async def _handler(behavior: Any) -> Any:
+    async def found(_: Any) -> Any:
+        return grpc.stream_stream_rpc_method_handler(behavior)
+
+    return (await PacingInterceptor().intercept_service(found, None)).stream_stream  # type: ignore[arg-type]
+
+
+async def test_streams_whose_callers_go_together_end_a_few_in_each_turn() -> None:
+    ended = 0
+
+    async def behavior(_requests: Any, _context: Any) -> None:
+        nonlocal ended
+        try:
+            await asyncio.Event().wait()
+        finally:
+            ended += 1
+            turns.note()
+
+    handler = await _handler(behavior)
+    calls = [asyncio.create_task(handler(None, Stream())) for _ in range(STREAMS)]
+    for _ in range(3):
+        await asyncio.sleep(0)
+    turns = Turns()
+    for call in calls:
+        call.cancel()
+    await turns.until(lambda: ended == STREAMS)
+    assert max(turns.went_on.values()) <= 2 * STREAMS_PER_TURN
+    await asyncio.wait(calls)
+    assert all(call.cancelled() for call in calls)
+
+
+async def test_what_a_stream_raises_reaches_its_caller() -> None:
+    async def behavior(_requests: Any, _context: Any) -> None:
+        raise KeyError("no")
+
+    handler = await _handler(behavior)
+    with pytest.raises(KeyError):
+        await handler(None, Stream())
+
+
+async def test_streams_that_yield_their_responses_go_on_a_few_in_each_turn() -> None:
+    async def behavior(_requests: Any, _context: Any) -> AsyncIterator[int]:
+        for number in range(2):
+            yield number
+
+    handler, seen = await _handler(behavior), 0
+
+    async def read() -> None:
+        nonlocal seen
+        async for number in handler(None, Stream()):
+            if number == 1:
+                turns.note()
+                seen += 1
+
+    turns = Turns()
+    async with asyncio.TaskGroup() as group:
+        for _ in range(STREAMS):
+            group.create_task(read())
+        await turns.until(lambda: seen == STREAMS)
+    assert max(turns.went_on.values()) <= 2 * STREAMS_PER_TURN
