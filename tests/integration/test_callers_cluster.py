@@ -18,18 +18,30 @@ from stampede_rt._sync import discovery as sync_discovery
 from stampede_rt.cluster.cluster_ids import may_go_over, told_cluster, wrong_cluster
 from stampede_rt.errors import StampedeError, Unavailable, WrongCluster
 from stampede_rt.status import abort
-from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc, frontend_service_pb2_grpc
+from stampede_rt.v1 import (
+    directory_pb2,
+    directory_service_pb2_grpc,
+    frontend_service_pb2_grpc,
+    peer_service_pb2_grpc,
+)
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
+from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt_runtime.server import serving
 
 
-class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer):
-    """One that knows no hosts. `mute`: it answers no ping. `served` has the cluster that each caller named."""
+class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_service_pb2_grpc.PeerServiceServicer):
+    """One that knows no hosts and no peers. `mute`: it answers no ping.
+
+    `served` has the cluster that each caller named, and `clocks_asked` whether it asked for clocks, which only the
+    leader tells. The supernodes' addresses in `members` are what it lists, and it takes the first for the leader.
+    """
 
     def __init__(self, cluster_id: str, *, former: tuple[str, ...] = (), mute: bool = False) -> None:
         self.cluster_id, self.former, self.mute = cluster_id, former, mute
         self.served: list[str] = []
+        self.clocks_asked: list[bool] = []
+        self.members: list[str] = []
 
     def judge(self, callers: str) -> StampedeError | None:
         if may_go_over(callers, self.cluster_id, self.former):
@@ -46,6 +58,17 @@ class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer):
     async def ListHosts(self, request: Any, context: Any) -> directory_pb.ListHostsResponse:  # noqa: N802
         self.served.append(told_cluster(context.invocation_metadata()))
         return directory_pb.ListHostsResponse()
+
+    async def ListSupernodes(self, request: Any, context: Any) -> directory_pb.ListSupernodesResponse:  # noqa: N802
+        records = [
+            directory_pb2.SupernodeRecord(endpoint=directory_pb2.Endpoint(target=target), is_leader=not number)
+            for number, target in enumerate(self.members)
+        ]
+        return directory_pb.ListSupernodesResponse(supernodes=records)
+
+    async def ListPeers(self, request: Any, context: Any) -> peer_pb.ListPeersResponse:  # noqa: N802
+        self.clocks_asked.append(request.with_clocks)
+        return peer_pb.ListPeersResponse()
 
     async def Watch(self, request: Any, context: Any) -> AsyncIterator[directory_pb.WatchResponse]:  # noqa: N802
         self.served.append(told_cluster(context.invocation_metadata()))
@@ -77,6 +100,7 @@ class World:
     async def supernode(self, one: FakeSupernode) -> str:
         def register(server: Any) -> None:
             directory_service_pb2_grpc.add_DirectoryServiceServicer_to_server(one, server)
+            peer_service_pb2_grpc.add_PeerServiceServicer_to_server(one, server)
 
         server = await self._stack.enter_async_context(serving(register, judge_cluster=lambda told: one.judge(told)))
         return server.address
@@ -97,8 +121,10 @@ async def world() -> AsyncIterator[World]:
 class Client:
     """The calls of these tests, with either client."""
 
-    def __init__(self, hosts: Callable[[], Awaitable[Any]], change: Callable[[], Awaitable[Any]]) -> None:
-        self.hosts, self.change = hosts, change
+    def __init__(self, rt: Any, change: Callable[[], Awaitable[Any]], call: Callable[[Any], Awaitable[Any]]) -> None:
+        self.change = change
+        self.hosts: Callable[[], Awaitable[Any]] = lambda: call(rt.hosts)
+        self.peers: Callable[[], Awaitable[Any]] = lambda: call(rt.peers)
 
 
 @asynccontextmanager
@@ -110,7 +136,7 @@ async def connected(kind: str, url: str) -> AsyncIterator[Client]:
                 async with rt.watch() as watch:
                     return await anext(watch)
 
-            yield Client(rt.hosts, change)
+            yield Client(rt, change, lambda method: method())
         return
     rt = await asyncio.to_thread(st.connect, url)
     try:
@@ -119,7 +145,7 @@ async def connected(kind: str, url: str) -> AsyncIterator[Client]:
             with rt.watch() as watch:
                 return next(watch)
 
-        yield Client(lambda: asyncio.to_thread(rt.hosts), lambda: asyncio.to_thread(next_change))
+        yield Client(rt, lambda: asyncio.to_thread(next_change), asyncio.to_thread)
     finally:
         await asyncio.to_thread(rt.close)
 
@@ -141,6 +167,25 @@ async def test_a_call_and_a_watch_that_meet_another_clusters_supernode_first_go_
     async with connected(kind, frontend) as client:
         await client.change()
     assert (stranger.served, set(own.served)) == ([], {"x"})
+
+
+@pytest.mark.parametrize("others_know", [True, False])
+async def test_a_call_for_the_leader_leaves_the_other_cluster_out_that_answers_at_the_known_leaders_address(
+    world: World, kind: str, others_know: bool
+) -> None:
+    """The others may not have elected another one yet: then nobody tells clocks."""
+    former, follower = FakeSupernode("x"), FakeSupernode("x")
+    targets = [await world.supernode(former), await world.supernode(follower)]
+    former.members = follower.members = targets
+    frontend = await world.frontend(FakeFrontend("x", targets))
+    async with connected(kind, frontend) as client:
+        await client.peers()
+        assert (former.clocks_asked, follower.clocks_asked) == ([True], [])
+        former.cluster_id = "y"  # a backup was restored there
+        if others_know:
+            follower.members = targets[1:]
+        await client.peers()
+        assert (former.clocks_asked, follower.clocks_asked) == ([True], [others_know])
 
 
 @pytest.fixture
