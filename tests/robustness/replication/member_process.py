@@ -1,4 +1,5 @@
-"""One member as a process of its own, driven over its standard input: `propose TEXT`, `entries`, `leader`.
+"""One member as a process of its own, driven over its standard input: `propose TEXT`, `entries`, `leader`,
+`disk` (whether it waits for its disk).
 
 Arguments: member id, folder for stores and sockets, and the ids of all members. Every answer is one line. Two of them
 are no results: UNKNOWN_OUTCOME and REFUSED.
@@ -46,6 +47,8 @@ async def serve(member_id: str, folder: Path, ids: list[str]) -> None:
                 answer = (await log.propose(text.encode(), timeout=10.0)).decode()
             elif verb == "leader":
                 answer = str(log.status().leader_id)
+            elif verb == "disk":
+                answer = "silent" if log.status().disk_silent_seconds else "answers"
             else:
                 await log.confirm_read(timeout=10.0)
                 answer = " ".join(command.decode() for _, command in machine.entries)

@@ -136,5 +136,7 @@ async def test_a_leader_whose_disk_hangs_is_replaced_and_follows_when_it_goes_on
     assert await stuck in (UNKNOWN_OUTCOME, REFUSED)
     # It does not go on to call itself the leader.
     assert await leader.ask("leader") == "None"
+    assert await leader.ask("disk") == "silent"
     leader.disk.thaw()
     assert "meanwhile" in (await leader.ask("entries")).split()
+    assert await leader.ask("disk") == "answers"

@@ -38,6 +38,7 @@ class MemoryLog:
         self.retired: set[str] = set()
         self.quorum = True
         self.diverged_at = 0
+        self.disk_silent_seconds = 0.0
         # What the members have told of their releases; None: both know what this one knows.
         self.highest_levels: dict[str, int] | None = None
         # What every change of the members ends with; None: it succeeds.
@@ -97,6 +98,7 @@ class MemoryLog:
             term=self.tenure,
             applied_index=self.index,
             diverged_at=self.diverged_at,
+            disk_silent_seconds=self.disk_silent_seconds,
             members=[SELF, self.other],
             feature_level=self.machine.feature_level,
             highest_levels=self._levels(),

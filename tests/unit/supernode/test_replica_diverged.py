@@ -77,6 +77,13 @@ async def test_it_refuses_reads_and_updates_and_says_where_it_went_wrong(node: N
     assert (state, "join under a new id" in advice, "latest data folder" in advice) == ("diverged", True, False)
 
 
+async def test_it_says_of_itself_that_its_disk_does_not_answer_and_doctor_what_to_do(node: Node) -> None:
+    node.log.disk_silent_seconds = 7.2
+    pong = await node.call(node.stub.Ping(pb.DirectoryServicePingRequest(), timeout=10))
+    state, advice = refusal(pong.refused_supernodes["s1"])
+    assert (state, "has not answered for 7 s; the others go on" in advice) == ("waiting for its disk", True), advice
+
+
 def test_doctor_tells_a_release_that_is_refused_from_a_store() -> None:
     state, advice = refusal(f"'s2' {TOO_OLD}: it knows feature level 1 (says s1)")
     assert (state, "release of the others and the same data folder" in advice) == ("release refused", True)

@@ -14,7 +14,7 @@ from stampede_rt.administration.options import add_cluster_options
 from stampede_rt.administration.running_cluster import Cluster, is_there, no_member, reached
 from stampede_rt.cli.backup_file import write_backup
 from stampede_rt.cli.output import print_facts, print_rows
-from stampede_rt.cli.supernode_findings import IN_DOUBT, gathered, level_finding, refusal
+from stampede_rt.cli.supernode_findings import IN_DOUBT, WAITS_FOR_DISK, gathered, level_finding, refusal
 from stampede_rt.cluster.cluster_ids import IN_MEMORY
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.escaping import TerminalParser, escaped
@@ -112,7 +112,8 @@ def _run_status(arguments: argparse.Namespace) -> int:
         print(escaped(_level_line(max(_cluster_levels(pongs), default=listed.feature_level), levels)))
         for name, why in sorted(refused.items()):
             state, advice = refusal(why)
-            print(escaped(f"{name} is {IN_DOUBT if state == IN_DOUBT else 'refused'}: {advice}."))
+            shown = state if state in (IN_DOUBT, WAITS_FOR_DISK) else "refused"
+            print(escaped(f"{name} is {shown}: {advice}."))
         if serving < len(rows):
             print("`stampede doctor` says why the others do not.")
     return 0 if enough else FAILED

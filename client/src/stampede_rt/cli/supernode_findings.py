@@ -24,6 +24,13 @@ DOUBT_ADVICE = (
 )
 # These words are in a text about a supernode whose release does not know the cluster's feature level.
 TOO_OLD = "is of a release that is too old"
+# These words are in a text from a supernode whose disk hangs.
+DISK_SILENT = "the disk of its data folder has not answered"
+WAITS_FOR_DISK = "waiting for its disk"
+DISK_ADVICE = (
+    "the others go on without it; mend the disk, and it goes on by itself; if the disk is lost, remove it (stampede "
+    "supernode remove) and let it join under a new id (runbook: replace one)"
+)
 REPLACE_ADVICE = (
     "remove it (stampede supernode remove), empty its folder, and let it join under a new id (runbook: replace one)"
 )
@@ -44,6 +51,8 @@ def refusal(why: str) -> tuple[str, str]:
         return "diverged", f"{why}; {REPLACE_ADVICE}"
     if DOUBTFUL in why and REFUSED_BY not in why:
         return IN_DOUBT, f"{why}; {DOUBT_ADVICE}"
+    if DISK_SILENT in why:
+        return WAITS_FOR_DISK, f"{why}; {DISK_ADVICE}"
     if TOO_OLD in why:
         return "release refused", f"{why}; start it with the release of the others and the same data folder"
     return "store refused", f"{why}; {STORE_ADVICE}"

@@ -27,6 +27,14 @@ def why_in_doubt(member_id: str, log_index: int) -> str:
     )
 
 
+def why_waits_for_disk(status: ReplicationStatus) -> str:
+    """In one sentence."""
+    return (
+        f"{status.self_id!r} takes and confirms nothing, since the disk of its data folder has not answered for "
+        f"{status.disk_silent_seconds:.0f} s"
+    )
+
+
 class Members:
     """Local knowledge; no method waits. `advertise`: the address for callers. `zone`: the zone of this supernode."""
 
@@ -56,12 +64,13 @@ class Members:
         """Members with a reason why they are refused, and who says so.
 
         These are members whose stores this one refuses, or whose states are in doubt. This supernode itself is among
-        them if others refuse it or its state differs.
+        them if others refuse it, its state differs, or its disk does not answer.
         """
         status = self._log.status()
         told = {name: f"{why} (says {status.self_id})" for name, why in status.refused.items()}
         by = "; ".join(f"{why} (says {name})" for name, why in sorted(status.refused_by.items()))
-        own = why_diverged(status) if status.diverged_at else by
+        own = why_waits_for_disk(status) if status.disk_silent_seconds else by
+        own = why_diverged(status) if status.diverged_at else own
         doubts = {name: why_in_doubt(name, at) for name, at in status.doubts.items()}
         return {**doubts, **told, **({status.self_id: own} if own else {})}
 

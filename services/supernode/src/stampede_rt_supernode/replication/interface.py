@@ -83,6 +83,7 @@ class ReplicationStatus:
     - `diverged_at`: the position at which this replica's state was found to differ from that of most members; 0: none.
     - `doubts`: by id, the position at which a member's state was found to differ from the leader's, while nobody knows
       the state of most. A follower has only itself in it, a leader the others.
+    - `disk_silent_seconds`: how long this replica's disk has not answered, if that is too long; 0 otherwise.
     - `feature_level`: the state's.
     - `highest_levels`: by id, the highest level of each member's release, this one included, as it told.
     - `too_old`: the words of the leader, or of most others, that this release does not know the cluster's level.
@@ -102,6 +103,7 @@ class ReplicationStatus:
     other_cluster: str = ""
     diverged_at: int = 0
     doubts: Mapping[str, int] = field(default_factory=dict)
+    disk_silent_seconds: float = 0.0
     refused: Mapping[str, str] = field(default_factory=dict)
     feature_level: int = 1
     highest_levels: Mapping[str, int] = field(default_factory=dict)
