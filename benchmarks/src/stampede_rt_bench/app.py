@@ -14,13 +14,14 @@ from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt_bench.comparison import SYSTEMS, measure_limits, measure_peers
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
-from stampede_rt_bench.paper import get_cost, interval_cost, memory_cost, skew, visibility
+from stampede_rt_bench.paper import contention, get_cost, interval_cost, memory_cost, skew, visibility
 from stampede_rt_bench.tables import Table
 from stampede_rt_bench.works.catalogue import READERS, works
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 ITEMS_MAX = 10_000_000
 RUNS_MAX = 100
+FRAMES_MIN, FRAMES_MAX = 10, 100_000
 READERS_MAX = 256
 SECONDS_MIN, SECONDS_MAX = 0.1, 600.0
 
@@ -28,6 +29,7 @@ Figure = Callable[[Effort, Path], Table]
 FIGURES: dict[str, tuple[str, Figure]] = {
     "get": ("cost of a get by time as a channel grows, in the core and over gRPC (Figure 4)", get_cost.measure),
     "interval": ("cost of an interval get as it returns more (section 6)", interval_cost.measure),
+    "contention": ("frames dropped by consumers of one channel (Figure 5)", contention.measure),
     "visibility": ("what a group of text and audio shows (Figure 3)", visibility.measure),
     "skew": ("skew between consumers with a group and without (Figure 7)", skew.measure),
     "memory": ("memory of held items of 64 B", memory_cost.measure),
@@ -58,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _paper(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.out
-    effort = Effort(items_max=arguments.items_max, runs=arguments.runs)
+    effort = Effort(items_max=arguments.items_max, runs=arguments.runs, frames=arguments.frames)
     folder.mkdir(parents=True, exist_ok=True)
     for name in arguments.figure or FIGURES:
         title, measure = FIGURES[name]
@@ -106,6 +108,13 @@ def _add_paper(kinds: Any) -> None:
     )
     paper.add_argument(
         "--runs", type=_between(1, RUNS_MAX), default=5, metavar="N", help="how often each is taken (default: 5)"
+    )
+    paper.add_argument(
+        "--frames",
+        type=_between(FRAMES_MIN, FRAMES_MAX),
+        default=contention.PAPER_FRAMES,
+        metavar="N",
+        help=f"of each run of contention (default: {contention.PAPER_FRAMES}, as in the paper: 77 s)",
     )
     paper.add_argument(
         "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="where the charts go (default: out/bench)"

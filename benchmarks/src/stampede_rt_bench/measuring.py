@@ -15,10 +15,11 @@ NANOS_PER_US = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How large channels get at the most, and how many runs a figure is the median of."""
+    """How large channels get at the most, how many runs a figure is the median of, and frames in a run of a stream."""
 
     items_max: int
     runs: int
+    frames: int = 2312
 
     def sizes(self, least: int = 1000) -> list[int]:
         """Powers of ten from `least` to `items_max`."""

@@ -79,6 +79,7 @@ def _table(lines: dict[str, Points]) -> Table:
         cells = [spread(points[place][1]) for points in lines.values()]
         table.rows.append([f"{int(count):,}", *cells, f"{remote.median / count:,.2f}"])
     table.notes = [
-        "At the host stored runs are given by reference; a client makes an Item of each. Medians (least to most)."
+        "At the host stored runs are given by reference; a client makes an Item of each. Medians (least to most).",
+        "Paper: the time of a get grows about linearly with the items returned; it gives no figures.",
     ]
     return table

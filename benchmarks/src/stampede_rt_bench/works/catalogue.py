@@ -16,7 +16,10 @@ SMALL, MEDIUM, LARGE = 64, 18_000, 300_000
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """One thing to do. `rate` is items a second, 0 for as fast as it goes; `items` is what one operation moves."""
+    """One thing to do. `rate` is items a second, 0 for as fast as it goes; `items` is what one operation moves.
+
+    After `items_total` the publisher ends by itself; 0 lets it go on.
+    """
 
     name: str
     title: str
@@ -25,6 +28,7 @@ class Work:
     readers: int = 1
     rate: float = 0
     items: int = 1
+    items_total: int = 0
 
     @property
     def is_operation(self) -> bool:
@@ -72,7 +76,7 @@ def works(readers: Sequence[int] = READERS) -> list[Work]:
     ]
 
 
-def frames(item_bytes: int, readers: int) -> Work:
+def frames(item_bytes: int, readers: int, items_total: int = 0) -> Work:
     """A camera's frames to that many readers."""
     return Work(
         name=f"frames-{size(item_bytes).replace(' ', '').lower()}-{readers}",
@@ -81,4 +85,5 @@ def frames(item_bytes: int, readers: int) -> Work:
         item_bytes=item_bytes,
         readers=readers,
         rate=FRAMES_PER_SECOND,
+        items_total=items_total,
     )

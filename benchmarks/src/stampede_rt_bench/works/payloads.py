@@ -60,11 +60,16 @@ def _batches(room: Room) -> list[list[bytes]]:
     ]
 
 
-def at_rate(progress: RunCounters, item_bytes: int, per_second: float, deadline_s: float) -> Iterator[Step]:
-    """One payload whenever it is due, with the time at which it was sent. A late one goes at once."""
+def at_rate(
+    progress: RunCounters, item_bytes: int, per_second: float, deadline_s: float, items_total: int = 0
+) -> Iterator[Step]:
+    """One payload whenever it is due, with the time at which it was sent. A late one goes at once.
+
+    It ends after `items_total`, unless that is 0.
+    """
     filler = bytes(item_bytes - SENT.size)
     begun_s, sent = time.monotonic(), 0
-    while not progress.has_stopped(deadline_s):
+    while not progress.has_stopped(deadline_s) and (sent < items_total or not items_total):
         left_s = begun_s + sent / per_second - time.monotonic()
         if left_s > 0:
             yield left_s

@@ -75,7 +75,7 @@ def publish(assignment: Assignment, number: int, client: Client) -> array[int]:
     _, _, room, work, progress, deadline_s = assignment
     while not progress.all_ready() and not progress.has_ended(deadline_s):
         time.sleep(0.01)
-    rate = at_rate(progress, room.item_bytes, work.rate, deadline_s)
+    rate = at_rate(progress, room.item_bytes, work.rate, deadline_s, work.items_total)
     client.publish(rate if work.rate else at_full_speed(progress, room, deadline_s))
     return array("Q")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from array import array
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -19,7 +19,7 @@ from stampede_rt_bench.works.processes import cpu_seconds
 from stampede_rt_bench.works.roles import Assignment, Role, WorkerOutcome, operate, play, publish, read
 from stampede_rt_bench.works.run_counters import RunCounters
 
-START_SECONDS, DRAIN_SECONDS, END_SECONDS = 30.0, 1.0, 30.0
+START_SECONDS, START_SECONDS_READER, DRAIN_SECONDS, END_SECONDS = 30.0, 1.0, 1.0, 30.0
 WARM_SHARE, WARM_SECONDS_MIN = 0.2, 0.3
 LATE_NANOS = 1_000_000_000
 NANOS_PER_US, US_PER_SECOND = 1000, 1_000_000
@@ -50,21 +50,42 @@ def share(ordered: array[int] | list[int], part: float) -> float:
 
 def measure(system: System, work: Work, seconds: float) -> Measured:
     """Run the work on the system. Raises RunFailed, ServerFailed."""
+    with _running(system, work, seconds) as (team, assignment):
+        return _measure(team, assignment, seconds)
+
+
+def count_lost(system: System, work: Work) -> list[int]:
+    """Publish `work.items_total` items. Returns how many of them each reader did not get. Raises as `measure` does."""
+    seconds = work.items_total / work.rate
+    with _running(system, work, seconds) as (team, assignment):
+        progress = assignment.progress
+        team.wait(progress.all_ready, _start_seconds(work), "the readers are not ready")
+        team.wait(lambda: progress.published() >= work.items_total, seconds + END_SECONDS, "not all is published")
+        team.finish()
+        return [work.items_total - received for received in progress.received_by_reader()]
+
+
+def _start_seconds(work: Work) -> float:
+    return START_SECONDS + work.readers * START_SECONDS_READER
+
+
+@contextmanager
+def _running(system: System, work: Work, seconds: float) -> Iterator[tuple[_Team, Assignment]]:
+    """The server and the processes of the work."""
     context = get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
     room = room_for(work.item_bytes, 2 * work.items, readers=work.readers, keeps=work.is_operation)
     progress = RunCounters(context, work.readers)
     with ExitStack() as stack:
         served = stack.enter_context(system.served(room))
-        deadline_s = time.monotonic() + START_SECONDS + 2 * seconds + END_SECONDS
+        deadline_s = time.monotonic() + _start_seconds(work) + START_SECONDS + 2 * seconds + END_SECONDS
         assignment = Assignment(system, served, room, work, progress, deadline_s)
-        team = stack.enter_context(_Team(context, assignment))
-        return _measure(team, assignment, seconds)
+        yield stack.enter_context(_Team(context, assignment)), assignment
 
 
 def _measure(team: _Team, assignment: Assignment, seconds: float) -> Measured:
     work, progress = assignment.work, assignment.progress
-    team.wait(progress.all_ready, START_SECONDS, "the readers are not ready")
+    team.wait(progress.all_ready, _start_seconds(work), "the readers are not ready")
     team.wait(lambda: progress.received_by_each() > 0, START_SECONDS, "nothing arrives")
     time.sleep(max(WARM_SECONDS_MIN, WARM_SHARE * seconds))
     pids = [*assignment.served.pids, *team.pids]
@@ -125,7 +146,7 @@ class _Team:
         until_s = time.monotonic() + seconds
         while not condition():
             for _, results in self._members:
-                if results.poll():
+                if results.poll() and not condition():  # one that has done its part may have ended
                     self._accept(results)
             if time.monotonic() > until_s:
                 raise RunFailed(f"{self._title}: {otherwise} after {seconds:g} s")

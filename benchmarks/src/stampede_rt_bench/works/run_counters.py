@@ -60,6 +60,10 @@ class RunCounters:
         """Items, or operations, of all readers."""
         return sum(self._words[_READERS : _READERS + self._readers])
 
+    def received_by_reader(self) -> list[int]:
+        """The same of each."""
+        return list(self._words[_READERS : _READERS + self._readers])
+
     def received_by_each(self) -> int:
         """What the slowest reader has."""
         return int(min(self._words[_READERS : _READERS + self._readers]))

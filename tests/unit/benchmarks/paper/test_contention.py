@@ -1,0 +1,40 @@
+"""How `stampede bench paper --figure contention` counts dropped frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_bench.measuring import Effort
+from stampede_rt_bench.paper import contention
+from stampede_rt_bench.works.catalogue import LARGE, MEDIUM, Work, frames
+from stampede_rt_bench.works.interface import System
+from stampede_rt_bench.works.run import count_lost
+
+FRAMES = 15
+
+
+def test_consumers_that_get_the_newest_frame_by_turns_get_frames_of_a_real_channel() -> None:
+    lost = count_lost(contention.NewestByTurns(), frames(MEDIUM, 2, items_total=FRAMES))
+    assert len(lost) == 2
+    assert all(0 <= one < FRAMES for one in lost)
+
+
+def test_drops_are_those_of_all_consumers_on_average_and_of_one_consumer_in_any_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Work] = []
+    runs = iter([[1, 2, 0], [3, 0, 0]])
+
+    def count(system: System, work: Work) -> list[int]:
+        asked.append(work)
+        return next(runs)
+
+    monkeypatch.setattr(contention, "count_lost", count)
+    monkeypatch.setattr(contention, "CONSUMERS", {LARGE: (16,)})
+    chart = tmp_path / "chart.png"
+    table = contention.measure(Effort(items_max=1, runs=2, frames=FRAMES), chart)
+    assert table.rows == [["300 KB", "16", "3.0; 3 (3 to 3)", "3", "about 17 % of all", "549"]]
+    assert chart.exists()
+    assert [(work.readers, work.items_total, work.rate) for work in asked] == [(16, FRAMES, 30)] * 2
