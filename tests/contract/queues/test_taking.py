@@ -58,12 +58,12 @@ async def test_a_message_brings_what_was_put(rig: Rig) -> None:
     assert abs(message.time - began) < 60 * 10**9
 
 
-async def test_a_payload_that_does_not_decode_names_the_queue_and_the_item(rig: Rig) -> None:
+async def test_a_payload_that_does_not_decode_names_the_queue_and_the_message(rig: Rig) -> None:
     plain = await rig.queue()
     seq = (await plain.put(b"{")).seq
     queue = await rig.queue(plain.name, codec="json")
     message = await queue.get(timeout=10)
-    with pytest.raises(st.CodecError, match=f"queue '{plain.name}': item #{seq}"):
+    with pytest.raises(st.CodecError, match=f"queue '{plain.name}': message #{seq}"):
         _ = message.value
 
 
