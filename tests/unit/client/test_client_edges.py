@@ -20,7 +20,8 @@ from stampede_rt.values.policy import parse_name, parse_policy
 from stampede_rt.values.reading import ReadQuery, Wait, parse_limit
 from stampede_rt.values.timeline import last, parse_interval
 from stampede_rt.wire.batching import RunBuilder
-from stampede_rt.wire.runs import RUN_ITEMS_MAX, parse_run
+from stampede_rt.wire.delivered import RUN_ITEMS_MAX
+from stampede_rt.wire.runs import parse_run
 
 
 @pytest.mark.parametrize(

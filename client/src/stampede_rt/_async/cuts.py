@@ -16,6 +16,7 @@ from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import ByChannel, Cut
 from stampede_rt.values.timeline import DurationLike
+from stampede_rt.wire.delivered import ItemCount
 from stampede_rt.wire.groups import cut_items
 
 
@@ -37,6 +38,7 @@ class _HostStream:
         """Append this host's parts of the next event to `parts`, and return its boundary. Blocks until it comes."""
         while True:
             response = await self._responses.__anext__()
+            ItemCount().add(one.run for part in response.parts for one in (*part.runs, *part.late_runs))
             parts.extend(response.parts)
             if response.HasField("boundary"):
                 boundary: group_pb.CutBoundary = response.boundary

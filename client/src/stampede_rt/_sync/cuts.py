@@ -17,6 +17,7 @@ from stampede_rt.transports.streams_sync import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import ByChannel, Cut
 from stampede_rt.values.timeline import DurationLike
+from stampede_rt.wire.delivered import ItemCount
 from stampede_rt.wire.groups import cut_items
 
 
@@ -38,6 +39,7 @@ class _HostStream:
         """Append this host's parts of the next event to `parts`, and return its boundary. Blocks until it comes."""
         while True:
             response = self._responses.__next__()
+            ItemCount().add(one.run for part in response.parts for one in (*part.runs, *part.late_runs))
             parts.extend(response.parts)
             if response.HasField("boundary"):
                 boundary: group_pb.CutBoundary = response.boundary

@@ -24,6 +24,7 @@ from stampede_rt.transports.streams_sync import BidiStream
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.values.queueing import PREFETCH_MAX
 from stampede_rt.values.reading import Wait
+from stampede_rt.wire.delivered import check_granted
 from stampede_rt.wire.queues import deliveries_of
 
 # This is longer than a call, so that the worker can first tell the callers why it cannot open a stream.
@@ -266,6 +267,7 @@ class Taker:
         self._incarnation = response.incarnation or self._incarnation
         content_type = self._state.info.policy.content_type or ""
         unwanted: list[Message] = []
+        check_granted(sum(len(run.delivery_ids) for run in response.runs), self._credit)
         for run in response.runs:
             for delivery in deliveries_of(run, content_type):
                 message = Message(self._settler, delivery, self._incarnation, self._state.coding)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import grpc
 import grpc.aio
@@ -23,9 +23,11 @@ from stampede_rt.transports.streams_async import BidiStream, ServerStream, close
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.wire.delivered import ItemCount
 
 # Gets on one stream; a host takes 1024, and counts a cancelled one until it learns of the cancellation.
 CALLS_MAX = 1000
+
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
 
@@ -149,6 +151,8 @@ class _Exchange:
             error = from_rpc_error(failure, self._target)
         except asyncio.CancelledError:
             error = closed(self._target)
+        except StampedeError as defect:
+            error = defect
         except Exception as defect:  # noqa: BLE001  # the waiting callers must get the error
             error = StampedeError(f"{self._target} sent an unexpected message: {defect!r}")
         self.cancel()
@@ -183,11 +187,19 @@ def _fail(future: asyncio.Future[Any], error: StampedeError) -> None:
         future.set_exception(error)
 
 
+class _WaitingGet(NamedTuple):
+    """A get that waits for the rest of its answer."""
+
+    future: asyncio.Future[list[channel_pb.GetResponse]]
+    responses: list[channel_pb.GetResponse]
+    received: ItemCount
+
+
 class GetExchange(_Exchange):
     """Gets on one open stream, at most CALLS_MAX at the same time, each with a call id."""
 
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
-        self._waiting: dict[int, tuple[asyncio.Future[list[channel_pb.GetResponse]], list[channel_pb.GetResponse]]] = {}
+        self._waiting: dict[int, _WaitingGet] = {}
         self._next_id = 0
         super().__init__(call, target, tasks)
 
@@ -206,7 +218,7 @@ class GetExchange(_Exchange):
         self._next_id += 1
         request.call_id = call_id = self._next_id
         future: asyncio.Future[list[channel_pb.GetResponse]] = asyncio.get_running_loop().create_future()
-        self._waiting[call_id] = (future, [])
+        self._waiting[call_id] = _WaitingGet(future, [], ItemCount(request.limit))
         number = self._requests.send(request)
         try:
             return await _within(future, timeout_s, self._target)
@@ -221,14 +233,14 @@ class GetExchange(_Exchange):
         entry = self._waiting.get(response.call_id)
         if entry is None:  # the caller of the get gave up
             return
-        future, responses = entry
-        responses.append(response)
-        if (response.HasField("summary") or response.HasField("error")) and not future.done():
-            future.set_result(responses)
+        entry.received.add(one.run for one in response.runs)  # an error ends the stream, and all gets on it
+        entry.responses.append(response)
+        if (response.HasField("summary") or response.HasField("error")) and not entry.future.done():
+            entry.future.set_result(entry.responses)
 
     async def _end(self, error: StampedeError) -> None:
-        for future, _ in self._waiting.values():
-            _fail(future, error)
+        for entry in self._waiting.values():
+            _fail(entry.future, error)
 
 
 class PutExchange(_Exchange):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from queue import SimpleQueue
 from typing import Any, TypeVar
@@ -26,6 +26,7 @@ from stampede_rt.transports.stubs import Stubs
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.wire.delivered import ItemCount
 
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
@@ -219,10 +220,19 @@ class GetExchange(_Lockstep):
         request.call_id = self._next_id
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
             self._requests.put(request)
-            responses = [self._next(limit)]
-            while not (responses[-1].HasField("summary") or responses[-1].HasField("error")):
+            responses, count = [self._next(limit)], ItemCount(request.limit)
+            while True:  # until the host has told all of it, or more than it may
+                self._check(count, responses[-1])
+                if responses[-1].HasField("summary") or responses[-1].HasField("error"):
+                    return responses
                 responses.append(self._next(limit))
-        return responses
+
+    def _check(self, count: ItemCount, response: channel_pb.GetResponse) -> None:
+        try:
+            count.add(one.run for one in response.runs)
+        except StampedeError:
+            self.cancel()  # nobody reads the rest of the answer
+            raise
 
 
 class PutExchange(_Lockstep):
@@ -232,8 +242,11 @@ class PutExchange(_Lockstep):
         """Send the run in `request`, and return its ack."""
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
             self._requests.put(request)
-            ack: channel_pb.PutAck = self._next(limit).acks[0]
-        return ack
+            acks: Sequence[channel_pb.PutAck] = self._next(limit).acks
+        if len(acks) != 1:
+            self.cancel()
+            raise Unavailable(f"{self._target} sent {len(acks)} acks for one put")
+        return acks[0]
 
 
 class PutDuplex(_Exchange):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from stampede_rt.wire.runs import ABSENT, RUN_BYTES_MAX, RUN_ITEMS_MAX, encode_run
+from stampede_rt.wire.delivered import RUN_ITEMS_MAX
+from stampede_rt.wire.runs import ABSENT, RUN_BYTES_MAX, encode_run
 
 
 @dataclass(frozen=True, slots=True)

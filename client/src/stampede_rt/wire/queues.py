@@ -9,6 +9,7 @@ from itertools import accumulate, pairwise
 from stampede_rt.v1 import directory_pb2, item_pb2, queue_pb2
 from stampede_rt.values.model import OnFull
 from stampede_rt.values.queueing import DeadLetterOrigin, PendingMessage, QueueInfo, QueuePolicy, QueueStats
+from stampede_rt.wire.delivered import check_delivered, malformed
 
 _ON_FULL: dict[OnFull, queue_pb2.QueueOnFull] = {
     "block": queue_pb2.QUEUE_ON_FULL_BLOCK,
@@ -96,8 +97,12 @@ def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[De
     """The deliveries of a leased run, one for each message.
 
     `content_type` is the content type of the queue. It counts if the run has none of its own.
+    Raises StampedeError if the columns disagree.
     """
     run = leased.run
+    items = check_delivered(run, payloads=True)
+    if len(leased.delivery_ids) != items or len(leased.deliveries) not in (0, items):
+        raise malformed(f"{items} items, {len(leased.delivery_ids)} delivery ids and {len(leased.deliveries)} counts")
     counts = leased.deliveries or (1,) * len(run.payload_length_bytes)
     origin = _origin(run.origin) if run.HasField("origin") else None
     bounds = pairwise(accumulate(run.payload_length_bytes, initial=0))

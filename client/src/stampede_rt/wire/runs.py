@@ -20,8 +20,8 @@ from stampede_rt.v1 import item_pb2
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.model import Item
 from stampede_rt.values.payloads import ITEM_BYTES_MAX
+from stampede_rt.wire.delivered import RUN_ITEMS_MAX, ItemCount, check_delivered
 
-RUN_ITEMS_MAX = 256
 RUN_BYTES_MAX = 64 * 1024
 CONTENT_TYPE_BYTES_MAX = 255
 ATTRIBUTES_BYTES_MAX = 16 * 1024
@@ -214,9 +214,14 @@ class ItemDecoder:
         self._make: Callable[[Iterable[Any]], Item] = coding.item if coding else Item._make
 
     def decode(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
-        """Return the items of runs that follow each other in time, such as the answer of a get."""
+        """Return the items of runs that follow each other in time, such as the answer of a get.
+
+        Raises StampedeError for a run whose columns disagree.
+        """
         if not delivered:
             return []
+        for one in delivered:
+            check_delivered(one.run, payloads=self._payloads)
         last = delivered[-1]
         next_time = last.next_time_unix_nano if last.HasField("next_time_unix_nano") else None
         if len(delivered) == 1 and len(last.run.payload_length_bytes) == 1:
@@ -227,7 +232,11 @@ class ItemDecoder:
         return [item for one in delivered for item in self._items(one.run, ends)]
 
     def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
-        """Return the items of runs that each stand alone, such as those of a subscription."""
+        """Return the items of one response whose runs each stand alone, such as those of a subscription.
+
+        Raises StampedeError for a run whose columns disagree, and for more items than a response has.
+        """
+        ItemCount().add(one.run for one in delivered)
         return [item for one in delivered for item in self.decode((one,))]
 
     def _items(self, run: item_pb2.ItemRun, ends: Iterator[int | None]) -> Iterator[Item]:

@@ -217,7 +217,7 @@ async def test_the_timeout_of_a_flush_holds_while_all_room_is_taken() -> None:
 def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
     """The client's bound on runs in flight and the host's window belong together."""
     from stampede_rt._async.producer import IN_FLIGHT_RUNS_MAX
-    from stampede_rt.wire.runs import RUN_ITEMS_MAX
+    from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 
     window = RetryWindow()
     for run in range(IN_FLIGHT_RUNS_MAX):

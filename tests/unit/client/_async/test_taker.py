@@ -17,6 +17,7 @@ from stampede_rt.v1 import item_pb2, queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt.values.queueing import QueueInfo, QueuePolicy
 from stampede_rt.values.reading import Wait
+from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 
 LIMIT_S = 5.0
 FOR_EVER = Wait(None)
@@ -24,6 +25,12 @@ INFO = QueueInfo(
     queue_id=bytes(16), name="work", host_id=b"h", host="h", host_alive=True, epoch=3, incarnation=9,
     policy=QueuePolicy(), spec_version=1,
 )  # fmt: skip
+
+
+def run_of(*seqs: int) -> item_pb2.ItemRun:
+    return item_pb2.ItemRun(
+        time_unix_nano=seqs, payload_length_bytes=[1] * len(seqs), payloads=b"x" * len(seqs), first_seq=min(seqs)
+    )
 
 
 class Stream:
@@ -58,11 +65,11 @@ class Stream:
         return sum(request.credit for request in self.said)
 
     def deliver(self, *seqs: int, drained: bool = False, lease_s: float = 30) -> None:
-        run = item_pb2.ItemRun(
-            time_unix_nano=seqs, payload_length_bytes=[1] * len(seqs), payloads=b"x" * len(seqs), first_seq=min(seqs)
-        ) if seqs else None  # fmt: skip
-        leased = queue_pb2.LeasedRun(run=run, delivery_ids=seqs, lease_nanos=round(lease_s * 1e9))
-        runs = [leased] if seqs else []
+        parts = [seqs[at : at + RUN_ITEMS_MAX] for at in range(0, len(seqs), RUN_ITEMS_MAX)]
+        runs = [
+            queue_pb2.LeasedRun(run=run_of(*part), delivery_ids=part, lease_nanos=round(lease_s * 1e9))
+            for part in parts
+        ]
         self.answers.put_nowait(pb.TakeResponse(runs=runs, incarnation=9, drained=drained))
 
 
@@ -372,3 +379,24 @@ async def test_what_was_prefetched_is_given_back_at_the_end() -> None:
     assert host.given_back == [2, 3]
     with pytest.raises(st.InvalidArgument, match="closed"):
         await taker.get(FOR_EVER)
+
+
+async def test_more_messages_than_were_granted_are_refused_and_none_is_kept() -> None:
+    host = Host()
+    taker = taker_at(host, prefetch=8)
+    get = asyncio.ensure_future(taker.get(FOR_EVER))
+    stream = await host.next_stream()
+    stream.deliver(*range(1, stream.credit + 2))
+    with pytest.raises(st.StampedeError, match=r"a host sent 9 items, and the reader granted 8 at most"):
+        await get
+    assert len(taker._ready) == 0
+
+
+async def test_a_run_whose_columns_disagree_ends_the_wait_with_a_reason() -> None:
+    host = Host()
+    get = asyncio.ensure_future(taker_at(host).get(FOR_EVER))
+    stream = await host.next_stream()
+    leased = queue_pb2.LeasedRun(run=run_of(1), delivery_ids=[1], deliveries=[1, 1], lease_nanos=10**9)
+    stream.answers.put_nowait(pb.TakeResponse(runs=[leased], incarnation=9))
+    with pytest.raises(st.StampedeError, match="a host sent a run with 1 items, 1 delivery ids and 2 counts"):
+        await get

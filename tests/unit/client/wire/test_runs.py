@@ -8,11 +8,11 @@ from hypothesis import strategies as some
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.run_slices import slice_run
 from stampede_rt.wire.runs import (
     ITEM_BYTES_MAX,
     RUN_BYTES_MAX,
-    RUN_ITEMS_MAX,
     ItemDecoder,
     encode_run,
     parse_run,
