@@ -83,13 +83,13 @@ def refusal(error: pytest.ExceptionInfo[grpc.RpcError]) -> str:
 def test_nobody_settles_under_the_number_of_another_callers_taker(operator: Operator) -> None:
     with robbed(operator) as (thief, _), pytest.raises(grpc.RpcError) as caught:
         thief.settle(thief.pending())
-    assert "is one of worker-1, and worker-2 may not act for it; use a number of your own" in refusal(caught)
+    assert "belongs to worker-1, and worker-2 may not act for it; use a number of your own" in refusal(caught)
 
 
 def test_nobody_opens_a_stream_as_another_callers_taker(operator: Operator) -> None:
     with robbed(operator) as (thief, _), pytest.raises(grpc.RpcError) as caught:
         thief.take(thief.pending().taker_id)
-    assert "is one of worker-1, and worker-2 may not act for it" in refusal(caught)
+    assert "belongs to worker-1, and worker-2 may not act for it" in refusal(caught)
 
 
 def test_nobody_settles_another_callers_delivery_on_a_stream_of_its_own(operator: Operator) -> None:
@@ -123,7 +123,7 @@ def test_nobody_moves_another_callers_place_among_the_consumers(operator: Operat
                 )
                 with pytest.raises(grpc.RpcError) as caught:
                     stub.Consume(request, timeout=10, metadata=call_metadata(tokens[1]))
-                assert "is one of reader-1, and reader-2 may not act for it" in refusal(caught)
+                assert "belongs to reader-1, and reader-2 may not act for it" in refusal(caught)
         [after] = tape.stats().consumers
         assert (after.consumer_id, after.waiting) == (place.consumer_id, 1)
         assert after.lease_nanos > 0

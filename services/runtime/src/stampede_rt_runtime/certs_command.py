@@ -66,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_days,
         default=AUTHORITY_DAYS,
         metavar="N",
-        help=f"it holds for N days; default: {AUTHORITY_DAYS}",
+        help=f"it is valid for N days; default: {AUTHORITY_DAYS}",
     )
     init.set_defaults(run=_init)
     one = verbs.add_parser("issue", help="make the certificate of one part, or renew it")
@@ -85,8 +85,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--out", type=Path, metavar="DIR", help="write it to DIR; default: the authority's folder")
     lifetime = one.add_mutually_exclusive_group()
-    lifetime.add_argument("--days", type=_days, metavar="N", help=f"it holds for N days; default: {CERTIFICATE_DAYS}")
-    lifetime.add_argument("--ttl", type=_ttl, metavar="DURATION", help="it holds for so long, such as 12h")
+    lifetime.add_argument(
+        "--days", type=_days, metavar="N", help=f"it is valid for N days; default: {CERTIFICATE_DAYS}"
+    )
+    lifetime.add_argument("--ttl", type=_ttl, metavar="DURATION", help="it is valid for this time, such as 12h")
     one.set_defaults(run=_issue)
     renew = verbs.add_parser("renew", help="make certificates anew: same parts, addresses and lifetimes, same files")
     renew.add_argument("files", nargs="+", type=Path, metavar="FILE", help="NAME.pem, with NAME.key beside it")
@@ -94,13 +96,13 @@ def _parser() -> argparse.ArgumentParser:
         "--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's folder; default: certs"
     )
     renew.set_defaults(run=_renew)
-    revoke = verbs.add_parser("revoke", help="have all services take certificates no more, for good")
+    revoke = verbs.add_parser("revoke", help="make all services refuse certificates, for good")
     revoke.add_argument(
         "credentials", nargs="*", metavar="FILE|SERIAL", help="certificates, or serial numbers; left out: list them all"
     )
     revoke.add_argument("--url", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
     revoke.set_defaults(run=_revoke)
-    show = verbs.add_parser("show", help="print for whom certificates are, and until when they hold")
+    show = verbs.add_parser("show", help="print the owners of certificates, and when they end")
     show.add_argument("files", nargs="+", type=Path, metavar="FILE")
     show.set_defaults(run=_show)
     return parser
@@ -235,7 +237,7 @@ def _revoke(arguments: argparse.Namespace) -> list[str]:
         if not serials:
             return list(cluster.revoked_serials()) or ["nothing is revoked"]
         behind = cluster.parts_behind(max([cluster.revoke(serial) for serial in serials]))
-    done = [f"{one} is revoked: open streams of its bearers end, and it opens nothing any more" for one in serials]
+    done = [f"{one} is revoked: the streams of its bearers end, and the services refuse it" for one in serials]
     return done + [f"not yet at {name}: {why}" for name, why in behind.items()]
 
 

@@ -18,8 +18,8 @@ class Limits:
     """The limits of a server and its connections.
 
     A server serves `concurrent_rpcs_max` calls of anybody at a time. `streams_max` of them may be streams, which may
-    stay open. Beside them it serves `reserved_rpcs_max` calls that only parts of the cluster make. Further calls get
-    RESOURCE_EXHAUSTED, from gRPC itself if more than `refusals_max` are being refused at the time.
+    stay open. Beside them it serves `reserved_rpcs_max` calls that only parts of the cluster make. It refuses further
+    calls with RESOURCE_EXHAUSTED. If it is refusing `refusals_max` calls already, gRPC itself refuses the next.
 
     A server accepts messages of `request_bytes_max` at most, and `calls_per_connection_max` calls on one connection.
     Callers open further connections for further calls. The server closes a connection whose set-up takes longer than
@@ -81,7 +81,7 @@ class Limits:
             ("grpc.absolute_max_metadata_size", 2 * self.metadata_bytes_max),
             ("grpc.keepalive_time_ms", self.keepalive_millis),
             ("grpc.keepalive_timeout_ms", self.keepalive_timeout_millis),
-            # the option that ends a silent connection; see the client's
+            # the option that ends a silent connection; see grpc_options of the client
             ("grpc.http2.ping_timeout_ms", self.keepalive_timeout_millis),
             ("grpc.keepalive_permit_without_calls", 1),
             ("grpc.http2.max_pings_without_data", 0),

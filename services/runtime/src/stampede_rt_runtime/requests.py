@@ -117,5 +117,5 @@ def _first(group: BaseExceptionGroup[Any]) -> StampedeError:
     error: Any = group
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
-    assert isinstance(error, StampedeError), "the group holds nothing else"
+    assert isinstance(error, StampedeError), "every error of the group is a StampedeError"
     return error

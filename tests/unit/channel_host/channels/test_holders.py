@@ -25,7 +25,7 @@ def test_a_number_belongs_to_the_caller_that_used_it_first(caller: list[str]) ->
     holders.check(QUEUE, 7, "taker")
     caller.append("thief")
     holders.check(OTHER, 7, "taker")
-    with pytest.raises(PermissionDenied, match="taker 0x7 is one of alice, and thief may not act for it"):
+    with pytest.raises(PermissionDenied, match="taker 0x7 belongs to alice, and thief may not act for it"):
         holders.check(QUEUE, 7, "taker")
     caller.append("")
     holders.check(QUEUE, 7, "taker")
@@ -36,7 +36,7 @@ def test_what_members_use_is_nobody_elses(caller: list[str]) -> None:
     caller.append("")
     holders.check(QUEUE, 7, "consumer")
     caller.append("thief")
-    with pytest.raises(PermissionDenied, match="one of a member or an operator"):
+    with pytest.raises(PermissionDenied, match="belongs to a member or an operator"):
         holders.check(QUEUE, 7, "consumer")
 
 

@@ -38,7 +38,7 @@ class Holders:
         elif caller and owner != caller:
             whose = owner or "a member or an operator"
             raise PermissionDenied(
-                f"{what} {holder_id:#x} is one of {whose}, and {caller} may not act for it; use a number of your own"
+                f"{what} {holder_id:#x} belongs to {whose}, and {caller} may not act for it; use a number of your own"
             )
 
     def _note(self, key: Key, owner: str) -> None:

@@ -13,7 +13,7 @@ def fenced(host: str) -> StampedeError:
     """The lease was not renewed in time: another host may own the channels by now."""
     return error_for(
         "NOT_HERE",
-        f"host {host} could not renew its lease in time and serves nothing until it does; resolve the "
+        f"host {host} could not renew its lease in time and serves nothing until the lease is renewed; resolve the "
         "channel again, or wait",
         {"host": host},
     )
@@ -38,7 +38,7 @@ def moved(name: str, host_id: bytes) -> StampedeError:
 
 
 def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
-    """The request names another epoch than the one that the channel has."""
+    """The epoch of the request is not the channel's."""
     return error_for(
         "WRONG_EPOCH",
         f"channel {name} is at epoch {actual} and the request names {stated}; resolve the channel again",
@@ -47,10 +47,10 @@ def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
 
 
 def other_incarnation(name: str, stated: int, actual: int) -> StampedeError:
-    """The seqs that a consumer names belong to another incarnation of the channel than the present one."""
+    """The seqs of a consumer do not belong to the channel's present incarnation."""
     return IncarnationLost(
-        f"the seqs come from incarnation {stated:x} of channel {name}, which is {actual:x} now: its host was lost with "
-        "its items; read again, and consume those items",
+        f"the seqs come from incarnation {stated:x} of channel {name}, whose incarnation is {actual:x} now: its host "
+        "was lost with its items; read again, and consume those items",
         metadata={"channel": name},
     )
 

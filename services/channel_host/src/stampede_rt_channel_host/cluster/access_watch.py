@@ -52,7 +52,7 @@ class AccessWatch:
             try:
                 await self.missed()
             except StampedeError as error:
-                logger.info("the rules of access cannot be had yet", extra={"why": str(error)})
+                logger.info("the rules of access are not available yet", extra={"why": str(error)})
                 self._due.set()
                 await asyncio.sleep(PAUSE_SECONDS)
 

@@ -262,7 +262,9 @@ class Registration:
         if held is not self._told_held:
             self._told_held = held
             if not held:
-                text = "fenced: the lease was not renewed in time; this host refuses all calls until it is"
+                text = (
+                    "fenced: the lease was not renewed in time; this host refuses all calls until the lease is renewed"
+                )
                 logger.warning(text, extra={"host": self._identity.name})
             self._on_lease(held)
 

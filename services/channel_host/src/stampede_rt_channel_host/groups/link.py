@@ -129,7 +129,9 @@ class HostLink:
         if self._cluster_id and hello.cluster_id and hello.cluster_id != self._cluster_id:
             raise InvalidArgument(f"the hello is of cluster {hello.cluster_id}, and this is {self._cluster_id}")
         if peer is not None and hello.host_id != peer:
-            raise InvalidArgument(f"host {hello.host_id.hex()} answers where {peer.hex()} should; resolve it again")
+            raise InvalidArgument(
+                f"host {hello.host_id.hex()} answers at the address of host {peer.hex()}; resolve that host again"
+            )
         if len(hello.host_id) != ID_BYTES:
             raise InvalidArgument(f"the hello has a host_id of {len(hello.host_id)} bytes; ids have {ID_BYTES}")
         self._check_name(hello.host_id)

@@ -172,5 +172,5 @@ class GroupGets:
 
 
 def _at(pending: Pending) -> PendingAt:
-    assert isinstance(pending, PendingAt), "GroupGets takes no others"
+    assert isinstance(pending, PendingAt), "GroupGets holds only gets through the group"
     return pending

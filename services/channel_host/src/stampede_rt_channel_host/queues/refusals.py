@@ -19,7 +19,7 @@ def fenced(host: str) -> StampedeError:
     """The host did not renew its lease in time: another host may own the queues by now."""
     return error_for(
         "NOT_HERE",
-        f"host {host} could not renew its lease in time and serves nothing until it does; resolve the "
+        f"host {host} could not renew its lease in time and serves nothing until the lease is renewed; resolve the "
         "queue again, or wait",
         {"host": host},
     )

@@ -1,7 +1,6 @@
 """Operations on the directory, and their results. Pure, immutable values.
 
-The proposer puts all random values and clock readings into the command, so that every replica computes the same from
-it.
+The proposer puts all random values and clock readings into the command, so that every replica computes the same result.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ class Success:
 class Command:
     """One entry of the log. A repeated `op_id` repeats the result. `time_unix_nano` is for readers of the log.
 
-    `as_of_index`: the log position up to which the proposer's state reached when the request came; 0: unknown.
+    `as_of_index`: the log position of the proposer's state when the request came; 0: unknown.
     """
 
     op_id: bytes

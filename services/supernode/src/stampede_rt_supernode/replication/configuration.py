@@ -48,7 +48,7 @@ class Configuration:
         return Configuration.of((*self.members, member), self.retired, spent[-SPENT_MAX:])
 
     def without(self, member_id: str) -> Configuration:
-        """The configuration without one member. Its id never comes back."""
+        """The configuration without one member. Its id is never used again."""
         remaining = [member for member in self.members if member.member_id != member_id]
         return Configuration.of(remaining, (*self.retired, member_id)[-RETIRED_MAX:], self.spent)
 

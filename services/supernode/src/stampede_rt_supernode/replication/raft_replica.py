@@ -95,7 +95,7 @@ class RaftReplica:
         self._snapshots = SnapshotRequests(self._node, self._log, self._completions.append)
         self._roster_version: tuple[object, ...] = ()
         self.roster = MemberRoster((), {}, frozenset())
-        # So that the next opener of the store finds that it was used.
+        # The next process that opens the store finds by this write that the store was used.
         self._log.sync()
         # (term, last log index) on stable storage, which is this member's promise to the others
         self.standing = self._log.end()
@@ -167,11 +167,11 @@ class RaftReplica:
         return bool(self._node.may_change_members()) and self._changes.is_idle and not self._arrivals.changes
 
     def promise_of(self, member_id: str) -> Promise:
-        """The promise of another member: the term and position that it has said to hold."""
+        """The promise of another member: the term and log position that the member has reported."""
         return self._log.promises.get(member_id, Promise(0, 0))
 
     def status(self) -> ReplicationStatus:
-        """The view as of the last step."""
+        """The status as of the last step."""
         return self._status
 
     @property

@@ -84,7 +84,7 @@ class ReplicationSettings:
             raise ValueError(f"two members have the same id: {sorted(ids)}")
         if self.joining and (self.self_member.member_id in ids or not ids):
             raise ValueError(
-                f"{self.self_member.member_id!r} is to join {sorted(ids)}: name the members that are there, without it"
+                f"{self.self_member.member_id!r} is to join {sorted(ids)}: name the present members, not the new one"
             )
         if not self.joining and self.self_member not in self.initial_members:
             raise ValueError(

@@ -135,7 +135,9 @@ class LeaseKeeper:
         logger.info("leading", extra={"tenure": status.tenure, "hosts": len(hosts), "peers": peers})
         if ttl_nanos != self._founding_ttl_nanos:
             extra = {"cluster_ttl_nanos": ttl_nanos, "ignored_ttl_nanos": self._founding_ttl_nanos}
-            logger.warning("the cluster was founded with another lease TTL, which holds", extra=extra)
+            logger.warning(
+                "the cluster was founded with another lease TTL; this supernode ignores its own setting", extra=extra
+            )
 
     async def _mark_time(self) -> None:
         """Mark the time in the log, as long as the directory has anything to forget later."""
@@ -200,7 +202,7 @@ class LeaseKeeper:
 
     def _note_peer(self, change: DirectoryChange, now: int) -> None:
         peer = change.subject
-        assert isinstance(peer, PeerRecord), "the ring of peers holds nothing else"
+        assert isinstance(peer, PeerRecord), "the ring of peers holds changes of peers only"
         if change.kind is ChangeKind.REMOVED or not peer.alive:
             self._peers.note_gone(peer.peer_id, change.index)
         else:

@@ -37,9 +37,7 @@ class LoadKeeper:
             raise InvalidArgument(f"the report has {len(loads)} loads; {REPORT_LOADS_MAX} at most, send the rest apart")
         for load in loads:
             if load.host_id != host_id:
-                raise InvalidArgument(
-                    f"a load of host {load.host_id.hex()} is told by host {host_id.hex()}; leave it out"
-                )
+                raise InvalidArgument(f"host {host_id.hex()} reports a load of host {load.host_id.hex()}; leave it out")
         status = self._log.status()
         if not status.is_leader:
             raise not_leader(status)

@@ -155,7 +155,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         """Raises InvalidArgument for an id that can never join. The leader decides again when the newcomer asks."""
         status = self._log.status()
         if member_id in status.retired:
-            text = f"{member_id} was a member before; an id never comes back: let it join under a new one"
+            text = f"{member_id} was a member before; a removed id is never used again: let it join under a new one"
             raise InvalidArgument(text)
         if any(member.member_id == member_id for member in status.members):
             raise InvalidArgument(f"{member_id} is a member already; a newcomer, or a wiped supernode, needs a new id")

@@ -142,7 +142,7 @@ async def test_a_copy_that_is_refused_beside_a_member_that_is_heard_is_said_once
     await server.stop(None)
     assert len(told) == 3
     beside, alone = [record.getMessage() for record in caplog.records if "older copy" in record.getMessage()]
-    assert "a copy of its folder: stop that one" in beside
+    assert "a copy of its folder: stop the copy" in beside
     assert "stampede supernode remove" in alone
 
 
@@ -204,7 +204,7 @@ def test_a_refusal_that_tells_other_log_positions_each_time_is_said_once(caplog:
     link = PeerLink(OTHER, settings_of(SELF), unused, unused, unused, unused, SparseReports())
     for entry in (7, 8, 9):
         link._report(
-            f"PERMISSION_DENIED: 'self' {OLDER_STORE}: it has held term 1 and entry {entry}, and holds 1 and 1"
+            f"PERMISSION_DENIED: 'self' {OLDER_STORE}: it held term 1 and entry {entry} before, and holds 1 and 1 now"
         )
     link._report("UNAVAILABLE: nobody there")
     assert [record.getMessage().count("entry 7") for record in caplog.records] == [1, 0]

@@ -15,7 +15,7 @@ from stampede_rt_supernode.replication.network.hello import (
 )
 from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of
 
-COPY = f"PERMISSION_DENIED: 'a' {OLDER_STORE}: it has held term 3"
+COPY = f"PERMISSION_DENIED: 'a' {OLDER_STORE}: it held term 3 before"
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def locked_out(lone: LoneNode) -> None:
 )
 def test_a_term_that_no_elections_explain_is_not_taken_over(message: Message) -> None:
     lone = LoneNode()
-    with pytest.raises(PeerAtFault, match="b speaks of term"):
+    with pytest.raises(PeerAtFault, match="b names term"):
         lone.receive("b", message)
     assert lone.node.term == 0
     assert "b" not in lone.log.promises
@@ -74,7 +74,7 @@ def test_elections_go_on_from_the_last_term_that_is_taken_over() -> None:
 def test_a_claim_to_lead_does_not_end_the_leader() -> None:
     lone = LoneNode()
     term = lone.lead()
-    with pytest.raises(PeerAtFault, match="and this node does"):
+    with pytest.raises(PeerAtFault, match="but this member leads in that term"):
         lone.receive("b", append(term, (1, 0), []))
     assert lone.node.is_leader
 

@@ -167,7 +167,7 @@ def test_a_store_left_by_a_crash_opens_with_everything(tmp_path: Path) -> None:
 
 def test_a_flipped_bit_in_the_write_ahead_log_is_found(tmp_path: Path) -> None:
     flip_a_bit_in_the_middle(copy_as_after_a_crash(tmp_path / "a", tmp_path / "b"))
-    assert re.search(r"holds \d+ commits and has held 60", damage_found(tmp_path / "b"))
+    assert re.search(r"holds \d+ commits, but held 60 before", damage_found(tmp_path / "b"))
 
 
 def test_without_the_watermark_a_flipped_bit_would_lose_entries_in_silence(tmp_path: Path) -> None:
@@ -283,10 +283,10 @@ def test_a_database_that_was_emptied_is_not_taken_for_a_new_one(tmp_path: Path) 
     fill(tmp_path)
     for file in tmp_path.iterdir():
         file.unlink() if file.name == WATERMARK_NAME else file.write_bytes(b"")
-    with pytest.raises(StoreDamaged, match="is empty and was not"):
+    with pytest.raises(StoreDamaged, match="is empty, but held a log before"):
         open_store(tmp_path, create=False)
     KnownStores.open(tmp_path, had_store=True)  # as a member that nobody told of its first start leaves it
-    with pytest.raises(StoreDamaged, match="is empty and was not"):
+    with pytest.raises(StoreDamaged, match="is empty, but held a log before"):
         open_store(tmp_path, create=True)
 
 

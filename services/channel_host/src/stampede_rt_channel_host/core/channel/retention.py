@@ -1,9 +1,9 @@
 """Decides when items leave a channel (paper, section 3.4): by age, count, bytes or consumption. Pure.
 
 Consumption takes the oldest items, in order, as soon as no consumer has still to consume them. A consumed item in the
-middle stays until the items before it go. Without it the span of the item before would grow. With `max_age_unconsumed`
-the age depends on the slowest live consumer. Items that all live consumers have consumed go at max_age. The others go
-later, at max_age_unconsumed at the latest.
+middle stays until the items before it go. If it went first, the span of the item before it would grow. With
+`max_age_unconsumed` the age depends on the slowest live consumer. Items that all live consumers have consumed go at
+max_age. The others go later, at max_age_unconsumed at the latest.
 
 `clock` is the host's clock. The time model's `now` is the later of the clock and the newest item's time. But items age
 by the clock alone. So a producer whose clock is ahead does not shorten the other producers' window.
@@ -23,7 +23,7 @@ SLICES_USED_UP_MAX = 64
 """The most slices that one call frees by consumption, so that a consumer that catches up blocks nobody."""
 ENTRIES_PER_LOOK = 8
 SLICES_AGED_MAX = 256
-"""The most slices of which one call asks whether all consumers have consumed them, if ageing depends on it."""
+"""The most slices that one call checks for items that a consumer has still to consume, if age depends on that."""
 CONSUMERS_ASKED_MAX = 512
 """After so many looks at single consumers, one call takes no further slice."""
 
@@ -39,14 +39,15 @@ class Retention:
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
-        # The consumers at that count of arrivals have consumed all items of one bucket below this key.
+        # (key, count of arrived consumers). The consumers that had arrived at that count have consumed all items below
+        # the key in one bucket.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
         self._unknown_from = self._unknown_to = 1  # the consumers do not know which seqs between the two are gone
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
     def set_limits(self, limits: ChannelLimits) -> None:
-        """Set other limits. If the old ones counted no consumption and these do, `learn_gone` walks the index once."""
+        """Set other limits. If only the new limits count consumption, `learn_gone` walks the index once."""
         self.limits = limits
         self._held.overlap_nanos = limits.overlap_nanos
         places = limits.consumer_places
@@ -96,9 +97,10 @@ class Retention:
             pass  # without the consumed items the bucket's span may end sooner, and then the next bucket may be due
 
     def cutoff(self, clock: int) -> int | None:
-        """Buckets whose last span ended at or before this instant go, unless a live consumer has still to consume them.
+        """The channel collects buckets whose last span ended at or before this instant, except those that a live
+        consumer has still to consume.
 
-        No bucket goes earlier.
+        It collects no other bucket by age.
         """
         age = self.limits.max_age_nanos
         return None if age is None else clock - age
@@ -141,10 +143,10 @@ class Retention:
         return following
 
     def _prolonged(self, bound: int, cutoff: int) -> int:
-        """The first bucket that stays, if those before `bound` are past max_age.
+        """The first bucket that stays, if the buckets before `bound` are past max_age.
 
-        A bucket that a consumer has still to consume stays until `cutoff` passes it, and so do all later buckets. Looks
-        at the buckets that go and one slice more, and spreads a very long look over several calls.
+        A bucket that a consumer has still to consume stays until `cutoff` passes it, and so do all later buckets.
+        Checks the buckets that go and one slice more. A very long check takes several calls.
         """
         owed = self._first_owed(self._age_bound(cutoff), bound)
         return bound if owed is None else owed
@@ -175,9 +177,7 @@ class Retention:
         return None
 
     def _bucket_from(self, start: int | None) -> int:
-        """`start`, which is a bucket's time, or the oldest bucket's time if that is later; None: the oldest bucket's
-        time.
-        """
+        """The later of `start` and the oldest bucket's time. `start`: a bucket's time; None: the oldest bucket's."""
         oldest = self._held.oldest
         assert oldest is not None, "the caller has checked that the channel holds items"
         return oldest if start is None else max(start, oldest)
@@ -292,7 +292,7 @@ class Retention:
         return bucket.items, bucket.payload_bytes
 
     def release_oldest(self, clock: int) -> None:
-        """Collect the oldest bucket. The item that waited for its age is in now."""
+        """Collect the oldest bucket, after the put of the item that needed its room."""
         oldest = self._held.oldest
         following = None if oldest is None else self._held.next_time(oldest)
         if following is not None:
@@ -308,8 +308,9 @@ class Retention:
     def retry_at(self, time: int, own_end: int | None) -> int | None:
         """When time next makes room for an item at `time`. `own_end` is its end by duration, if any.
 
-        Counts as if the item were in. But if time collects something earlier without the item, that is the answer. This
-        happens if the item would belong to the oldest bucket. None: only another put or a consumption makes room.
+        Assumes that the item is put. But if the channel without the item collects something earlier, returns that
+        instant. This happens if the item would belong to the oldest bucket. None: only another put or a consumption
+        makes room.
         """
         instants = (self._due_as_if_put(time, own_end), self.next_due())
         return min((one for one in instants if one is not None), default=None)
@@ -333,10 +334,9 @@ class Retention:
 
 
 class _AtMost:
-    """Counts the items that `going` counts, of a bounded number of slices, and of fewer if it looks at very many
-    consumers.
+    """Counts like `going`, but in a bounded number of slices, and in fewer slices if it checks very many consumers.
 
-    `held_back`: it was asked for more items.
+    `held_back`: it has reached its limit before the last slice.
     """
 
     __slots__ = ("_asked_to", "_consumers", "_going", "_left", "held_back")

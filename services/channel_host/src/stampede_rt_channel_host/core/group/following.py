@@ -107,7 +107,7 @@ class CutFollower:
 
     def begin(self, cut: int) -> None:
         """Begin a step. Items accepted below `cut` from now on are late, and come with the next step."""
-        assert not self.under_way, "take the step under way to its end first"
+        assert not self.under_way, "finish the present step first"
         assert self.cut is None or cut >= self.cut, "a cut never moves back"
         self.under_way = True
         self._target = _key(cut)
@@ -172,7 +172,7 @@ class CutFollower:
 
     def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int, bool]:
         """Items below the former cut that were accepted since and are still held. Returns as `_take_range`."""
-        assert self._late is not None, "they were looked for"
+        assert self._late is not None, "the step has found the late items"
         taken: list[DeliveredSlice] = []
         for _ in range(pieces.STEPS_PER_PIECE):
             if left <= 0:

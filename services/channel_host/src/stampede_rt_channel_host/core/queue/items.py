@@ -1,6 +1,6 @@
 """Runs of queued messages, and the state of a message that was delivered once. Pure.
 
-A message that was never delivered costs nothing beside its run. A queue may hold a million of them.
+A message that was never delivered has no object of its own: its run represents it. A queue may hold a million of them.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from stampede_rt_channel_host.core.channel.run import Slicer
 class QueuedRun:
     """Messages that were accepted together. Their seqs are consecutive. `held`: how many have not left the queue.
 
-    `body` is the result of the owner's seal function. `slicer` keeps what the owner knows of the body once it has cut a
-    part out of it. `lengths` are payload bytes. `accepted_at` is the host's clock.
+    `body` is the result of the owner's seal function. `slicer` cuts parts out of the body; None: no part was needed
+    yet. `lengths` are payload bytes. `accepted_at` is the host's clock.
     """
 
     __slots__ = ("accepted_at", "body", "first_seq", "held", "lengths", "slicer")
@@ -44,9 +44,7 @@ LEASE_EXPIRED, GIVEN_BACK, TERMINATED = "lease_expired", "given_back", "terminat
 
 
 class FailedDelivery(NamedTuple):
-    """A delivery that ended without an acknowledgement: its number among the copy's deliveries, its taker,
-    and its end.
-    """
+    """A delivery that ended without an acknowledgement. `number`: its number among the deliveries of the copy."""
 
     number: int
     taker_id: int
@@ -58,9 +56,9 @@ class FailedDelivery(NamedTuple):
 class TouchedItem:
     """A message that was delivered or held back at least once.
 
-    `returned` has the number of deliveries of each copy that was delivered and that no taker has now, ascending.
-    `leases` maps takers to delivery ids. `acknowledged` lists takers that are done. `due`: held back until then.
-    `last`: its last failed delivery.
+    `returned` has one number for each copy that was delivered and has no taker now: how often it was delivered. The
+    numbers ascend. `leases` maps takers to delivery ids. `acknowledged` lists the takers that are done. `due`: the
+    queue holds the message back until then. `last`: its last failed delivery.
     """
 
     __slots__ = (

@@ -141,7 +141,7 @@ class QueueItems:
     def touch_fresh(self) -> TouchedItem:
         """Turn the first fresh message into a touched one, for its first delivery. There must be a fresh message."""
         run = self.fresh_run()
-        assert run is not None, "the caller has looked"
+        assert run is not None, "the caller has checked that there is a fresh message"
         item = TouchedItem(run, self._fresh_position)
         self._fresh_position += 1
         self.fresh_items -= 1
@@ -209,7 +209,7 @@ class QueueItems:
 
     def remove(self, item: TouchedItem) -> None:
         """Remove a message, which must have no lease."""
-        assert not item.leases, "its leases have ended"
+        assert not item.leases, "a leased message cannot be removed"
         del self.touched[item.seq]
         self.leaving.pop(item.seq, None)
         self.delays.disarm(item)

@@ -69,7 +69,7 @@ def _check_mailbox(operation: RegisterPeer) -> None:
         if operation.mailbox is not None:
             check_queue_spec(f"of peer {operation.name}", operation.mailbox)
     elif operation.mailbox is not None or operation.mailbox_host_name:
-        text = f"peer {operation.peer_id.hex()} states a mailbox, but no name, by which it would be found; state a name"
+        text = f"peer {operation.peer_id.hex()} states a mailbox, but no name; a mailbox is found by its name: state it"
         raise InvalidArgument(text, metadata={"peer_id": operation.peer_id.hex(), "field": "mailbox"})
 
 
@@ -107,8 +107,8 @@ def check_owner(peer: PeerRecord, owner: str | None) -> None:
     if owner and peer.owner is not None and peer.owner != owner:
         shown = peer.name or peer.peer_id.hex()
         raise PermissionDenied(
-            f"peer {shown} is one of {peer.owner or 'a member or an operator'}, and {owner} may not act for it; choose "
-            "another name, or use the credential of its owner",
+            f"peer {shown} belongs to {peer.owner or 'a member or an operator'}, and {owner} may not act for it; "
+            "choose another name, or use the credential of its owner",
             metadata={"peer": shown},
         )
 

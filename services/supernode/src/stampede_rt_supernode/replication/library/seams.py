@@ -52,7 +52,7 @@ class LibraryLog:
     def deleteEntriesTo(self, entryTo: int) -> None:
         """Do nothing, because the adoption of a snapshot has already cut the log off."""
         if entryTo > 0:
-            raise AssertionError(f"the library wants to cut off {entryTo} entries that no snapshot stands for")
+            raise AssertionError(f"the library wants to cut off {entryTo} entries that no snapshot contains")
 
     def setRaftCommitIndex(self, raftCommitIndex: int) -> None:
         """Note the commit index."""

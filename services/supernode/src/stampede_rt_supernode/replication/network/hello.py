@@ -96,12 +96,12 @@ def refusal_of(
     if hello.highest_feature_level < feature_level:
         return HelloRefusal(failed, too_old(caller, hello.highest_feature_level, feature_level))
     if not stores.admits(caller, hello.store_id):
-        return HelloRefusal(denied, f"{caller!r} {ANOTHER_STORE}{'' if hello.store_id else ', and has none now'}")
+        return HelloRefusal(denied, f"{caller!r} {ANOTHER_STORE}{'' if hello.store_id else ', and has no store now'}")
     if stores.own and not hello.store_id:
         return HelloRefusal(denied, f"{caller!r} {NO_STORE}; start it with its --data-dir")
     if hello.store_id and not promise.is_kept_by(hello.term, hello.last_log_index):
         held, has = f"term {promise.term} and entry {promise.held}", f"{hello.term} and {hello.last_log_index}"
-        return HelloRefusal(denied, f"{caller!r} {OLDER_STORE}: it has held {held}, and holds {has}")
+        return HelloRefusal(denied, f"{caller!r} {OLDER_STORE}: it held {held} before, and holds {has} now")
     if caller not in roster.peers:
         return HelloRefusal(denied, f"{caller!r} {UNKNOWN}", hears=True)
     return None

@@ -30,8 +30,8 @@ logger = logging.getLogger(__name__)
 # The shortest time between two rounds of new hellos to the others. Without it a member could keep this one's streams
 # from working.
 ASK_OTHERS_SECONDS = 5.0
-OUTDATED_FOLLOWS = "Meanwhile it goes on. It ends"
-REFUSED_FOLLOWS = "Meanwhile it follows the leader, and does not vote. It ends for good"
+OUTDATED_FOLLOWS = "This member goes on until then, and ends"
+REFUSED_FOLLOWS = "This member follows the leader until then, but does not vote, and ends for good"
 # A link accepts pieces of a snapshot only while fewer bytes than this wait in it.
 ROOM_BYTES = 4 << 20
 

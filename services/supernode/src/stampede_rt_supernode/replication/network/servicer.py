@@ -102,8 +102,8 @@ class RaftServicer:
         self._expelled[member_id] = time.monotonic() + EXPELLED_SECONDS, why
         if self._reports.is_due((member_id, "expelled"), time.monotonic()):
             logger.error(
-                "%s: no member that keeps to the rules does so, and it is not heard for %.0f s; if that goes on, stop "
-                "it, remove it (stampede supernode remove %s), and find out what runs there",
+                "%s: this breaks the protocol, and this supernode refuses the member for %.0f s; if that goes on, stop "
+                "the member, remove it (stampede supernode remove %s), and find out what runs there",
                 *(why, EXPELLED_SECONDS, member_id),
             )
         if (reader := self._readers.get(member_id)) is not None:
@@ -184,7 +184,9 @@ class RaftServicer:
         if not self._reports.is_due((hello.member_id, grounds_of(refusal.why), is_heard), time.monotonic()):
             return
         if is_heard:
-            advice = f"{hello.member_id} itself is heard, so somebody has started a copy of its folder: stop that one"
+            advice = (
+                f"the real {hello.member_id} is connected, so somebody has started a copy of its folder: stop the copy"
+            )
         else:
             advice = "remove it (stampede supernode remove), and join under a new id"
         logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice)

@@ -20,8 +20,8 @@ from collections.abc import Callable, Collection
 from stampede_rt_supernode.replication.wire.messages import NO_DIGEST, StateDigest
 
 DIGESTS_MAX = 4096
-# The shortest time for which the leader names one position, and the longest if some have not answered: slow members may
-# need more.
+# The leader names one position until all members have answered, but for the first time at least, and for the second
+# time at most.
 ASKED_SECONDS_MIN, ASKED_SECONDS_MAX = 0.5, 5.0
 
 
@@ -29,11 +29,11 @@ class Digests:
     """The latest digests of this replica, and the leader's latest statements. Tick thread only."""
 
     def __init__(self, adopt: Callable[[bytes], None]) -> None:
-        """`adopt` gives the state machine the digest from which it goes on, if it has none."""
+        """`adopt` sets the digest of a state machine that has none."""
         self._adopt = adopt
         # The position at which this replica's state differs from that of most members; 0: none. Never cleared.
         self.diverged_at = 0
-        # The position at which it differs from the leader's, while nobody knows the state of most; 0: none.
+        # The position at which this replica's state differs from the leader's, while no digest has a majority; 0: none.
         self.doubtful_at = 0
         # This replica's digest at the position that the leader named last, once this replica has reached it.
         self.answer: StateDigest = NO_DIGEST
@@ -84,13 +84,13 @@ class DigestPoll:
 
     def __init__(self) -> None:
         self.asked: StateDigest = NO_DIGEST
-        # For each member that differs from this leader while nobody knows the state of most: the position.
+        # For each member whose state differs from this leader's, while no digest has a majority: the position.
         self.doubts: dict[str, int] = {}
         self._held: dict[str, bytes] = {}
         self._since = float("-inf")
 
     def ask(self, now: float, state: StateDigest, others: Collection[str]) -> None:
-        """Name the leader's present `state` from now on, if the last one was named long enough for `others`."""
+        """Name the leader's present `state` from now on, if the last position was named long enough for `others`."""
         age = now - self._since
         waited = age >= ASKED_SECONDS_MIN and (age >= ASKED_SECONDS_MAX or self._held.keys() >= set(others))
         if state[0] > self.asked[0] and state[1] and waited:

@@ -82,7 +82,7 @@ class RaftRules(Following, Leading):
         term_max = max(last_term + TERMS_AHEAD_MAX, self.term + TERMS_STEP_MAX)
         is_new = self.log.last_index <= 1 and not self.is_voter()
         if claimed > term_max and not is_new:
-            raise PeerAtFault(member_id, f"speaks of term {claimed}, and this is term {self.term}")
+            raise PeerAtFault(member_id, f"names term {claimed}, but this member is in term {self.term}")
 
     def _note_promise(self, member_id: str, message: Message) -> None:
         """Note a member's statement about itself. The member had it on its disk before it sent it.

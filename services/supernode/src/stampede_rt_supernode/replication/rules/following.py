@@ -36,7 +36,7 @@ class Following(Membership):
 
     def _follow(self, node: MemberNode, term: int) -> None:
         if term == self.term and self.is_leader:
-            raise PeerAtFault(node.id, f"says that it leads in term {term}, and this node does")
+            raise PeerAtFault(node.id, f"says that it leads in term {term}, but this member leads in that term")
         if self.leader != node:
             self.give_up_forwarded()
             self.reads.on_leader_lost()
@@ -89,7 +89,7 @@ class Following(Membership):
         if log_index <= settled:
             assert self.leader is not None, "only a leader's entries are merged"
             raise PeerAtFault(
-                self.leader.id, f"leads, and wants entry {log_index} replaced, but {settled} is committed"
+                self.leader.id, f"leads, and replaces entry {log_index}, but entry {settled} is committed"
             )
         self.log.cut_from(log_index)
 

@@ -307,7 +307,9 @@ def _refusal(configuration: Configuration, member: Member, ticket: str) -> Chang
     if ticket and configuration.spender_of(ticket) is not None:
         return TicketSpent(f"the token has let {configuration.spender_of(ticket)} join already; make another one")
     if member.member_id in configuration.retired:
-        return ChangeRefused(f"{member.member_id} was a member before; an id never comes back: join under a new one")
+        return ChangeRefused(
+            f"{member.member_id} was a member before; a removed id is never used again: join under a new one"
+        )
     known = configuration.find(member.member_id)
     if known is not None:
         return ChangeRefused(f"{member.member_id} is a member already, at {known.address}; use an id of your own")

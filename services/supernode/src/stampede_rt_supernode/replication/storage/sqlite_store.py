@@ -111,7 +111,7 @@ def read_identity(data_dir: Path) -> tuple[str, str]:
     except _UNREADABLE as error:
         raise StoreDamaged(f"{path} is not a sound database ({error})") from error
     if row is None:
-        raise StoreDamaged(f"{path} does not say whose it is")
+        raise StoreDamaged(f"{path} does not name its cluster and member")
     return str(row[0]), str(row[1])
 
 
@@ -167,7 +167,7 @@ class SqliteStore:
         has_schema = self._db.execute("SELECT 1 FROM sqlite_master WHERE name = 'identity'").fetchone()
         if not has_schema:
             if self._was_used:
-                raise StoreDamaged(f"{self._path} is empty and was not: {REJOIN}")
+                raise StoreDamaged(f"{self._path} is empty, but held a log before: {REJOIN}")
             # A crash within the very first transaction leaves a file without a schema. Nothing was promised then.
             for statement in _SCHEMA.split(";")[:-1]:
                 self._db.execute(statement)
@@ -175,7 +175,7 @@ class SqliteStore:
         self._db.execute("COMMIT")
         row = self._db.execute("SELECT format_version, cluster_id, member_id FROM identity").fetchone()
         if row is None:
-            raise StoreDamaged(f"{self._path} does not say whose it is: {REJOIN}")
+            raise StoreDamaged(f"{self._path} does not name its cluster and member: {REJOIN}")
         if row[0] != FORMAT_VERSION:
             raise StoreRefused(
                 f"{self._path} has form {row[0]}, and this version reads form {FORMAT_VERSION}: run the version that "
@@ -208,7 +208,7 @@ class SqliteStore:
         self._commits = facts.commits
         if self._commits < self._watermark.read():
             raise StoreDamaged(
-                f"{self._path} holds {self._commits} commits and has held {self._watermark.read()}: {REJOIN}"
+                f"{self._path} holds {self._commits} commits, but held {self._watermark.read()} before: {REJOIN}"
             )
         if not entries:
             raise StoreDamaged(f"{self._path} has lost its entries: {REJOIN}")
@@ -227,7 +227,7 @@ class SqliteStore:
         if snapshot is None and first != 1:
             raise StoreDamaged(f"{self._path} starts at entry {first} without a snapshot: {REJOIN}")
         if snapshot is not None and snapshot.last_log_index != first + 1:
-            raise StoreDamaged(f"{self._path}: snapshot and log do not meet: {REJOIN}")
+            raise StoreDamaged(f"{self._path}: entries are missing between snapshot and log: {REJOIN}")
         if (first, last.log_index, last.term) != (facts.first_index, facts.last_index, facts.last_term):
             raise StoreDamaged(
                 f"{self._path} has lost entries: it holds {first} to {last.log_index}, and held {facts.first_index} to "

@@ -26,7 +26,7 @@ EXIT_CODE = 70
 EXIT_DISK = 74
 # The exit code of a service that stops for a reason that its user can remove.
 EXIT_TOO_OLD = 1
-# A step that takes longer waits for a hanging disk. The others have a new leader by then.
+# A longer step waits for a disk that hangs. After this time the other members have a new leader.
 STUCK_SECONDS = 3.0
 LOOK_SECONDS = 0.5
 
@@ -115,7 +115,8 @@ class TickThread:
     def _watch(self) -> None:
         """Log once that the disk hangs, and once that it answers again.
 
-        Counts looks, not seconds, because a stopped process does not mean a slow disk.
+        Counts its own looks instead of seconds: while the whole process is stopped, time passes, but the disk is not
+        slow.
         """
         stuck_since: float | None = None
         last_began, looks = None, 0
