@@ -52,7 +52,8 @@ async def test_blocked_gets_are_ended_in_pieces(rig: Rig) -> None:
     left = []
     for _ in hosted.ending(Unavailable("gone")):
         left.append(len(hosted.gets))
-    assert left == [GETS_PER_PIECE * pieces for pieces in range(4, -1, -1)]
+    assert left == [GETS_PER_PIECE * pieces for pieces in range(4, 0, -1)]
+    assert not hosted.gets, "the last piece ends the work"
     for _ in range(5 * GETS_PER_PIECE):
         response: pb.GetResponse = await call.read()  # type: ignore[attr-defined]
         assert response.error.message == "gone"
