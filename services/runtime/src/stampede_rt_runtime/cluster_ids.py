@@ -18,7 +18,9 @@ def new_cluster_id(*, in_memory: bool) -> str:
 
 
 def listed_cluster_id(members: Mapping[str, str]) -> str:
-    """The id of a cluster whose founders got a list of members, address by member id. Equal lists give equal ids."""
+    """The id of a cluster that is founded with a list of members. `members`: addresses by id. Equal lists give equal
+    ids.
+    """
     listed = "\n".join(f"{member_id}={address}" for member_id, address in sorted(members.items()))
     return LISTED + hashlib.sha256(listed.encode()).hexdigest()[: 2 * ID_BYTES]
 

@@ -19,7 +19,9 @@ all objects.
 INTERVAL_SECONDS_MIN = 0.002
 INTERVAL_SECONDS_MAX = 0.05
 LONG_SECONDS = 0.0005
-"""A collection that takes longer halves the interval to the next one. One that takes less than a quarter doubles it."""
+"""A collection that takes longer halves the interval to the next one. A collection that takes less than a quarter of
+this time doubles the interval.
+"""
 FULL_INTERVAL_SECONDS = 600.0
 """A collection of all objects takes 0.15 s for a million of them, so it is rare."""
 

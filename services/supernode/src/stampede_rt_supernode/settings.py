@@ -163,7 +163,8 @@ class SupernodeSettings(ServiceSettings):
     def _listed(self, name: str, address: str, members: dict[str, str]) -> Founding:
         """How a founder in the list begins.
 
-        The cluster id comes from the store if it has one: the list, which gives the id otherwise, may change later.
+        The cluster id comes from the store, if there is one, because the list may change later. Without a store it
+        comes from the list.
         """
         cluster_id = listed_cluster_id(members)
         if self.data_dir is not None and holds_store(self.data_dir):

@@ -51,7 +51,7 @@ class Cursor(Protocol):
     def saved(self) -> SavedCursor | None:
         """The place from which another subscription continues.
 
-        None: continue from the place saved before; items repeat then.
+        None: there is no new place. A reader continues from the place saved before, and gets some items again.
         """
 
 

@@ -18,7 +18,7 @@ from stampede_rt_channel_host.core.judging import Judged, Judging
 WAITING_PUTS_MAX = 10_000
 PUTS_PER_PIECE = 128
 ITEMS_OFFERED_MAX = 128
-"""The items that one call offers of the waiting runs.
+"""The most items of waiting runs that one call offers.
 
 The last of these runs is offered whole, even beyond the limit.
 """

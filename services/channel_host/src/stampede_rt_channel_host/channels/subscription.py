@@ -88,7 +88,7 @@ class Subscription:
         self._context = context
         self._stream = stream
         self._news: asyncio.Future[bool] | None = None
-        # a reader that began in the past hears when it has all items that were held at that time
+        # a reader that begins with held items is told once when it has received all of them
         self._owes_progress = False
         self._told_advance: int | None = None
         self._told_cursor: SavedCursor | None = None

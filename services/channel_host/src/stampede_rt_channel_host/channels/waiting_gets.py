@@ -111,7 +111,7 @@ class Source(Polled, Protocol):
 
 
 class _Release:
-    """One change, and the gets that it may release: those that arrived before it and need no more than it brings."""
+    """One change, and the gets that it may release: those that arrived before it and whose needs it may fulfil."""
 
     def __init__(self, reach: Reach, arrivals: int) -> None:
         self.reach = reach
@@ -339,7 +339,7 @@ class WaitingGets:
         self._work()
 
     def _give_up(self, get: WaitingGet) -> None:
-        """End the wait of a get: with a change that it was not yet looked at after, or else with the present answer."""
+        """End the wait of a get. Look at the kept changes first. If none releases the get, give the present answer."""
         for release in list(self._releases):
             if release.then is not None and get.arrival <= release.arrivals:
                 self._look_at([get], release.then, self._now())

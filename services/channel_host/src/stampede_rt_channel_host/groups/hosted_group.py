@@ -90,7 +90,7 @@ class HostedGroup:
     def check_incarnation(self, incarnation: int) -> None:
         """Raises IncarnationLost if the group has begun anew since `incarnation`.
 
-        Readers check it, because of many readers some are ended a moment after the group began anew.
+        Readers check it, because the group ends many readers in pieces, some of them a moment after it began anew.
         """
         if self.record.incarnation != incarnation:
             raise began_anew(self.record)

@@ -40,7 +40,7 @@ DEFAULTS: Mapping[Quota, int] = {
     Quota.BYTES_HELD: LIMIT_MAX,  # a host sets its own limit
 }
 OF_MAKERS = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.BYTES_HELD})
-"""They count the things that a caller has created, wherever it calls from.
+"""These quotas count the things that a caller has created, wherever it calls from.
 
 Callers without a name of their own count together, by the kind of their proof.
 """

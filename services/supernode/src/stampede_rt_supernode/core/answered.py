@@ -94,8 +94,7 @@ class Answered:
     def check_in_time(self, as_of_index: int) -> None:
         """Check whether a command may still be done. Its proposer had applied the log up to `as_of_index` (0: unknown).
 
-        Raises Unavailable with reason AMBIGUOUS if the command was under way for longer than the last mark has been
-        there.
+        Raises Unavailable with reason AMBIGUOUS if the proposer got the request before the last mark but one.
         """
         if 0 < as_of_index < (self.marks[-2] if len(self.marks) > 1 else 0):
             raise Unavailable(

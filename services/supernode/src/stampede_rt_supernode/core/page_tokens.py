@@ -52,7 +52,9 @@ def read_listing(token: str, listing: str) -> str:
 
 
 def write_position(listing: str, position: tuple[bool, str] | None) -> str:
-    """As `write_listing`, for a listing in two parts. A position is whether it is in the second part, and a name."""
+    """As `write_listing`, for a listing in two parts. A position has two values: whether it is in the second part, and
+    a name.
+    """
     return write_listing(listing, None if position is None else f"{int(position[0])}{position[1]}")
 
 

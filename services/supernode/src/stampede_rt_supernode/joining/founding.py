@@ -21,7 +21,7 @@ from stampede_rt_runtime.written import naming
 from stampede_rt_supernode.replication import Member, ReplicationSettings, holds_store
 
 FILE_NAME = "supernode.json"
-# Exists while `init --restore` writes.
+# This file exists while `init --restore` writes.
 RESTORING_NAME = "supernode.restoring"
 FORMAT_VERSION = 1
 ANYWHERE = ("0.0.0.0", "::")

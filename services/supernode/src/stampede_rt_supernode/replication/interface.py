@@ -85,9 +85,9 @@ class ReplicationStatus:
       the state of most. A follower has only itself in it, a leader the others.
     - `disk_silent_seconds`: how long this replica's disk has not answered, if that is too long; 0 otherwise.
     - `feature_level`: the state's.
-    - `highest_levels`: by id, the highest level of each member's release, this one included, as it told.
+    - `highest_levels`: by id, the highest level of each member's release, this one included, as it reported.
     - `too_old`: the words of the leader, or of most others, that this release does not know the cluster's level.
-    - `retired`: ids of former members, which never come back.
+    - `retired`: ids of former members, which are never used again.
     """
 
     self_id: str

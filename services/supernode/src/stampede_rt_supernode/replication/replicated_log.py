@@ -125,7 +125,7 @@ class PySyncObjLog:
         """See ReplicatedLog."""
         status, links = self._replica.status(), self._links
         if (silent := self._thread.stuck_seconds()) > 0.0:
-            # The last step was long ago. Others say that the leader of that time has been replaced.
+            # The last step was long ago, so the others have replaced the leader of that step.
             status = replace(status, leader_id=None, is_leader=False, tenure=0, disk_silent_seconds=silent)
         status = replace(status, retired=self._replica.roster.removed)
         refused = self._servicer.refused() if self._servicer is not None else {}

@@ -40,7 +40,7 @@ SERIAL_BYTES = 8
 
 
 class _Change(NamedTuple):
-    """The rules before and after a change, and its effects. `version`: of the last change before."""
+    """The rules before and after a change, and its effects. `version`: that of the last change before this one."""
 
     version: int
     before: AccessRules

@@ -79,7 +79,7 @@ class LeaseKeeper:
         self._last_mark = self._marked_nanos = 0
         # The id that the founder gave the cluster, and whether this cluster replaces a restored one.
         self.founding_cluster_id, self.takes_over = "", False
-        # Whether the cluster ends with its processes, which the id tells if the first leader makes it.
+        # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id says so.
         self.in_memory = False
 
     async def run(self) -> None:

@@ -27,8 +27,8 @@ class OwnCluster:
     def judge(self, callers: str) -> StampedeError | None:
         """The error for a caller of the cluster `callers`; None: the supernode serves it.
 
-        While the state here is still that of another cluster, from which this one was restored, or of none, no caller
-        is served, because reads and updates would concern that cluster.
+        Serves no caller while the state is still empty, or that of the former cluster of a restored one, because reads
+        and updates would concern that state.
         """
         own, held = self.id(), self._replica.read(_id_of)
         if not own or held != own:

@@ -1,8 +1,8 @@
 """Decides which items of an offer a channel accepts (paper, sections 3.2 and 3.4). Pure.
 
-A run means one put for each item, all at one instant. Each item is judged after the items before it are in, and
-retention follows each item. Most runs can be taken in as a whole with the same result. `Acceptance` does that if it is
-certain, and judges item by item otherwise.
+A run means one put for each item, all at one instant. The channel judges each item after it has taken in the items
+before it, and applies retention after each item. To take in a run as a whole mostly has the same result. `Acceptance`
+does so if this is certain, and judges item by item otherwise.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stampede_rt_channel_host.core.channel.values import Offer, PutOutcome, Reje
 class Acceptance:
     """Takes offers into the holdings and counts refusals.
 
-    `advance` is the highest promise, `rejected` counts by reason.
+    `advance` is the highest advance so far. `rejected` counts refused items by reason.
     """
 
     def __init__(self, held: Holdings, retention: Retention, name: str) -> None:
@@ -46,7 +46,7 @@ class Acceptance:
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
 
     def stamp(self, clock: int) -> int:
-        """The time of items that come without one: the meaning of `now`, but never a time refused as too old."""
+        """The time of items without a time: `now`, or the least time that an item may have, if that is later."""
         now = clock if self._held.newest is None else max(clock, self._held.newest)
         return max(now, self._least_time())
 

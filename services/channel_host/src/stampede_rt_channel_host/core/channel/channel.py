@@ -314,8 +314,8 @@ class ChannelCore(AgedChannel):
         return after.time, after.seq
 
     def _start_key(self, start: Bound | None, exclusive: bool, now: int) -> ItemKey | None:
-        """The key at which a subscription's held items begin; None if it wants none, or an empty channel cannot resolve
-        it.
+        """The key at which a subscription's held items begin; None if it begins without held items, or an empty channel
+        cannot resolve `start`.
         """
         clock = self._settle(self._tick(now))
         time = None if start is None else self._reading.resolve_bound(start, clock)

@@ -41,7 +41,7 @@ RANGES_PER_LOOK_MAX = 256
 """The most ranges of seqs over which one call moves the end of a consumer's consumed seqs."""
 SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
 RANGE_STEPS = 4
-"""To count the collected items in a range of consumed seqs takes as long as so many slices."""
+"""To count the collected items in one range of consumed seqs takes as long as work on this number of slices."""
 
 
 class Consumed(NamedTuple):
@@ -202,7 +202,7 @@ class Consumers:
         self._ended.add(place)
 
     def _rank(self, place: _Place, done: SeqSet) -> None:
-        """Move the place to the rank of its consumed seqs, or, over very many ranges, a part of the way there."""
+        """Move the place to the rank of its consumed seqs, or a part of the way if very many ranges lie between."""
         left = RANGES_PER_LOOK_MAX
         while left > 0 and (end := self._gone.end_of(done.below)) > done.below:
             left -= 1 + _go_on(done, done.below, end, left)
@@ -212,7 +212,7 @@ class Consumers:
             self._live.add(place)
 
     def _tidy(self, place: _Place, done: SeqSet, ranges: int) -> None:
-        """Add collected seqs to so many of the place's ranges.
+        """Add collected seqs to at most `ranges` of the place's ranges.
 
         So a place never has many more ranges than there are held items.
         """

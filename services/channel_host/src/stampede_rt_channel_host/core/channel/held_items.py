@@ -56,7 +56,7 @@ class HeldItems:
         self.last_cause = AGE
         self.overlap_nanos = 0
         self._on_gone: Callable[[int, int], None] | None = None
-        self._told: ItemKey = FIRST_KEY  # the follower has heard of all collected items below this key
+        self._told: ItemKey = FIRST_KEY  # the consumers were told of all collected items below this key
         self._came_up_to: int | None = None
         self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it is valid
         self._newest_is_open = False  # an item of the newest bucket has no duration
@@ -91,13 +91,13 @@ class HeldItems:
 
     @property
     def has_backlog(self) -> bool:
-        """Whether there are entries to free, now or once the follower has heard of them."""
+        """Whether there are entries to free, now or once the consumers were told of them."""
         untold = self._on_gone is not None and self._told < self.floor
         return untold or self.index.has_below(self._free_floor)
 
     @property
     def _free_floor(self) -> ItemKey:
-        """The key below which the host frees items: no snapshot shows them, and the follower has heard of their end."""
+        """The key below which the host frees items: no snapshot shows them, and the consumers were told of them."""
         floor = self.floor if self._on_gone is None else min(self.floor, self._told)
         return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
 
@@ -105,8 +105,8 @@ class HeldItems:
     def frontier(self) -> int | None:
         """The latest collected span end, but not above the oldest held item's time.
 
-        If no item is left: not above the latest time that had come when the last item went. So a long duration says
-        nothing about later items.
+        If no item is left, it is also not above the latest item time when the last item went. So the long duration of a
+        collected item does not move the frontier past times at which items may still come.
         """
         bound = self._came_up_to if self.oldest is None else self.oldest
         if self.collected_end is None or bound is None:
@@ -124,7 +124,7 @@ class HeldItems:
 
     @property
     def gone_before(self) -> int | None:
-        """The instant from which no span of a collected item is missing. With overlap it is later than the frontier."""
+        """The instant before which spans of collected items are missing. With overlap it is later than the frontier."""
         frontier = self.frontier
         if not self.overlap_nanos or frontier is None or self.newest_collected is None:
             return frontier

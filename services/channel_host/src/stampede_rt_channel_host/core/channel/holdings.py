@@ -25,8 +25,8 @@ FREED_ENTRIES_MAX = 2048
 LIVE_SHARE_MIN = 4
 COPIED_BYTES_MIN = 4096
 COPIED_PARTS_MAX = 4
-"""If a quarter or less of a run larger than COPIED_BYTES_MIN is left, in so few parts, these parts are copied out of
-it.
+"""The rest of a run larger than COPIED_BYTES_MIN is copied out of it if the rest is a quarter or less, in this number
+of parts at most.
 """
 
 
@@ -207,7 +207,9 @@ class Holdings(HeldItems):
         self._on_gone, self._told = on_gone, self.floor
 
     def tell_gone(self, slices_max: int) -> bool:
-        """Tell of so many collected slices. Returns True if more are left. No slice is freed before it was told."""
+        """Tell `on_gone` of up to `slices_max` collected slices. Returns True if more are left. A slice is freed only
+        after that.
+        """
         if self._on_gone is None or self._told >= self.floor:
             return False
         parts = [*islice(self.index.slices(self._told, self.floor), slices_max)]

@@ -3,9 +3,9 @@
 An entry is a part of one run whose items ascend in time, with no other item between them. If items come in order, each
 run has one entry. A late item splits the entry into which it falls. Both indexes hold the same entries.
 
-Invariant: an entry that begins at some time is the first that holds an item of that time, apart from other entries that
-begin at the same time. So the first time alone is the key. Entries of equal keys stand in seq order. Keys need no
-memory of their own.
+Invariant: if an entry begins at a time, no entry before it holds an item of that time, except entries that begin at the
+same time. So the first time alone is the key. Entries of equal keys stand in seq order. Keys need no memory of their
+own.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ class ChannelIndex:
         return iter(self._by_time.islice(at, self._by_time.bisect_key_right(last_time)))
 
     def _entries_down(self, high: ItemKey, first_time: int) -> Iterator[Entry]:
-        """The entries from above, without most of those that begin at or above `high`."""
+        """The entries in descending order, without most of those that begin at or above `high`."""
         time, seq = high
         entries = self._by_time.irange_key(first_time, time, reverse=True)
         last = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq < SEQ_END else []
@@ -302,7 +302,7 @@ class ChannelIndex:
         return entry
 
     def share_below(self, floor: ItemKey) -> Slice | None:
-        """The items below `floor` of the first entry, if the entry also has others; None if it has not."""
+        """The items below `floor` of the first entry, if the entry also has later items; else None."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
         if not isinstance(entry, IndexPart) or entry.first_time > floor[0]:
             return None

@@ -68,7 +68,7 @@ class Reading:
         region = _region(query, within)
         truncated = not region.is_empty and self._is_truncated(region)
         complete = self._is_over(region)
-        # of an answer in several pieces: the reasons if the limit cut it, and if not
+        # for an answer in several pieces: its reason if the limit cuts it, and its reason if not
         reasons: dict[bool, Reason | None] = {}
 
         def judge() -> None:
@@ -120,7 +120,9 @@ class Reading:
         return Needs(passed, time=region.start)
 
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
-        """The instant at which `now` enters the interval, if it has not: then the open newest item reaches into it."""
+        """The instant at which `now` enters the interval, if `now` is before it. Then the open span of the newest item
+        reaches into the interval.
+        """
         return WakeAt(first_instant if self.now(clock) < first_instant else None)
 
     def _unresolved(self) -> ReadAnswer:

@@ -75,9 +75,9 @@ class _Stretch(NamedTuple):
 
 
 class Selected(NamedTuple):
-    """The matching slices, in ascending order, and two facts.
+    """The matching slices, in ascending order.
 
-    They tell whether the limit cut off more items, and the time of the bucket after the last item, None if the last
+    `more`: the limit cut off further items. `next_time`: the time of the bucket after the last item; None: the last
     item is in the newest bucket.
     """
 

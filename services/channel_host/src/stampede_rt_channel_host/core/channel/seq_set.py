@@ -55,7 +55,7 @@ class SeqSet:
         return end if beyond is None else beyond[0]
 
     def touching(self, first: int, end: int) -> Iterator[tuple[int, int]]:
-        """The ranges that share a seq with those from `first` up to `end`, or that are next to them.
+        """The ranges that share a seq with the range from `first` up to `end`, or that are next to it.
 
         The first one may be the range below `below`.
         """
@@ -148,7 +148,7 @@ class CountedSeqs(SeqSet):
     def count(self, first: int, end: int) -> int:
         """How many of the seqs from `first` up to `end`, exclusive, are in the set.
 
-        Walks one block, and takes the numbers of the other blocks. A range that holds `first` counts as a whole.
+        Walks one block, and adds the stored counts of the other blocks. A range that holds `first` counts as a whole.
         """
         behind = max(first, min(end, self.end_of(first)))
         known, first = behind - first, behind

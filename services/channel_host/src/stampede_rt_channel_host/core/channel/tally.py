@@ -16,7 +16,9 @@ from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 BLOCK_ITEMS = 1024
-"""The usual number of items in a block. To count a front of any size takes a walk over hardly more items."""
+"""The usual number of items in a block. To count the oldest items, however many, takes a walk over hardly more items
+than one block has.
+"""
 
 
 class Whole(NamedTuple):

@@ -5,7 +5,7 @@ No module here reads a clock, waits, or knows the wire. The code around it has t
 - It keeps one `TimesBoard`. For own channels it calls `OwnTimes.observe` after each change, then `tell_own`. For
   channels of other hosts it calls `hear` with their owners' reports, and `confirm` at each sign of life.
 - It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` once all live ones
-  have told theirs, and `refresh` after each change of the board and at `next_idle`. It never enters a client's cut. If
+  have sent theirs, and `refresh` after each change of the board and at `next_idle`. It never takes a client's cut. If
   a reader has seen a later cut, the reader waits until `cut` is there, or gets the answer of `VisibleChannel.stalled`.
 - Reads through a group use `VisibleChannel` like a channel, with the present `Horizon`. To read several channels at one
   cut, they use that earlier cut. Blocked gets are polled after each change of the channel and of the cut.

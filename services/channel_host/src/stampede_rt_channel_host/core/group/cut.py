@@ -54,7 +54,7 @@ class CutFloor(NamedTuple):
 class CutMember(NamedTuple):
     """One member at one moment.
 
-    `heard` None: its owner has told nothing yet. `cut`: its own cut, None if it has none.
+    `heard` None: its owner has reported nothing yet. `cut`: its own cut, None if it has none.
     """
 
     channel_id: bytes
@@ -82,9 +82,9 @@ class GroupCut:
         self._floor: int | None = None
         self._confirmed = False
         self._holder = b""  # the member that had the lowest cut at the last look at all members
-        # a heap with a cut that each member had once, at or below its present cut
+        # A heap with one cut for each member: a cut that the member had before, so at or below its present cut.
         self._lows: list[tuple[int, bytes]] = []
-        self._setbacks = -1  # of the board, at the making of the heap
+        self._setbacks = -1  # the setbacks of the board when the heap was made
 
     @property
     def definition(self) -> GroupDefinition:
@@ -146,7 +146,7 @@ class GroupCut:
     def next_idle(self, now: int) -> int | None:
         """When a member of this host next becomes idle, which may move the cut without a put; None: never.
 
-        For members of other hosts a sign of life tells.
+        A member of another host becomes idle only at a sign of life of that host.
         """
         after = self._definition.idle_after_nanos
         if after is None or self._definition.reference is not None:

@@ -4,10 +4,10 @@ One host decides for a subscription. Every value of the cut asks for an event. T
 reached the cut, or when the host has waited long enough for them. Cuts that are due together become one event, so that
 a slow reader gets merged events.
 
-A member has reached a cut when its newest item or an advance has; a duration is no promise. So with a bound of "end",
-where the cut lies ahead of items, an event waits for the next items; a small max_wait sends it earlier. With a lateness
-the newest item must be later than the cut by so much. Then items that are late by no more are in the event. An event
-may reach up to the time that all members have reached.
+A member has reached a cut when its newest item or an advance is at the cut or later. Durations do not count. So with a
+bound of "end", where the cut lies ahead of items, an event waits for the next items; a small max_wait sends it earlier.
+With a lateness the newest item must be later than the cut by this lateness. Then the event has all items that are late
+by the lateness or less. An event may reach up to the time that all members have reached.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PENDING_MAX = 256
 class Boundary(NamedTuple):
     """A decided event.
 
-    It brings the items that became visible before `cut`. `incomplete`: members that had not reached it.
+    It has the items that became visible before `cut`. `incomplete`: members that had not reached it.
     """
 
     cut: int
@@ -61,7 +61,7 @@ class EventDecider:
     def _merge(self, now: int) -> None:
         """Divide the time of the wait into stretches, and keep the last cut of each.
 
-        So no cut waits more than a stretch longer.
+        So no cut waits longer by more than one stretch.
         """
         waited = max(self._max_wait_nanos, now - self._pending[0][1])
         stretch = waited // (PENDING_MAX // 2) + 1

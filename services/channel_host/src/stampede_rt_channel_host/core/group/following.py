@@ -77,7 +77,7 @@ class CutFollower:
         self._target: ItemKey = FIRST_KEY
         self._seq_end = 0
         self._range_start: ItemKey = FIRST_KEY  # of the present step: newly visible items below this key are taken
-        self._looked_up_to = 0  # and seqs below this one have been searched for late items
+        self._looked_up_to = 0  # seqs below this one have been searched for late items
         self._late_parts: list[list[Slice]] = []  # the late items found, each list in the order (time, seq)
         self._late: Iterator[Slice] | None = None  # all late items in order; None: the search is not over
         self._late_rest: Slice | None = None  # the rest of a slice that was taken in part
@@ -134,9 +134,9 @@ class CutFollower:
         return Step(slices=slices, late=late, is_last=True, loss=self._finish(held))
 
     def _take_range(self, held: Holdings, left: int, steps: int) -> tuple[list[DeliveredSlice], int, bool]:
-        """Newly visible items from the key reached on that the channel had when the step began.
+        """Newly visible items from the reached key on, if the channel had them when the step began.
 
-        Also returns the rest of the limit, and whether these are all.
+        Also returns the rest of the limit, and whether no such item is left.
         """
         taken: list[DeliveredSlice] = []
         for part in held.slices(self._range_start, self._target):

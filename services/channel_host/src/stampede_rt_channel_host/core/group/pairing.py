@@ -25,9 +25,9 @@ class Undecided(Exception):
 class Pairing:
     """Pairs `own` items, in time order, with `other` items at or above `after`.
 
-    Whether an item gets its nearest one depends on later items that are nearer to that one. These depend on others, at
-    ever smaller distances. The pairing follows that chain for STEPS_MAX steps. Then the item gets the nearest item
-    left. `looks` counts looks for a nearest item.
+    An item does not get its nearest partner if a later item is nearer to that partner. The later item depends on others
+    in the same way, at ever smaller distances. The pairing follows that chain for STEPS_MAX steps. Then the item gets
+    the nearest item left. `looks` counts looks for a nearest item.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Pairing:
         self.looks = 0
 
     def partner(self, key: ItemKey, tolerance: int) -> Nearest | None:
-        """The partner of the first own item left.
+        """The partner of the first unpaired own item.
 
         `other` must have passed the item's time + tolerance. Raises Undecided.
         """

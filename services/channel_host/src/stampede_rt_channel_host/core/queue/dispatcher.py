@@ -23,9 +23,11 @@ RETURNS_PER_LOOK_MAX = 1024
 
 
 class View:
-    """The place of a taker in a queue with copies, which gives each message only to some takers.
+    """The messages that a taker has still to look at, in a queue with copies. Such a queue gives each message only to
+    some takers.
 
-    The taker got no message from `cursor` on. `passed` are older messages that came back since, at least once.
+    The taker got no message from `cursor` on. `passed`: messages before `cursor` that came back after the taker had
+    passed them.
     """
 
     __slots__ = ("cursor", "passed", "returns_seen")

@@ -234,7 +234,7 @@ class Enqueuing:
 
     @property
     def _is_making_room(self) -> bool:
-        """Whether the waiting runs wait for no taker, because the queue is dropping messages to make room."""
+        """Whether the runs wait only until the queue has dropped enough messages, and not for a taker."""
         return self.has_more and self._queue_items.limits.on_full == DROP_OLDEST
 
     def _leave_line(self, run: Enqueue) -> None:

@@ -48,7 +48,7 @@ class Lease:
         self.due: int | None = None
 
     def in_vain(self, ended: str, reason: str = "") -> FailedDelivery:
-        """This delivery as a failed one, with its end."""
+        """This delivery as a failed one. `ended`: how it failed."""
         return FailedDelivery(self.number, self.taker.taker_id, self.taker.name, ended, reason)
 
 
@@ -171,8 +171,8 @@ class Leasing:
         return most is not None and bool(item.returned) and item.returned[-1] >= most
 
     def give_up(self, item: TouchedItem) -> None:
-        """Have the message leave, and end its other leases: for the dead-letter queue if there is one, else
-        for good.
+        """End the leases of the message. If the queue has a dead-letter queue, the message moves there; else it is
+        removed for good.
         """
         if self._queue_items.limits.dead_letters:
             self._void(item)
@@ -199,7 +199,7 @@ class Leasing:
         return SettlementResult(lease.order, None, verdict.lease_nanos)
 
     def _terminate(self, lease: Lease, reason: str) -> None:
-        """Have the message leave, and end its other leases."""
+        """End the lease as the taker asked, and give the message up."""
         self._queue_items.tally.terminated += 1
         self._end(lease)
         lease.item.last = lease.in_vain(TERMINATED, reason)

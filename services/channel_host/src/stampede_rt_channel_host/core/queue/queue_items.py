@@ -43,8 +43,8 @@ class QueueTally:
 class QueueItems:
     """The held messages. Seqs start at 1. All touched messages are older than all fresh ones.
 
-    `touched` has them by seq. `leased` counts messages with a lease. `stored_bytes` counts whole runs with a held
-    message. `leaving` are the messages that wait for their move to the dead-letter queue.
+    `touched` maps seqs to touched messages. `leased` counts messages with a lease. `stored_bytes` counts whole runs
+    with a held message. `leaving` are the messages that wait for their move to the dead-letter queue.
     """
 
     def __init__(self, limits: QueueLimits) -> None:
@@ -188,7 +188,7 @@ class QueueItems:
             self._returns[self.returns_logged] = item.seq
 
     def refresh(self, item: TouchedItem) -> None:
-        """Enter the message at its places after a change."""
+        """Update the sorted lists after a change of the message."""
         available = not item.is_leaving and item.due is None and item.free_copies(self.limits.copies) > 0
         unleased = not item.is_leaving and not item.leases
         if available != item.is_available:

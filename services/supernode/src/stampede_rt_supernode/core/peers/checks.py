@@ -89,7 +89,8 @@ def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> No
 def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
     """Check that `operation` may replace a live peer. The same process may, and a caller with the peer's proof may.
 
-    A peer without name and proof has nothing to lose, so its id is enough. Raises PEER_EXISTS, PermissionDenied.
+    A peer without a name and without a proof needs no protection, so its id is enough. Raises PEER_EXISTS,
+    PermissionDenied.
     """
     check_owner(before, operation.owner)
     same_proof = before.proof_sha256 == operation.proof_sha256

@@ -202,7 +202,7 @@ class LibraryNode:
         self._SyncObj__needLoadDumpFile = False
 
     def number_forwarded_after(self, request_id: int) -> None:
-        """Number the commands that this node forwards from here on."""
+        """Give numbers above `request_id` to the commands that this node forwards from now on."""
         self._SyncObj__commandsLocalCounter = request_id
 
     # -- operations that the library calls, and rules replace ------------------------------------------------------

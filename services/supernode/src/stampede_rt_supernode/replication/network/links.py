@@ -27,8 +27,8 @@ from stampede_rt_supernode.replication.wire.codec import encode_message
 
 logger = logging.getLogger(__name__)
 
-# The shortest time between two rounds of new hellos to the others. Without it a member could keep this one's streams
-# from working.
+# The shortest time between two rounds of new hellos to the others. Without this pause one refusing member could make
+# this member restart its streams all the time.
 ASK_OTHERS_SECONDS = 5.0
 OUTDATED_FOLLOWS = "This member goes on until then, and ends"
 REFUSED_FOLLOWS = "This member follows the leader until then, but does not vote, and ends for good"

@@ -164,7 +164,7 @@ class RaftServicer:
         if refusal.hears:
             if (met := newly_met(hello, self._settings)) is not None:
                 self._replica.deliver(Introduced(met.member_id, met))
-            # The caller may not know the members that know it.
+            # The caller may not know the members that already know the caller.
             await context.write(self._greeting(knows_caller=False))
         await context.abort(refusal.code, refusal.why)
 

@@ -2,7 +2,7 @@
 
 Every election begins with a trial (PreVote; Ongaro's dissertation, section 9.6): no term changes before a majority
 would vote for the candidate. Without a trial, a member that cannot hear the leader raises its term again and again.
-Whenever the others hear it, it unseats a working leader. The library has no trials.
+When the others hear it, its higher term ends the term of a working leader. The library has no trials.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from stampede_rt_supernode.replication.wire.messages import (
     VoteRequest,
 )
 
-# Every leader begins with an entry. So a term is at most this many elections ahead of the log: at one election a second
-# without a pause they would take twelve days.
+# Every leader begins its term with an entry, so only failed elections put the term ahead of the log's last term. More
+# than this many are not believable: at one election a second they would take twelve days.
 TERMS_AHEAD_MAX = 1 << 20
 # No term may be more than this ahead of the own term, either. Elections go on from the term that a member has reached.
 # A hostile member that raises the term by so much with each message needs a hundred thousand years to use up the
@@ -136,7 +136,7 @@ class RaftRules(Following, Leading):
         if message.term != self.term or self.role != CANDIDATE:
             return
         if node not in self.other_voters:
-            return  # no voter, or a voter no longer
+            return  # the sender is no voter, or no longer
         if self._votes[0] != message.term:
             self._votes = (message.term, set())
         self._votes[1].add(node.id)

@@ -26,7 +26,8 @@ class Following(Membership):
             return
         self._follow(node, message.term)
         self.leader_commit_index = message.commit_index
-        if not self.is_stranger(node.id):  # only a known member may set this node aside for good
+        # Only a known member may say that this node's state has diverged, which keeps the node from leading.
+        if not self.is_stranger(node.id):
             self.digests.told(*message.digest)
             self.digests.told_of_most(*message.digest_of_most)
         if isinstance(message, InstallSnapshot):
@@ -51,7 +52,8 @@ class Following(Membership):
         first = self.log[0]
         previous, previous_term, entries = message.previous_index, message.previous_term, message.entries
         if previous < first.log_index:
-            # All entries up to our first one are committed, so they agree. Only later entries need a look.
+            # Entries up to the first held entry are committed, so they are the same at the leader. Only later entries
+            # need a check.
             entries = [entry for entry in entries if entry.log_index > first.log_index]
             previous, previous_term = first.log_index, first.term
         held = self.log.entry_at(previous)
@@ -108,7 +110,7 @@ class Following(Membership):
     def install_opened(self) -> None:
         """Continue to open a received snapshot, if there is one.
 
-        The answer to the leader's next message tells of it.
+        The answer to the leader's next message acknowledges the snapshot.
         """
         try:
             last = self.keeper.install_opened(newer_than=self.last_applied, term_max=self.term)

@@ -37,7 +37,7 @@ class Leading(Membership):
                 raise PeerAtFault(node.id, f"acknowledged up to {message.next_index - 1}, past {end}")
             match = max(self.match_index[node], next_index - 1)
             self.match_index[node] = match
-            # Never back, so that entries under way are not sent again.
+            # The position never falls, so that entries under way are not sent again.
             self.next_index[node] = max(self.next_index[node], match + 1)
         elif message.reset:
             self.next_index[node] = max(next_index, self.match_index[node] + 1, 2)
@@ -63,7 +63,7 @@ class Leading(Membership):
     def step_down_if_diverged(self) -> None:
         """Let another member lead if most members have another state than this leader.
 
-        They are reachable, and agree.
+        Asks the member among them with the most entries to lead.
         """
         if not self.is_leader:
             return

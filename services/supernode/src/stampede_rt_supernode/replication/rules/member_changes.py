@@ -28,10 +28,10 @@ from stampede_rt_supernode.replication.rules.membership import Membership
 
 ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
 
-# A newcomer without progress for so long is given up, so that others can join.
+# The leader gives up a newcomer without progress for this time, so that others can join.
 STALLED_SECONDS = 30.0
-# A newcomer without progress for so long gives way to another one that waits. If it was given up before, it gives way
-# at once.
+# A newcomer without progress for this time gives way to another newcomer that waits. If it was given up before, it
+# gives way at once.
 GIVES_WAY_SECONDS = 5.0
 # A newcomer that has not caught up in this time is given up, even if it makes progress. At its next try it gives way at
 # once.
@@ -212,7 +212,7 @@ class MemberChanges:
                 return
             self._addition = None
             configuration = self._node.configuration().with_member(addition.member, addition.callers[0].ticket)
-            # First a voter, and then no learner any more, so that its acknowledgements stay known.
+            # Make it a voter before it is no learner any more, so that its acknowledgements stay known.
             self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
 

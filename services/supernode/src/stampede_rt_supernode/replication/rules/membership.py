@@ -179,7 +179,7 @@ class Membership(NodeState):
         # A removal that is not committed may be undone, even by the removed member.
         for member_id in self.log.configurations.at(self.last_applied).retired:
             peers.pop(member_id, None)
-        # All of them, even if a hostile leader has named a removed one again.
+        # All present members, even if a hostile leader has added a removed one again.
         peers.update({member.member_id: member for member in current.members})
         peers.pop(self.self_member.member_id, None)
         for member_id in self.peers.keys() - peers.keys():
@@ -257,7 +257,7 @@ class Membership(NodeState):
     def let_go_of_log(self) -> None:
         """Free the cut-off part of the log, except entries that a receiver may lack, and the entry before them.
 
-        A follower keeps nothing of it.
+        A follower keeps none of it.
         """
         held = [self.match_index.get(node, 0) for node in self.sent_to()]
         self.log.keep_after(min(held, default=self.log.last_index) - 1 if self.is_leader else self.log.last_index)

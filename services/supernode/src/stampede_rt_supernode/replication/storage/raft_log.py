@@ -40,7 +40,8 @@ class RaftLog:
         self._entries = state.entries
         self._term = state.term
         self._voted_for = state.voted_for
-        # Reaches the disk with the next change that must. If it is lost, the leader sends it again.
+        # The commit index reaches the disk together with the next other change. If it is lost, the leader sends it
+        # again.
         self.commit_index = state.commit_index
         self.snapshot = state.snapshot
         self._promises = dict(state.promises)
@@ -127,7 +128,7 @@ class RaftLog:
         return self._promises
 
     def note_promise(self, member_id: str, term: int, held: int) -> None:
-        """Remember a greater promise. It reaches the disk with the next change that must, or with a flush."""
+        """Remember a greater promise. It reaches the disk together with the next other change, or with a flush."""
         known = self._promises.get(member_id, Promise(0, 0))
         if term > known.term or held > known.held:
             # A new dictionary, because other threads read the former one.

@@ -130,7 +130,7 @@ class SnapshotReceiver:
             return None
         self._opening = None
         decoded.restore()
-        # Without one neither the sender nor this log has ever seen a change.
+        # Without a configuration, neither the sender nor this log has ever seen a change of the members.
         configuration = snapshot.configuration or self._log.configurations.current
         self._log.adopt_snapshot(stored, snapshot.previous, snapshot.last, configuration)
         return snapshot.last

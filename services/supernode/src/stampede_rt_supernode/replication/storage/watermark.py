@@ -29,7 +29,7 @@ class Watermark:
         self._forced_at = float("-inf")
 
     def read(self) -> int:
-        """The highest number noted; 0 if there is none, or if the file itself is damaged, which must not accuse the
+        """The highest number noted; 0 if there is none, or if the file itself is damaged, which says nothing about the
         database.
         """
         record = os.pread(self._file, _RECORD.size, 0)

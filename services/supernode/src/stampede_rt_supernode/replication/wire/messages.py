@@ -142,7 +142,7 @@ class ReadIndexRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReadIndexReply:
-    """That position; 0: the asked member cannot tell."""
+    """The answer to a ReadIndexRequest: the position; 0: the asked member cannot tell."""
 
     request_id: int
     read_index: int
