@@ -1,1 +1,1 @@
-"""What the Makefile runs beside the packages."""
+"""Tools that the Makefile runs."""

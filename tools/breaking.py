@@ -1,11 +1,11 @@
-"""Check that proto/ still honours the contract that was last accepted; with --accept renew what is accepted.
+"""Check that proto/ does not break the accepted contract; with --accept make proto/ the accepted contract.
 
-The accepted contract is an image of proto/ in `proto/stable.binpb`, committed beside it: so the check needs no history
-and is the same in a shallow clone, in CI and on a branch. Additions pass. `--accept` is the deliberate act: it belongs
-into the commit that changes the contract, and its diff shows in review that the contract changed.
+The accepted contract is an image of proto/ in `proto/stable.binpb`, which is committed. So the check needs no history,
+and works in the same way in a shallow clone, in CI and on a branch. Additions pass. Run `--accept` in the commit that
+changes the contract: its diff then shows a reviewer that the contract has changed.
 
-A file with the mark UNSERVED holds a design that no service implements. It is no part of what is accepted, so that its
-first implementation may still change it. The mark on a file that was accepted before takes effect with --accept.
+A file with the mark UNSERVED has a design that no service implements. It is not part of the accepted contract, so its
+first implementation may still change it. If a file was accepted before, the mark takes effect with --accept.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ STABLE = PROTO / "stable.binpb"
 BUF_SECONDS_MAX = 60
 UNSERVED = "// NOT SERVED YET."
 
-# WIRE_JSON keeps old and new bytes readable, both ways. It says nothing of things that vanish, which would leave an
-# older client with UNIMPLEMENTED; the other rules do.
+# WIRE_JSON keeps old bytes readable by new code, and new bytes by old code. It allows the removal of RPCs, after which
+# an older client would get UNIMPLEMENTED. The other rules forbid removals.
 RULES = ["WIRE_JSON", "PACKAGE_NO_DELETE", "PACKAGE_SERVICE_NO_DELETE", "PACKAGE_MESSAGE_NO_DELETE", "RPC_NO_DELETE"]
 
 
@@ -33,7 +33,7 @@ class BufFailed(Exception):
 
 
 def buf(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run buf of this environment. Raises BufFailed if there is none; its exit code is the caller's to judge."""
+    """Run buf of this environment. Raises BufFailed if there is none. The caller checks the exit status."""
     command = Path(sys.executable).parent / "buf"
     try:
         return subprocess.run(
@@ -44,7 +44,7 @@ def buf(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def unserved(proto: Path) -> list[Path]:
-    """The files in `proto` that bear the mark UNSERVED, in the order of their names."""
+    """Return the files in `proto` with the mark UNSERVED, in the order of their names."""
     return sorted(one for one in proto.rglob("*.proto") if _is_marked(one))
 
 
@@ -53,7 +53,7 @@ def _is_marked(source: Path) -> bool:
 
 
 def build(proto: Path, out: Path) -> None:
-    """Write the image of all that is served of `proto`, without comments. The same sources give the same bytes.
+    """Write the image of all served files in `proto`, without comments. The same sources give the same bytes.
 
     Raises BufFailed.
     """
@@ -64,18 +64,18 @@ def build(proto: Path, out: Path) -> None:
 
 
 def violations(proto: Path, stable: Path) -> list[str]:
-    """What in `proto` breaks the contract of the image `stable`, a sentence each. Raises BufFailed."""
+    """Return the violations in `proto` of the contract in the image `stable`, one sentence each. Raises BufFailed."""
     rules = json.dumps({"version": "v2", "breaking": {"use": RULES}})
     done = buf("breaking", str(proto), "--against", str(stable), "--config", rules, "--against-config", rules)
     if done.returncode == 0:
         return []
-    if not done.stdout:  # violations go to stdout; what is said of buf itself goes to stderr
+    if not done.stdout:  # violations go to stdout; errors of buf itself go to stderr
         raise BufFailed(done.stderr)
     return done.stdout.splitlines()
 
 
 def image(proto: Path) -> bytes:
-    """The image of `proto`. Raises BufFailed."""
+    """Return the image of `proto`. Raises BufFailed."""
     with tempfile.TemporaryDirectory() as folder:
         fresh = Path(folder) / "fresh.binpb"
         build(proto, fresh)
@@ -83,11 +83,11 @@ def image(proto: Path) -> bytes:
 
 
 def check(proto: Path, stable: Path) -> int:
-    """Print what is to be known; 0 if the contract is honoured."""
+    """Print the result of the check. Returns 0 if nothing breaks the contract."""
     if not stable.is_file():
         print(f"{stable} is missing, there is nothing to compare with; make it with: python tools/breaking.py --accept")
         return 2
-    fresh = image(proto)  # first, since buf tells sources that do not compile in the same way as violations
+    fresh = image(proto)  # this is first, because buf reports sources that do not compile in the same way as violations
     found = violations(proto, stable)
     for line in found:
         print(line)

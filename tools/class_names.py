@@ -1,8 +1,8 @@
 """Find class names that the distributions use for more than one thing.
 
-Two classes with one name are accepted if they are twins (a class of the async client or transport and its blocking
-counterpart), if `class_names.toml` allows the name and says why, or if it lists the name as one that is to be renamed.
-Everything else fails the check. So does an entry that is no longer true: the lists can only shrink by themselves.
+Two classes with one name are accepted in three cases: one is the blocking counterpart of the other in the client or its
+transports; `class_names.toml` allows the name and gives a reason; or it lists the name as one to be renamed. Any other
+duplicate fails the check. An entry that is no longer needed also fails it, so the lists only become shorter.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ TWINS = re.compile(r"_(async|sync)\.py$")
 
 @dataclass(frozen=True)
 class Accepted:
-    """The names that may stand for several things, and in how many places each does."""
+    """The names that several classes may have, each with the number of classes."""
 
     allowed: Mapping[str, int]
     to_rename: Mapping[str, int]
 
 
 def sources(root: Path) -> list[Path]:
-    """Every module of the workspace's distributions that is written by hand."""
+    """Return every hand-written module of the distributions in the workspace."""
     workspace = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["uv"]["workspace"]
     members = sorted(folder for pattern in workspace["members"] for folder in root.glob(pattern))
     return [
@@ -43,14 +43,14 @@ def sources(root: Path) -> list[Path]:
 
 
 def public_classes(source: str) -> list[str]:
-    """The names of the classes of a module that other modules may use: those without a leading underscore."""
+    """Return the names of the public classes of a module: those without a leading underscore."""
     return [
         node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     ]
 
 
 def duplicates(modules: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
-    """The class names with more than one meaning, each with its modules, from (path, source) of every module."""
+    """Return the class names that occur more than once, each with its modules. `modules`: (path, source) of each."""
     places: dict[str, dict[str, str]] = defaultdict(dict)
     for path, source in modules:
         for name in public_classes(source):
@@ -59,7 +59,7 @@ def duplicates(modules: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 
 
 def complaints(found: Mapping[str, list[str]], accepted: Accepted) -> list[str]:
-    """What differs between the duplicates that are there and those that are accepted."""
+    """Return the differences between the found duplicates and the accepted ones."""
     lines = [
         f"{name} is both allowed and to be renamed; keep one entry"
         for name in accepted.allowed.keys() & accepted.to_rename.keys()
@@ -84,7 +84,7 @@ def read_lists(text: str) -> Accepted:
 
 
 def main() -> int:
-    """Print each complaint, then the counts; 1 if there is a complaint."""
+    """Print each complaint, then the counts. Returns 1 if there is a complaint."""
     found = duplicates((str(path.relative_to(ROOT)), path.read_text()) for path in sources(ROOT))
     accepted = read_lists(LISTS.read_text())
     lines = complaints(found, accepted)

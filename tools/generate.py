@@ -1,4 +1,4 @@
-"""Generate the protobuf stubs and the synchronous client; with --check say whether the committed ones are fresh."""
+"""Generate the protobuf stubs and the blocking client; with --check tell whether the committed ones are up to date."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ASYNC = CLIENT / "stampede_rt" / "_async"
 
 
 def generate_stubs(out: Path) -> None:
-    """Write the stubs of every .proto below `out`, at the import path that its package names."""
+    """Write the stubs of every .proto file below `out`, at the import path of its package."""
     (out / STUBS).mkdir(parents=True, exist_ok=True)
     sources = sorted(str(p.relative_to(PROTO)) for p in PROTO.rglob("*.proto"))
     target = out / CLIENT
@@ -39,7 +39,7 @@ def generate_stubs(out: Path) -> None:
 
 
 def generate_sync(out: Path) -> None:
-    """Write the synchronous client, which is the asynchronous one with its awaits taken out."""
+    """Write the blocking client: the asynchronous one without `async` and `await`."""
     (out / SYNC).mkdir(parents=True, exist_ok=True)
     for source in sorted((ROOT / ASYNC).glob("*.py")):
         (out / SYNC / source.name).write_text(synchronous(source.read_text()))
@@ -49,7 +49,7 @@ def generate_sync(out: Path) -> None:
 
 
 def differences(fresh: Path) -> list[str]:
-    """The generated files that are missing, stale or left over in the checkout."""
+    """Return the generated files that are missing, stale or superfluous in the checkout."""
     found = []
     for folder in (STUBS, SYNC):
         names = {p.name for p in (fresh / folder).iterdir()} | {p.name for p in (ROOT / folder).glob("*.py*")}

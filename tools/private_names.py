@@ -1,7 +1,7 @@
-"""Prove that one module alone uses the private names of PySyncObj.
+"""Prove that only one module uses the private names of PySyncObj.
 
-Python mangles them: `__raftLog` of the class `SyncObj` is `_SyncObj__raftLog` from outside. All other modules use the
-plain words that this module gives them.
+Python mangles them: from outside, `__raftLog` of the class `SyncObj` is `_SyncObj__raftLog`. All other modules use the
+plain names that this one module gives.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 OWNER = "services/supernode/src/stampede_rt_supernode/replication/library/node.py"
-# Shows faults of the unchanged library.
+# This test shows faults of the unchanged library.
 BARE_LIBRARY_TEST = "tests/unit/supernode/replication/rules/test_rules_closed_faults.py"
 FOLDERS = ("client/src", "services", "deploy", "demos", "benchmarks", "tests")
 PRIVATE = "_SyncObj__"
 
 
 def intruders(modules: Iterable[tuple[str, str]]) -> list[str]:
-    """The modules that use a private name and may not, from (path, source) of every module."""
+    """Return the modules that use a private name and may not. `modules`: (path, source) of each."""
     return sorted(path for path, source in modules if PRIVATE in source and path not in (OWNER, BARE_LIBRARY_TEST))
 
 
 def main() -> int:
-    """Say which modules break the rule, and return how many."""
+    """Print the modules that break the rule, and return their number."""
     paths = [path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py") if ".venv" not in path.parts]
     modules = (
         (str(path.relative_to(ROOT)), path.read_text()) for path in paths if "test_private_names" not in path.name

@@ -1,6 +1,6 @@
-"""Keep the pages that show a newcomer around true: paths, the picture of the layers, and the index of decisions.
+"""Check the pages for newcomers: the paths on them, the picture of the layers, and the index of decisions.
 
-Without an option, draw the layers into ARCHITECTURE.md again. With --check, say what is not true and change nothing.
+Without an option, draw the layers into ARCHITECTURE.md again. With --check, print what is wrong, and change nothing.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ INDEX_LINE = re.compile(r"^\| \[(\d{4})\]\((.+?)\) \|", re.MULTILINE)
 
 
 def unknown_names(page: str, files: Iterable[str]) -> list[str]:
-    """The modules and paths that a page names and no file has. A path may leave out its first folders."""
+    """Return the modules and paths on a page that do not exist. A path may leave out its first folders."""
     known = {f"/{file}" for file in files}
     known |= {f"{parent}/" for file in known for parent in map(str, Path(file).parents)}
     modules = {name.replace(".", "/") for name in MODULE.findall(page) if name not in ENTRY_POINTS}
@@ -43,7 +43,7 @@ def unknown_names(page: str, files: Iterable[str]) -> list[str]:
 
 
 def layers(contracts: Iterable[Mapping[str, Any]]) -> str:
-    """The contracts of import-linter as a text for people."""
+    """Return the contracts of import-linter as a text for people."""
     return "\n\n".join(f"{contract['name']}\n{_drawn(contract)}" for contract in contracts)
 
 
@@ -72,7 +72,7 @@ def _indented(text: str, start: str = "    ") -> str:
 
 
 def with_layers(page: str, picture: str) -> str:
-    """The page with the picture between its two marks. Raises ValueError if they are missing."""
+    """Return the page with the picture between its two marks. Raises ValueError if they are missing."""
     before, begin, rest = page.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not (begin and end):
@@ -81,7 +81,7 @@ def with_layers(page: str, picture: str) -> str:
 
 
 def index_complaints(index: str, records: Mapping[str, str]) -> list[str]:
-    """What the index lacks or lists wrongly, from the text of each record by its file name."""
+    """Return what the index lacks or lists wrongly. `records`: the text of each record, by its file name."""
     listed = INDEX_LINE.findall(index)
     files = [file for _, file in listed]
     lines = [f"{file} is not in the index of decisions" for file in sorted(records.keys() - set(files))]
@@ -93,7 +93,7 @@ def index_complaints(index: str, records: Mapping[str, str]) -> list[str]:
 
 
 def complaints() -> list[str]:
-    """Everything that is not true in the pages as they are."""
+    """Return everything that is wrong on the present pages."""
     files = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT, check=True, capture_output=True, text=True,

@@ -1,4 +1,4 @@
-"""How the asynchronous client's source becomes the synchronous one's."""
+"""The rules by which the source of the asynchronous client becomes that of the blocking one."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WORDS = {
 
 
 def synchronous(source: str) -> str:
-    """Take `async` and `await` out of `source` and put the synchronous names in; whole words, in docstrings, too."""
+    """Remove `async` and `await` from `source`, and use the blocking names. Changes whole words, also in docstrings."""
     source = re.sub(r"\b(async|await) +(?=[\w(])", "", source)
     source = re.sub(r"Awaitable\[([^\[\]]+)\]", r"\1", source)
     source = re.sub(r"(import .*?)Awaitable, ", r"\1", source)

@@ -1,7 +1,7 @@
 """Draws the pictures of docs/time-model.md from real channels: `.venv/bin/python tools/time_pictures.py [ADDRESS]`.
 
-Without an address it starts a cluster of its own. What is drawn was put into channels and read back from them, not made
-from what a channel ought to hold. Colour-blind readers can tell the colours apart, and no colour says anything alone.
+Without an address it starts a cluster. The drawn items were put into channels and read back from them. Colour-blind
+readers can distinguish the colours, and no information is in the colour alone.
 """
 
 from __future__ import annotations
@@ -31,14 +31,17 @@ INK, FAINT, BAND = "#222222", "#767676", "#eef2f6"
 WIDTH_INCHES, DOTS_PER_INCH = 11.0, 150
 LANE, HEIGHT = 1.0, 0.56
 READ_SECONDS = 10.0
-HOLDS_S = 0.004  # a span of no length is drawn so wide that it can be seen
+HOLDS_S = 0.004  # the drawn width of a span of zero length, so that it is visible
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """One item on its lane, in seconds since the beginning; `end` None: it holds up to now. `row` 1: beneath another of
-    its bucket. `visible`: a reader through the group got it."""
+    """One item on its lane, in seconds since the beginning.
+
+    `end` None: it holds up to now. `row` 1: it is below another item of its bucket. `visible`: a reader through the
+    group got it.
+    """
 
     start_s: float
     end_s: float | None
@@ -58,7 +61,7 @@ class Lane:
 
 @dataclass(frozen=True)
 class Picture:
-    """What is drawn; `cut_s`: where a group's cut lies."""
+    """The content of a picture. `cut_s`: the time of a group's cut."""
 
     title: str
     subtitle: str
@@ -73,7 +76,10 @@ class Picture:
 def drawn(
     items: Sequence[st.Item], base: int, texts: bool = True, shown: Sequence[st.Item] | None = None
 ) -> list[Drawn]:
-    """Items as they were read; those of one time are drawn beneath each other. `shown`: those that a group shows."""
+    """Return the drawing of items in the order of the read. Items of one time are below each other.
+
+    `shown`: those that a group shows.
+    """
     visible = {item.seq for item in (items if shown is None else shown)}
     found: list[Drawn] = []
     for item in items:
@@ -85,7 +91,7 @@ def drawn(
 
 
 def spans(rt: st.Connection) -> Picture:
-    """Every kind of span, put and read back."""
+    """Put items with every kind of span, and read them back."""
     channel = rt.channel(f"pictures/spans-{st.now()}", max_age="60s")
     base = st.now() - 10 * SECOND
     channel.put(b"a", time=base)
@@ -184,7 +190,7 @@ def _draw_lane(axes: Axes, picture: Picture, lane: Lane, top: float) -> None:
 
 
 def _draw_item(axes: Axes, picture: Picture, colour: str, item: Drawn, top: float, height: float) -> None:
-    """A box with its beginning marked; one that is open at its end has none there."""
+    """Draw a box with a mark at its beginning. If the span has no end, the box is open there."""
     end_s = picture.now_s if item.end_s is None else item.end_s
     low = top - height * (item.row + 1)
     visible = item.visible
@@ -200,7 +206,7 @@ def _draw_item(axes: Axes, picture: Picture, colour: str, item: Drawn, top: floa
     )  # fmt: skip
     axes.plot([item.start_s + gap] * 2, [low + 0.02, low + height - 0.02], color=colour if visible else FAINT,
               linewidth=3.2 if width > 0.3 or width <= HOLDS_S else 2.0, solid_capstyle="butt", zorder=4)  # fmt: skip
-    if item.end_s is None:  # nothing ends it yet
+    if item.end_s is None:  # the span has no end yet
         axes.text(end_s - 0.06, low + height / 2, "...", ha="right", va="center", color=FAINT, zorder=5)
     if item.text:
         _draw_text(axes, item, width, low + height / 2)
@@ -227,12 +233,12 @@ def _draw_instant(axes: Axes, picture: Picture, instant_s: float, name: str, col
 
 
 def _left_of(axes: Axes) -> object:
-    """Across in parts of the axes' width, up in their own measure."""
+    """Return a transform: horizontally in parts of the width of the axes, vertically in data units."""
     return axes.get_yaxis_transform()
 
 
 def draw_all(address: str, folder: Path) -> list[Path]:
-    """Both pictures, from channels of the cluster at `address`."""
+    """Draw both pictures, from channels of the cluster at `address`."""
     with st.connect(address) as rt:
         pictures = {"time-spans.png": spans(rt), "time-figure-3.png": figure_3(rt)}
     for name, picture in pictures.items():

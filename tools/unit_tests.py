@@ -1,4 +1,4 @@
-"""Prove that the unit tests mirror the sources, so that the tests of a module are found by its name.
+"""Prove that the unit tests mirror the sources, so that the name of a module leads to its tests.
 
 The tests of `<package>/<folder>/<module>.py` are `tests/unit/<name of the package>/<folder>/test_<module>.py`.
 A topic may follow: `test_<module>_<topic>.py`. Tests of a whole folder have its name: `test_<folder>_<topic>.py`.
@@ -27,7 +27,7 @@ SOURCES = {
 
 
 def complaints(tests: Iterable[str], sources: Mapping[str, frozenset[str]]) -> list[str]:
-    """What is in the wrong place.
+    """Return the tests that are at a wrong place.
 
     `tests`: the paths below tests/unit. `sources`: by each folder that tests may mirror, the names of its modules and
     folders.
@@ -51,7 +51,7 @@ def _complaint(test: PurePosixPath, sources: Mapping[str, frozenset[str]]) -> st
 
 
 def read_sources(root: Path) -> dict[str, frozenset[str]]:
-    """By each folder below tests/unit that may be, the modules and folders of the sources that it mirrors."""
+    """Map each possible folder below tests/unit to the modules and folders of the sources that it mirrors."""
     found: dict[str, frozenset[str]] = {}
     for name, package in SOURCES.items():
         top = root / package
@@ -62,7 +62,7 @@ def read_sources(root: Path) -> dict[str, frozenset[str]]:
 
 
 def main() -> int:
-    """Print each complaint; 1 if there is one."""
+    """Print each complaint. Returns 1 if there is one."""
     top = ROOT / UNIT_TESTS
     tests = [path.relative_to(top).as_posix() for path in top.rglob("*.py")]
     lines = complaints(tests, read_sources(ROOT))

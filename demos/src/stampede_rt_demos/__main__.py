@@ -1,4 +1,4 @@
-"""`python -m stampede_rt_demos NAME`: what `stampede demo NAME` does."""
+"""`python -m stampede_rt_demos NAME`, the same as `stampede demo NAME`."""
 
 import sys
 

@@ -24,7 +24,10 @@ DEMOS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a demo, or list them. Returns the exit code: 0, 1 after a failure told in a sentence, 130 after Ctrl-C."""
+    """Run a demo, or list all demos.
+
+    Returns the exit status: 0, 1 after a failure (printed in a sentence), 130 after Ctrl-C.
+    """
     arguments = _parser().parse_args(sys.argv[1:] if argv is None else argv)
     if arguments.demo is None:
         print(_listing())
@@ -53,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _tv_watcher(arguments: argparse.Namespace) -> int:
-    """The parts are imported here, when what they import is known to be there: a list of demos needs none of it."""
+    """Run the TV watcher. The imports are here, because a list of demos must work without these libraries."""
     require_libraries()
     from stampede_rt_demos.tv_watcher.app import run
 
@@ -68,7 +71,7 @@ def _stereo(arguments: argparse.Namespace) -> int:
 
 
 def _seconds(text: str) -> int:
-    """Whole seconds in the range that the TV watcher's roles take."""
+    """Return whole seconds in the range that the roles of the TV watcher accept."""
     if not text.isdecimal() or not 2 <= int(text) <= 600:
         raise argparse.ArgumentTypeError(f"{text!r} is no whole number of seconds from 2 to 600")
     return int(text)

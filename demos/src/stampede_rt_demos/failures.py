@@ -1,4 +1,4 @@
-"""The one exception that a demo ends with when it cannot go on. Pure."""
+"""The exception with which a demo ends when it cannot go on. Pure."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ _RULERS = " |+-^"
 
 
 class DemoFailed(Exception):
-    """The demo cannot go on; the message is one sentence for the person in front of it: what, why, and the way out."""
+    """The demo cannot go on. The message is one sentence for the user: what failed, why, and what to do."""
 
 
 def one_sentence(story: str) -> str:
-    """The first line of a service's story and the last thing that it said, without a traceback's rulers."""
+    """Return the first line of a service's output and its last line, without the marks of a traceback."""
     first, *lines = [line.strip(_RULERS) for line in story.splitlines() if line.strip(_RULERS)]
     first = first.removesuffix("; its last lines:")
     return f"{first}: {lines[-1]}" if lines else first

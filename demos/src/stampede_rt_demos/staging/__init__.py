@@ -1,1 +1,1 @@
-"""What every demo stands on: role processes and their reports, the film, real-time putting, accounting."""
+"""Code that all demos share: role processes and their reports, the film, puts in real time, accounting."""

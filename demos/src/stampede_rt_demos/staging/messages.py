@@ -1,7 +1,7 @@
-"""What a role and the orchestrator say to each other: one JSON object a line. Pure.
+"""Messages between a role and the orchestrator: one JSON object a line. Pure.
 
-A role says `ready` once, then any number of `progress`, `step` and `picture`, and at last `result` or `failed`. The
-orchestrator says one thing: when to start.
+A role sends `ready` once, then any number of `progress`, `step` and `picture`, and at last `result` or `failed`. The
+orchestrator sends only one message: the start time.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ class BadMessage(ValueError):
 
 
 def encode(event: str, **fields: object) -> str:
-    """One line, without its line feed. Raises BadMessage for an event that the orchestrator does not know."""
+    """Return one line without its line feed. Raises BadMessage for an event that the orchestrator does not know."""
     if event not in EVENTS:
         raise BadMessage(f"a role has no event {event!r}; there are {', '.join(sorted(EVENTS))}")
     return json.dumps({"event": event, **fields}, separators=(",", ":"), allow_nan=False)
 
 
 def decode(line: str) -> Message:
-    """The message of a line. Raises BadMessage, which quotes the line's beginning, if it is none."""
+    """Return the message of a line. If it is none, raises BadMessage, which quotes the beginning of the line."""
     try:
         message = json.loads(line)
     except json.JSONDecodeError:
@@ -39,12 +39,12 @@ def decode(line: str) -> Message:
 
 
 def encode_start(start_unix_nano: int) -> str:
-    """The orchestrator's only line: the programme's first instant."""
+    """Return the orchestrator's only line: the first instant of the programme."""
     return json.dumps({"start_unix_nano": start_unix_nano})
 
 
 def decode_start(line: str) -> int:
-    """The programme's first instant. Raises BadMessage if the line says anything else."""
+    """Return the first instant of the programme. Raises BadMessage if the line is anything else."""
     try:
         start = json.loads(line)["start_unix_nano"]
     except (ValueError, KeyError, TypeError):

@@ -1,4 +1,4 @@
-"""Where a demo may draw its picture."""
+"""Checks the path of a demo's picture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from stampede_rt_demos.failures import DemoFailed
 
 
 def require_writable(picture: Path) -> None:
-    """Raises DemoFailed if no file can be made there; makes the folder, but no file yet."""
+    """Make the folder of the picture, but no file yet. Raises DemoFailed if no file can be made there."""
     try:
         picture.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Puts planned items when they are due: the real-time loop that the three producers share."""
+"""Puts planned items when they are due. All producers use this real-time loop."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ PUT_TIMEOUT_SECONDS = 5.0
 
 
 def wait_until(unix_nano: int) -> None:
-    """Sleep until the wall clock has come to `unix_nano`; returns at once if it has."""
+    """Sleep until the wall clock reaches `unix_nano`. Returns at once if it already has."""
     while (delay := unix_nano - time.time_ns()) > 0:
         time.sleep(delay / NANOS_PER_SECOND)
 
 
 def produce(stage: Stage, channel: st.Channel, plan: Iterable[PlannedItem], until: int) -> dict[str, object]:
-    """Put every item of `plan` when it is due, then promise that nothing before `until` will come.
+    """Put every item of `plan` when it is due. Then promise that no item before `until` will come.
 
-    An item that is due at its end is followed by an advance to that end, so that readers who wait for a whole interval
-    need not wait for the next item. Returns the figures for the producer's result; lateness is how long after its due
-    time the put of an item began.
+    If an item is due at its end, an advance to that end follows. So readers that wait for a whole interval need not
+    wait for the next item. Returns the figures for the producer's result. The lateness of an item is the time from its
+    due time to the beginning of its put.
     """
     lateness: list[int] = []
     period_nanos = 0

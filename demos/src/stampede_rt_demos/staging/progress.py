@@ -1,4 +1,4 @@
-"""Progress on the terminal: one line that changes, or a plain line every few seconds where there is no terminal."""
+"""Shows progress: one changing line on a terminal, or otherwise a plain line every few seconds."""
 
 from __future__ import annotations
 
@@ -12,22 +12,25 @@ _CLEAR_LINE = "\r\x1b[K"
 
 
 class Progress:
-    """Writes to `output`. `show` may be called as often as one likes; `say` writes a line that stays."""
+    """Writes progress to `output`.
+
+    `show` replaces the present line, and may be called often; `say` writes a lasting line.
+    """
 
     def __init__(self, output: TextIO, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._output = output
         self._monotonic = monotonic
         self._terminal = output.isatty()
-        self._open = False  # the cursor stands behind a line that will be overwritten
+        self._open = False  # the cursor is behind a line that the next one replaces
         self._shown: float | None = None
 
     def say(self, text: str) -> None:
-        """A line of its own."""
+        """Write a line that stays."""
         self.close()
         print(text, file=self._output, flush=True)
 
     def show(self, text: str) -> None:
-        """Where things stand now: replaces what was shown before, or is left out if something was shown just now."""
+        """Show `text` instead of the line before. Does nothing if the last line is too recent."""
         if self._terminal:
             columns = shutil.get_terminal_size().columns
             print(f"{_CLEAR_LINE}{text[: columns - 1]}", end="", file=self._output, flush=True)
@@ -39,7 +42,7 @@ class Progress:
             print(text, file=self._output, flush=True)
 
     def close(self) -> None:
-        """Take away the line that would have been overwritten next. Idempotent."""
+        """Remove the changing line. Idempotent."""
         if self._open:
             print(_CLEAR_LINE, end="", file=self._output, flush=True)
             self._open = False

@@ -1,4 +1,4 @@
-"""Reads every item of a channel until the programme's end, and accounts for each: the loop that all readers share."""
+"""Reads every item of a channel until the end of the programme, and counts it. All readers use this loop."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ GRACE_SECONDS = 5.0
 
 
 def receive(channel: st.Channel, start: int, until: int, handle: Callable[[st.Item], None]) -> Receipts:
-    """Hand every item with a time of `start` or later to `handle`, up to the one whose span ends at `until`.
+    """Pass every item from `start` on to `handle`, up to the item whose span ends at `until`.
 
-    Blocks until then. Raises DemoFailed if that one has not come GRACE_SECONDS after `until`.
+    Blocks until then. Raises DemoFailed if this last item has not come GRACE_SECONDS after `until`.
     """
     receipts = Receipts()
     with channel.subscribe(start=start) as subscription:

@@ -1,7 +1,8 @@
-"""The frame of a role's process: settings, the orchestrator's start, reports, and an end in good order.
+"""Runs a role in its process: settings, the start by the orchestrator, reports, and the end.
 
-A role never outlives the orchestrator. Its standard input is a pipe that only the orchestrator holds. The kernel closes
-the pipe however the orchestrator ends, and then the role ends at once. The orchestrator alone handles Ctrl-C.
+A role never lives longer than the orchestrator. Its standard input is a pipe from the orchestrator. When the
+orchestrator ends in any way, the kernel closes the pipe, and the role ends at once. Only the orchestrator handles
+Ctrl-C.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _START_LINE_BYTES_MAX = 256
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RoleSettings:
-    """What every role is told: where the cluster is and for how many whole seconds the programme runs."""
+    """The settings of every role: the address of the cluster, and the length of the programme in whole seconds."""
 
     address: str
     seconds: int
@@ -47,7 +48,7 @@ class RoleSettings:
 
 
 class Stage:
-    """A role's line to the orchestrator. Methods may be called from several threads, except `wait_for_start`."""
+    """A role's connection to the orchestrator. Several threads may call its methods, except `wait_for_start`."""
 
     def __init__(self, settings: RoleSettings) -> None:
         self.settings = settings
@@ -56,9 +57,9 @@ class Stage:
         self._ready_cpu_seconds = 0.0
 
     def wait_for_start(self) -> int:
-        """Say that the role is ready and wait for the programme's first instant, in nanoseconds since the epoch.
+        """Report that the role is ready, and wait for the start of the programme (nanoseconds since the epoch).
 
-        Call it once, when everything slow is done. If the orchestrator goes meanwhile or later, the process ends.
+        Call it once, after all slow preparations. If the orchestrator ends then or later, this process ends, too.
         """
         self.tell("ready")
         with open(0, "rb", buffering=0, closefd=False) as orchestrator:
@@ -71,7 +72,7 @@ class Stage:
 
     @property
     def cpu_seconds(self) -> float:
-        """CPU time of this process since the start: what the role costs in real time, without its preparations."""
+        """Return the CPU time of this process since the start of the programme, without its preparations."""
         return time.process_time() - self._ready_cpu_seconds
 
     def tell(self, event: str, **fields: object) -> None:
@@ -91,9 +92,9 @@ class Stage:
 
 
 def run_role(play: Callable[[Stage], Mapping[str, object]], argv: Sequence[str] | None = None) -> int:
-    """Main of every role: play it and report what it returns. Returns the exit code, 1 after a reported failure.
+    """Run a role and report its result. Returns the exit status, 1 after a reported failure.
 
-    Any other exception is a defect of this demo: its traceback goes to standard error, which the orchestrator quotes.
+    Any other exception is a defect of this demo. Its traceback goes to standard error, which the orchestrator quotes.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stage = Stage(_parse(argv))
@@ -115,6 +116,7 @@ def _parse(argv: Sequence[str] | None) -> RoleSettings:
 
 
 def _end_with_orchestrator() -> None:
-    while os.read(0, 4096):  # nobody writes any more; it returns nothing when the other end is closed
+    while os.read(0, 4096):
+        # The orchestrator writes nothing more; the read returns nothing when the other end is closed.
         pass
     os._exit(EXIT_ORPHANED)

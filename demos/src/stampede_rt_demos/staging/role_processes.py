@@ -1,7 +1,8 @@
-"""The roles' processes: started by spawning, listened to, and ended in every case.
+"""Starts the processes of the roles, reads their reports, and ends them in every case.
 
-Each role has two reader threads here, for what it reports and for its last words. Nothing is unbounded: the events wait
-in a queue of EVENTS_MAX, behind which a talkative role waits, and of the last words LAST_LINES_MAX lines are kept.
+Each role has two reader threads here, one for its reports and one for its standard error. Both are bounded: at most
+EVENTS_MAX events wait in a queue, and a role that reports more must wait. Of the standard error the last LAST_LINES_MAX
+lines are kept.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ class _Role:
     process: subprocess.Popen[str]
     last_lines: deque[str] = field(default_factory=lambda: deque(maxlen=LAST_LINES_MAX))
     readers: list[threading.Thread] = field(default_factory=list)
-    finished: bool = False  # its result has been read
+    finished: bool = False  # the orchestrator has read its result
 
 
 class RoleProcesses:
-    """A set of role processes; a context manager that leaves none of them behind.
+    """A set of role processes. A context manager that ends all of them. Use it from one thread.
 
-    Use from one thread. `start` them, wait for `ready`, then `begin`; `events` gives what they report.
+    `start` them, wait for `ready`, then call `begin`; `events` yields their reports.
     """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
@@ -71,7 +72,7 @@ class RoleProcesses:
                 text=True,
                 encoding="utf-8",
                 errors="replace",
-                process_group=0,  # Ctrl-C comes to the orchestrator alone, which ends the roles in order
+                process_group=0,  # only the orchestrator gets Ctrl-C, and then ends the roles
             )
         except OSError as error:
             raise DemoFailed(f"the {name} cannot be started with {command[0]}: {error.strerror}") from error
@@ -84,16 +85,16 @@ class RoleProcesses:
     def begin(self, start_unix_nano: int) -> None:
         """Tell every role when the programme starts."""
         for role in self._roles.values():
-            with contextlib.suppress(BrokenPipeError):  # it has died; `events` says so, and why
+            with contextlib.suppress(BrokenPipeError):  # the role has died; `events` reports it with the reason
                 assert role.process.stdin is not None
                 role.process.stdin.write(messages.encode_start(start_unix_nano) + "\n")
                 role.process.stdin.flush()
 
     def events(self, timeout: float, doing: str) -> Iterator[tuple[str, messages.Message]]:
-        """What the roles report, as it comes, until every role has given its result.
+        """Yield the reports of the roles, until every role has given its result.
 
-        Raises DemoFailed if a role fails, dies, talks nonsense, or if this takes more than `timeout` seconds; `doing`
-        then says what they had to do. A caller may stop early and ask again, for the next phase.
+        Raises DemoFailed if a role fails, dies, or sends an invalid report, or after `timeout` seconds; the error then
+        names the work, `doing`. A caller may stop early and call again for the next phase.
         """
         deadline = time.monotonic() + timeout
         while unfinished := [role.name for role in self._roles.values() if not role.finished]:
@@ -107,7 +108,7 @@ class RoleProcesses:
                 yield name, message
 
     def end(self) -> None:
-        """End every role that still runs: kindly, and after END_SECONDS by force. Idempotent."""
+        """Ask every role that still runs to end, and kill it after END_SECONDS. Idempotent."""
         self._closing.set()
         for role in self._roles.values():
             if role.process.poll() is None:
@@ -123,7 +124,7 @@ class RoleProcesses:
             role.process.wait()
         for reader in role.readers:
             reader.join(END_SECONDS)
-        with contextlib.suppress(BrokenPipeError):  # closing flushes a start line that a dead role never read
+        with contextlib.suppress(BrokenPipeError):  # the close writes a start line that a dead role has not read
             if role.process.stdin is not None:
                 role.process.stdin.close()
 
@@ -169,7 +170,7 @@ class RoleProcesses:
 
 
 def role_command(demo: str, module: str, address: str, seconds: int) -> list[str]:
-    """The command that runs a role of a demo, both named as their modules, with this interpreter."""
+    """Return the command that runs a role with this interpreter. `demo` and `module` are the names of the modules."""
     name = f"stampede_rt_demos.{demo}.{module}"
     return [sys.executable, "-m", name, "--address", address, "--seconds", str(seconds)]
 

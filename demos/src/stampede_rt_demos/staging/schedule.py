@@ -1,6 +1,6 @@
-"""When each item of a looped clip is due. Pure, in whole nanoseconds, so that nothing drifts.
+"""Computes when each item of a looped clip is due. Pure; in whole nanoseconds, so that times do not drift.
 
-The nth item's time follows from n alone, never from the item before it: a late put does not move the ones after it.
+The time of the nth item depends only on n, and not on the item before. So a late put does not delay later items.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ NANOS_PER_SECOND = 1_000_000_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlannedItem:
-    """One item to put. `time` is the instant that it stands for, `due` the one at which it can first be known.
+    """One item to put. `time` is the instant of its content; `due` is the instant at which a real source has it.
 
-    A frame and a caption are due when they begin; a block of sound is due when its last sample has been heard. All in
+    A frame and a caption are due when they begin. A block of sound is due when its last sample is over. All values are
     nanoseconds, `time` and `due` since the epoch.
     """
 
@@ -32,7 +32,7 @@ class PlannedItem:
 
 @dataclass(frozen=True, slots=True)
 class LoopedClock:
-    """The clip's own timestamps laid on the wall clock, over and over: `offsets` within one loop of `loop_nanos`."""
+    """The times of a repeated clip. `offsets` are the clip's timestamps within one loop of `loop_nanos`."""
 
     offsets: Sequence[int]
     loop_nanos: int
@@ -44,16 +44,16 @@ class LoopedClock:
             raise ValueError(f"a loop of {self.loop_nanos} ns is over before its last item, at {self.offsets[-1]} ns")
 
     def offset(self, n: int) -> int:
-        """Nanoseconds from the start to the nth item."""
+        """Return the nanoseconds from the start to the nth item."""
         loops, within = divmod(n, len(self.offsets))
         return loops * self.loop_nanos + self.offsets[within]
 
     def end(self, n: int) -> int:
-        """Nanoseconds from the start to the end of the nth item: the start of the next."""
+        """Return the nanoseconds from the start to the end of the nth item, where the next one begins."""
         return self.offset(n + 1)
 
     def count_before(self, nanos: int) -> int:
-        """How many items begin in the first `nanos` nanoseconds."""
+        """Return how many items begin in the first `nanos` nanoseconds."""
         if nanos <= 0:
             return 0
         loops, rest = divmod(nanos - 1, self.loop_nanos)
@@ -63,7 +63,7 @@ class LoopedClock:
 def planned_frames(
     clock: LoopedClock, payloads: Sequence[bytes], start: int, length_nanos: int
 ) -> Iterator[PlannedItem]:
-    """The frames of `length_nanos` nanoseconds from `start`, each lasting until the next one."""
+    """Yield the frames of `length_nanos` from `start` on. Each lasts until the next one."""
     for n in range(clock.count_before(length_nanos)):
         time = start + clock.offset(n)
         within = n % len(payloads)
@@ -79,9 +79,10 @@ def planned_frames(
 def planned_blocks(
     samples: NDArray[np.int16], rate_hz: int, block_nanos: int, start: int, length_nanos: int
 ) -> Iterator[PlannedItem]:
-    """Blocks of looped sound, due at their end. `samples` is exactly one loop; it need not be a whole number of blocks.
+    """Yield blocks of looped sound, due at their end.
 
-    Raises ValueError if a block is no whole number of samples.
+    `samples` is exactly one loop; it need not be a whole number of blocks. Raises ValueError if a block is no whole
+    number of samples.
     """
     block_samples, remainder = divmod(block_nanos * rate_hz, 1_000_000_000)
     if remainder or not block_samples:

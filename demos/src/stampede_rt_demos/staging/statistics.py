@@ -1,4 +1,4 @@
-"""Counting what arrived, when, and what did not. Pure."""
+"""Counts the items that arrived and those that did not, with their latencies. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from dataclasses import dataclass, field
 
 
 def percentile(values: Sequence[int], percent: float) -> int | None:
-    """The smallest value that at least `percent` per cent of all values do not exceed (nearest rank); None of none."""
+    """Return the percentile by nearest rank: at least `percent` % of the values do not exceed it.
+
+    None without values.
+    """
     if not 0 < percent <= 100:
         raise ValueError(f"a percentile lies above 0 and up to 100, not at {percent}")
     ranked = sorted(values)
@@ -17,9 +20,9 @@ def percentile(values: Sequence[int], percent: float) -> int | None:
 
 @dataclass(slots=True)
 class SequenceAccount:
-    """What one reader received of one channel, judged by the channel's own sequence numbers.
+    """Counts the items that one reader received from one channel, by the channel's seqs.
 
-    `missing` counts numbers that were passed over, `repeated` those at or below one already seen.
+    `missing` counts skipped seqs; `repeated` counts seqs that are not above the last one.
     """
 
     received: int = 0
@@ -40,20 +43,20 @@ class SequenceAccount:
 
 @dataclass(slots=True)
 class Receipts:
-    """What a reader notes of every item: its number, its size, and how long it took. Latencies in nanoseconds."""
+    """A reader's notes about all items: their seqs, sizes and latencies in nanoseconds."""
 
     account: SequenceAccount = field(default_factory=SequenceAccount)
     payload_bytes: int = 0
-    latencies_nanos: list[int] = field(default_factory=list)  # one per item of a run that is bounded in time
+    latencies_nanos: list[int] = field(default_factory=list)  # one for each item; the length of the run bounds them
 
     def add(self, *, seq: int, payload_bytes: int, put_unix_nano: int, received_unix_nano: int) -> None:
-        """Note one item. Both instants are of this machine's clock."""
+        """Note one item. Both instants come from this machine's clock."""
         self.account.add(seq)
         self.payload_bytes += payload_bytes
         self.latencies_nanos.append(received_unix_nano - put_unix_nano)
 
     def as_record(self) -> dict[str, int | None]:
-        """The figures that a role reports."""
+        """Return the figures that a role reports."""
         return {
             "received": self.account.received,
             "missing": self.account.missing,

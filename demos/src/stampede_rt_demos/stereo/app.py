@@ -1,4 +1,4 @@
-"""`stampede demo stereo`: run it, say what came of it, draw the picture."""
+"""`stampede demo stereo`: runs the demo, prints its results, draws the picture."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from stampede_rt_demos.stereo.report import render
 
 
 def run(*, seconds: int, picture: Path | None) -> int:
-    """Run the stereo demo for `seconds` and print what it shows; with `picture`, draw it there. The exit code is 0.
+    """Run the stereo demo for `seconds`, print its results, and with `picture` draw one there. Returns exit status 0.
 
-    Raises DemoFailed if it cannot run, or if the picture cannot be written; that is found out before anything starts.
+    Raises DemoFailed if the demo cannot run, or, before the start, if the picture cannot be written.
     """
     if picture is not None:
         require_writable(picture)

@@ -1,4 +1,4 @@
-"""A camera: puts its view of the clip in real time, with jitter, and loses a frame now and then."""
+"""A camera: puts its view of the clip in real time, with wrong times, and loses some frames."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ PUT_TIMEOUT_SECONDS = 5.0
 
 
 def clip() -> EncodedVideo:
-    """The film, as wide as both views together."""
+    """Return the film, wide enough for both views."""
     return decode_video(locate_film(), WIDE, HEIGHT, JPEG_QUALITY)
 
 
 def picture_of(jpeg: bytes) -> Picture:
-    """The brightness of a JPEG picture in its own size."""
+    """Return the brightness of a JPEG picture, in its full size."""
     with Image.open(io.BytesIO(jpeg)) as image:
         return np.asarray(image.convert("L"))
 
 
 def film(stage: Stage, side: Side) -> dict[str, object]:
-    """Put every frame that is not lost when it is due, until the programme's end; then promise that nothing follows."""
+    """Put every frame that is not lost, when it is due, until the end. Then promise that no frame follows."""
     video = clip()
     wide = [luma_thumbnail(frame, WIDE, HEIGHT) for frame in video.frames]
     length = stage.settings.length_nanos
@@ -61,7 +61,7 @@ def film(stage: Stage, side: Side) -> dict[str, object]:
 
 
 def _put_times(took: Sequence[tuple[int, int]], middle: int) -> dict[str, object]:
-    """How long a put took, before the second consumer joined and after."""
+    """Return how long a put took, before and after the second consumer joined."""
     before = [nanos for at, nanos in took if at < middle]
     after = [nanos for at, nanos in took if at >= middle]
     return {"put_p50_before_nanos": percentile(before, 50), "put_p50_after_nanos": percentile(after, 50)}

@@ -1,4 +1,4 @@
-"""The depth consumer: measures the disparity of every matched pair, and puts it under the left frame's time."""
+"""The depth consumer: measures the disparity of every pair, and puts it with the time of the left frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A second consumer of the pairs, which joins while everything runs: the cameras neither know nor notice."""
+"""A second consumer of the pairs. It joins while the demo runs, and the cameras do not notice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mapper: knows what was near of late, and answers what the planner asks, mailbox to mailbox."""
+"""The mapper: knows the latest disparities, and answers the planner's questions, from mailbox to mailbox."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def play(stage: Stage) -> dict[str, object]:
             question = rt.mailbox.get(timeout=PATIENCE_SECONDS)
             if question is None:
                 continue
-            with question:  # acknowledged once the answer is on its way
+            with question:  # acknowledges the question after the answer is sent
                 asked = json.loads(question.payload)
                 near = depth.get(asked["time"] - NANOS_PER_SECOND, asked["time"], match="start")
                 median = statistics.median(item.value["disparity"] for item in near) if near else None

@@ -1,4 +1,4 @@
-"""Takes matched pairs from the group until the programme's end, and accounts for every frame that has no partner."""
+"""Takes pairs from the group until the end of the programme, and counts every frame without a partner."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Pair = tuple[st.Item, st.Item]
 
 @dataclass(slots=True)
 class PairAccount:
-    """What one consumer was given: `wrong` pairs are of two different frames; `alone` are those without a partner."""
+    """Counts one consumer's matches. `wrong`: pairs of two different frames. `alone`: frames without a partner."""
 
     pairs: int = 0
     wrong: int = 0
@@ -33,12 +33,12 @@ class PairAccount:
 
 
 def pairs_of(group: st.Group, per: Side, *, payloads: bool) -> st.MatchSubscription:
-    """Matches for the frames of one camera, with word of those that have none; begun before anything is put."""
+    """Return matches for the frames of one camera, also of frames without a partner. Begin before the first put."""
     return group.match(per.value, TOLERANCE, partial=True, payloads=payloads)
 
 
 def take_pairs(matches: st.MatchSubscription, per: Side, until: int, handle: Callable[[Pair], None]) -> PairAccount:
-    """Hand every pair to `handle`. Blocks until all frames before `until` must have been matched."""
+    """Pass every pair to `handle`. Blocks until all frames before `until` must have been matched."""
     account = PairAccount()
     patience = (until - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
     end = threading.Timer(max(0.0, patience), matches.close)
@@ -57,9 +57,9 @@ def take_pairs(matches: st.MatchSubscription, per: Side, until: int, handle: Cal
 
 
 def ignore(pair: Pair) -> None:
-    """A pair that is only counted."""
+    """Do nothing with a pair, for a consumer that only counts."""
 
 
 def number_of(item: st.Item) -> int:
-    """Which frame it is."""
+    """Return the number of the frame."""
     return int(item.attributes[NUMBER_ATTRIBUTE])

@@ -1,4 +1,4 @@
-"""Starts the stereo demo's cluster and roles, and puts together what they report. No frame passes through here."""
+"""Starts the cluster and the roles of the stereo demo, and makes a report from theirs. No frame passes through here."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ class Outcome:
 
 
 def conduct(seconds: int, progress: Progress) -> Outcome:
-    """Run the demo for `seconds`: blocks for about ten seconds more than that.
+    """Run the demo for `seconds`. Blocks for about ten seconds more than that.
 
-    Raises DemoFailed, with every process ended, if anything that it needs is missing, does not start, or dies.
+    If a needed part is missing, does not start, or dies, ends every process and raises DemoFailed.
     """
     clock = decode_clock(locate_film())
     progress.say(f"Starting a cluster: 1 front-end, {SUPERNODES} supernodes, {HOSTS} channel hosts ...")
     try:
         with LocalCluster(supernodes=SUPERNODES, hosts=HOSTS) as cluster:
             results, frames = _run(cluster, seconds, progress)
-    except st.StampedeError as error:  # first: some of them are OSErrors, too
+    except st.StampedeError as error:  # this clause is first, because some of these errors are also OSErrors
         raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
     except (ServiceFailed, OSError) as error:
         raise DemoFailed(f"the cluster did not start: {one_sentence(str(error))}") from error
@@ -71,7 +71,7 @@ def _run(cluster: LocalCluster, seconds: int, progress: Progress) -> tuple[Mappi
 
 
 def _set_up(rt: st.Connection) -> None:
-    """Each camera at a host of its own, and the group over both."""
+    """Make the channel of each camera at its own host, and the group of both."""
     hosts = sorted(host.name for host in rt.hosts())
     cameras = [
         rt.channel(side.value, max_age=STREAM_MAX_AGE, content_type="image/jpeg", host=host)

@@ -1,6 +1,6 @@
-"""The stereo demo's picture: the last pair, and the disparity over time beside the true one.
+"""Draws the picture of the stereo demo: the last pair, and the measured and the true disparity over time.
 
-Colours are from the Okabe-Ito palette; nothing is said by colour alone.
+Colours are from the Okabe-Ito palette. No information is in the colour alone.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The planner: watches the newest disparity, asks the mapper when something is near, and goes on or stops."""
+"""The planner: watches the newest disparity, asks the mapper when an object is near, and goes on or stops."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ LOOK_SECONDS = 0.5
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Ask at every newest disparity that is near; one question at a time, so that the newest always counts."""
+    """Ask whenever the newest disparity is near.
+
+    There is one question at a time, so that the newest value always counts.
+    """
     stops, unanswered = 0, 0
     round_trips: list[int] = []
     with st.connect(stage.settings.address, name=PLANNER) as rt:
@@ -49,7 +52,7 @@ def play(stage: Stage) -> dict[str, object]:
 
 
 def ask(rt: st.Connection, at: int, number: int) -> float | None:
-    """What the mapper says of the second before `at`; None if it says nothing, or has nothing to say."""
+    """Return the mapper's answer about the second before `at`; None without an answer, or if it has no value."""
     question = {"from": PLANNER, "number": number, "time": at}
     rt.send(MAPPER, json.dumps(question).encode())
     while (answer := rt.mailbox.get(timeout=ANSWER_SECONDS)) is not None:

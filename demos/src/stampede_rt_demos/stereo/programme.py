@@ -1,7 +1,7 @@
-"""What is on: the two cameras, how they fail, and who talks to whom. Pure.
+"""The plan of the demo: the two cameras, their faults, and the names of the peers. Pure.
 
-Which frames are lost, and how far each is off its time, follows from the seed alone, so that what the consumers report
-can be judged.
+The seed alone decides which frames are lost, and how wrong the time of each frame is. So the demo can check the reports
+of the consumers.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PLANNER, MAPPER = "planner", "mapper"
 
 
 class Side(Enum):
-    """Which camera; the value is its channel."""
+    """One of the two cameras; the value is the name of its channel."""
 
     LEFT = "stereo/left"
     RIGHT = "stereo/right"
@@ -36,7 +36,7 @@ class Side(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Frame:
-    """One frame of one camera. `number` counts both cameras' frames alike; `time` is nanoseconds since the epoch."""
+    """One frame of one camera. Frames of both cameras with one `number` belong together; `time` is Unix nanoseconds."""
 
     number: int
     time: int
@@ -44,7 +44,10 @@ class Frame:
 
 
 def planned(side: Side, clock: LoopedClock, start: int, length_nanos: int) -> Iterator[Frame]:
-    """The frames of `length_nanos` from `start`: each off its time by the camera's jitter, some of them lost."""
+    """Yield the frames of `length_nanos` from `start` on.
+
+    Each time is wrong by the camera's jitter; lost frames are left out.
+    """
     rng = random.Random(f"{SEED} {side.value}")
     for number in range(clock.count_before(length_nanos)):
         jitter, is_lost = rng.randint(0, JITTER_NANOS), rng.random() < LOST_SHARE
@@ -52,19 +55,19 @@ def planned(side: Side, clock: LoopedClock, start: int, length_nanos: int) -> It
 
 
 def without_partner(side: Side, clock: LoopedClock, length_nanos: int) -> list[int]:
-    """The numbers of the frames that this camera sends and the other one loses."""
+    """Return the numbers of the frames that this camera sends and the other one loses."""
     other = Side.RIGHT if side is Side.LEFT else Side.LEFT
     mine, theirs = ([frame.is_lost for frame in planned(one, clock, 0, length_nanos)] for one in (side, other))
     return [number for number, (here, there) in enumerate(zip(mine, theirs, strict=True)) if there and not here]
 
 
 def true_disparity(number: int) -> int:
-    """By how many pixels the two pictures of a frame are apart: something comes nearer, and goes away again."""
+    """Return the disparity of a frame in pixels. It changes as if an object came nearer and went away again."""
     phase = number % DISPARITY_CYCLE_FRAMES
     rising = min(phase, DISPARITY_CYCLE_FRAMES - phase)
     return DISPARITY_MIN + rising * (DISPARITY_MAX - DISPARITY_MIN) // (DISPARITY_CYCLE_FRAMES // 2)
 
 
 def sent(side: Side, clock: LoopedClock, length_nanos: int) -> Sequence[int]:
-    """The numbers of the frames that a camera sends."""
+    """Return the numbers of the frames that a camera sends."""
     return [frame.number for frame in planned(side, clock, 0, length_nanos) if not frame.is_lost]

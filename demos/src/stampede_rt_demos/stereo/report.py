@@ -1,4 +1,4 @@
-"""The stereo demo's figures as sentences. Pure."""
+"""Prints the figures of the stereo demo as sentences. Pure."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ LINE_CHARS = 100
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StereoReport:
-    """All that a run has shown.
+    """The results of a run.
 
-    `alone_expected`, `alone_told`: by camera, the numbers of its frames that have no partner, by the plan and as the
-    consumer was told. `measured`: nanoseconds since the start, measured and true disparity in pixels, for each pair.
+    `alone_expected`, `alone_told`: by camera, the numbers of its frames without a partner, as planned and as reported
+    to the consumer. `measured`: nanoseconds since the start, measured and true disparity in pixels, for each pair.
     `put_p50_nanos`: by camera, before and after the second consumer joined; None: nothing was put.
     """
 
@@ -40,17 +40,17 @@ class StereoReport:
 
     @property
     def told_of_all(self) -> bool:
-        """The consumer was told of every frame without a partner, once, and of no other."""
+        """Whether the consumer got a report of every frame without a partner, once, and of no other frame."""
         return all(sorted(self.alone_told[side]) == list(self.alone_expected[side]) for side in Side)
 
     @property
     def close(self) -> int:
-        """Pairs whose disparity was measured right, to a pixel."""
+        """The number of pairs whose measured disparity is right to a pixel."""
         return sum(abs(disparity - truth) <= CLOSE_PIXELS for _, disparity, truth in self.measured)
 
 
 def render(report: StereoReport) -> str:
-    """What there is to say, a sentence a line."""
+    """Return the results as text, one sentence a line."""
     left, right = (report.sent[side] for side in Side)
     alone = sum(len(report.alone_told[side]) for side in Side)
     expected = sum(len(report.alone_expected[side]) for side in Side)
@@ -74,7 +74,7 @@ def render(report: StereoReport) -> str:
 
 
 def subtitle(report: StereoReport) -> str:
-    """The run in one line, for the picture."""
+    """Return the run in one line, for the picture."""
     alone = sum(len(report.alone_told[side]) for side in Side)
     named = "all named" if report.told_of_all else "NOT all named"
     return (

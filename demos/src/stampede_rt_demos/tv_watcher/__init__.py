@@ -1,5 +1,5 @@
 """TV Watcher (paper, section 5): a film's video, sound and captions, analysed and watched in step.
 
-Every role is a process of its own and they meet only in the channels: three producers, two analysers, one viewer.
-`orchestrator` starts the cluster and the roles, and collects what they report.
+The roles are three producers, two analysers and one viewer. Each is a process, and they exchange data only through
+channels. `orchestrator` starts the cluster and the roles, and collects their reports.
 """

@@ -1,4 +1,4 @@
-"""Turns a stream into a stream of features with the same times: the loop that both analysers share."""
+"""Turns a stream into a stream of features with the same times. Both analysers use this loop."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ Feature = Callable[[bytes], Mapping[str, object]]
 def analyse(stage: Stage, source: StreamPlan, target: StreamPlan, feature: Feature) -> dict[str, object]:
     """Put `feature(payload)` as JSON for every item of `source`, with the source's time and duration.
 
-    A transformation that keeps its source's timestamps (paper, section 3.1) stays in step with it for every later
-    reader. After each one it advances the channel to the end of what it has analysed.
+    The features keep the timestamps of their source (paper, section 3.1), so they stay in step with it for every
+    reader. After each item the function advances the channel of the features to the end of that item.
     """
     with st.connect(stage.settings.address, name=f"{target.name}-analyser") as rt:
         sources = open_channel(rt, source)
@@ -45,6 +45,6 @@ def analyse(stage: Stage, source: StreamPlan, target: StreamPlan, feature: Featu
 
         until = start + stage.settings.length_nanos
         receipts = receive(sources, start, until, handle)
-        wait_until(until)  # the last span is to be complete when it is over, as every other, not before
+        wait_until(until)  # like every other span, the last one must be complete when it ends, and not before
         features.advance(until)
         return {"receipts": {source.name: receipts.as_record()}}

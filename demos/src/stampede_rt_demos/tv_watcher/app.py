@@ -1,4 +1,4 @@
-"""`stampede demo tv-watcher`: run it, show the table, draw the picture."""
+"""`stampede demo tv-watcher`: runs the demo, prints the table, draws the picture."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from stampede_rt_demos.tv_watcher.report import render, subtitle
 
 
 def run(*, seconds: int, picture: Path | None) -> int:
-    """Run the TV watcher for `seconds` and print its table; with `picture`, draw it there. Returns the exit code, 0.
+    """Run the TV watcher for `seconds`, print its table, and with `picture` draw one there. Returns exit status 0.
 
-    Raises DemoFailed if it cannot run, or if the picture cannot be written; that is found out before anything starts.
+    Raises DemoFailed if the demo cannot run, or, before the start, if the picture cannot be written.
     """
     if picture is not None:
         require_writable(picture)

@@ -1,4 +1,4 @@
-"""The audio producer: the clip's sound in blocks of 125 ms, as a sound card would hand them over, looped."""
+"""The audio producer: puts the looped sound of the clip in blocks of 125 ms, as from a sound card."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stampede_rt_demos.tv_watcher.programme import AUDIO, AUDIO_BLOCK_NANOS, AUD
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Decode everything first; then put every block when its last sample has been heard."""
+    """Decode the whole sound first. Then put every block when its last sample is over."""
     path = locate_film()
     samples = one_loop(decode_audio(path, AUDIO_RATE_HZ), AUDIO_RATE_HZ, video_loop_nanos(path))
     length = stage.settings.length_nanos

@@ -1,4 +1,4 @@
-"""The caption producer: one sentence a second about what is to be seen in the clip."""
+"""The caption producer: puts one sentence a second about the picture of the clip."""
 
 from __future__ import annotations
 

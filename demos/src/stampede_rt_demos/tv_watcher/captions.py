@@ -1,7 +1,7 @@
-"""The captions: what is to be seen in the clip, second by second. Pure.
+"""The captions, which describe the clip second by second. Pure.
 
-The descriptions were written for this clip while looking at its frames. The clip is looped and its length is no whole
-number of seconds, so every caption is worked out from the position in the clip at which it begins.
+The descriptions were written for this clip from its frames. The clip is looped, and its length is no whole number of
+seconds. So each caption is chosen by the position in the clip at which it begins.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from stampede_rt_demos.staging.schedule import PlannedItem
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """From `start_nanos` of the clip on, `text` is what is to be seen."""
+    """From `start_nanos` of the clip on, `text` describes the picture."""
 
     start_nanos: int
     text: str
@@ -33,7 +33,7 @@ LOOP_NOTE = "the clip starts again"
 
 
 def caption_text(clip_nanos: int, loop_nanos: int, caption_nanos: int) -> str:
-    """The scene that fills most of `[clip_nanos, clip_nanos + caption_nanos)`, behind the clip's timecode."""
+    """Return the timecode, and the scene that fills most of `[clip_nanos, clip_nanos + caption_nanos)`."""
     loops_inside = clip_nanos < loop_nanos < clip_nanos + caption_nanos
     scene = max(SCENES, key=lambda scene: _overlap_nanos(scene, clip_nanos, loop_nanos, caption_nanos))
     note = f" ({LOOP_NOTE})" if loops_inside else ""
@@ -41,13 +41,13 @@ def caption_text(clip_nanos: int, loop_nanos: int, caption_nanos: int) -> str:
 
 
 def timecode(clip_nanos: int) -> str:
-    """Minutes, seconds and hundredths within the clip, such as "00:03.28"."""
+    """Return minutes, seconds and hundredths within the clip, such as "00:03.28"."""
     seconds, hundredths = divmod(clip_nanos // 10_000_000, 100)
     return f"{seconds // 60:02d}:{seconds % 60:02d}.{hundredths:02d}"
 
 
 def planned_captions(loop_nanos: int, caption_nanos: int, start: int, length_nanos: int) -> Iterator[PlannedItem]:
-    """One caption after the other for `length_nanos` nanoseconds from `start`, each due when it begins."""
+    """Yield the captions of `length_nanos` from `start` on. Each is due when it begins."""
     for n in range(length_nanos // caption_nanos):
         clip_nanos = n * caption_nanos % loop_nanos
         time = start + n * caption_nanos
@@ -59,7 +59,7 @@ def _overlap_nanos(scene: Scene, clip_nanos: int, loop_nanos: int, caption_nanos
     later = [other.start_nanos for other in SCENES if other.start_nanos > scene.start_nanos]
     scene_end = min([*later, loop_nanos])
     shared = 0
-    for shift in (0, loop_nanos):  # the second one: the part of the caption that lies in the next loop
+    for shift in (0, loop_nanos):  # the second shift is for the part of the caption in the next loop
         start = max(clip_nanos, scene.start_nanos + shift)
         shared += max(0, min(clip_nanos + caption_nanos, scene_end + shift) - start)
     return shared

@@ -1,4 +1,4 @@
-"""What the analysers measure: motion energy and cuts in the picture, loudness of the sound. Pure."""
+"""The measurements of the analysers: motion energy and cuts in the picture, loudness of the sound. Pure."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class MotionMeter:
 
     def __init__(self) -> None:
         self._before: NDArray[np.float32] | None = None
-        self._recent: deque[float] = deque(maxlen=RECENT_FRAMES)  # energies of frames that began no scene
+        self._recent: deque[float] = deque(maxlen=RECENT_FRAMES)  # energies of frames that do not begin a scene
 
     def measure(self, luma: NDArray[np.uint8]) -> Motion:
-        """The motion in `luma` (height x width, 0 to 255). The first frame has none and begins no scene.
+        """Return the motion in `luma` (height x width, 0 to 255). The first frame has none, and begins no scene.
 
-        Raises ValueError if the picture has not the shape of the one before.
+        Raises ValueError if the shape differs from that of the frame before.
         """
         frame = luma.astype(np.float32) / 255.0
         before, self._before = self._before, frame
@@ -55,13 +55,16 @@ class MotionMeter:
         return Motion(energy, cut)
 
     def _is_cut(self, energy: float) -> bool:
-        """A cut changes much at once, and far more than the frames before it did: fast motion is not one."""
+        """Whether a scene begins: the change is large, and far larger than in the frames before.
+
+        Fast motion is no cut.
+        """
         usual = median(self._recent) if self._recent else 0.0
         return energy >= CUT_MOTION_MIN and energy >= CUT_RATIO_MIN * usual
 
 
 def loudness(samples: NDArray[np.int16]) -> Loudness:
-    """Loudness of a block of 16-bit samples. Raises ValueError on an empty one, which has none."""
+    """Return the loudness of a block of 16-bit samples. Raises ValueError if the block is empty."""
     if not samples.size:
         raise ValueError("a block without samples has no loudness")
     scaled = samples.astype(np.float64) / 32768.0
@@ -69,7 +72,7 @@ def loudness(samples: NDArray[np.int16]) -> Loudness:
 
 
 def envelope(samples: NDArray[np.int16], bins: int) -> list[tuple[float, float]]:
-    """Lowest and highest sample of each of `bins` equal parts, -1 to 1: what a drawing of the sound needs."""
+    """Return the lowest and highest sample of each of `bins` equal parts, -1 to 1, for a drawing of the sound."""
     if not 0 < bins <= samples.size:
         raise ValueError(f"{samples.size} samples cannot be drawn in {bins} bins")
     parts = np.array_split(samples.astype(np.float64) / 32768.0, bins)

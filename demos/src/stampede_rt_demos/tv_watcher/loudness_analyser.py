@@ -1,4 +1,4 @@
-"""The loudness analyser: how loud every block of sound is."""
+"""The loudness analyser: measures the loudness of every block of sound."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stampede_rt_demos.tv_watcher.programme import AUDIO, LOUDNESS
 
 
 def feature(pcm: bytes) -> dict[str, object]:
-    """The loudness of a block of 16-bit little-endian samples."""
+    """Return the loudness of a block of 16-bit little-endian samples."""
     measured = loudness(np.frombuffer(pcm, dtype="<i2"))
     return {"rms_dbfs": round(measured.rms_dbfs, 2), "peak_dbfs": round(measured.peak_dbfs, 2)}
 

@@ -1,4 +1,4 @@
-"""The motion analyser: how much the picture moves, and where a new scene begins."""
+"""The motion analyser: measures how much the picture changes, and finds new scenes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LUMA_HEIGHT = 90
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Measure every frame against the one before it."""
+    """Compare every frame with the one before."""
     meter = MotionMeter()
 
     def feature(jpeg: bytes) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""Opens the programme's channels, so that the first item does not have to wait for the way to its host."""
+"""Opens the channels of the programme and connects to their hosts, so that the first item need not wait."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from stampede_rt_demos.tv_watcher.programme import StreamPlan
 
 
 def open_channel(rt: st.Connection, stream: StreamPlan) -> st.Channel:
-    """The stream's channel, which the orchestrator has made; its host has been found and connected to on return.
+    """Return the stream's channel, which the orchestrator has made, after a connection to its host.
 
-    Blocks for as long as that takes. Raises ChannelNotFound, Unavailable.
+    Blocks until the connection is open. Raises ChannelNotFound, Unavailable.
     """
     channel = rt.channel(stream.channel, create=False)
     channel.stats()

@@ -1,6 +1,6 @@
-"""Starts the cluster and the roles, and puts together what they report: the only part that knows all the others.
+"""Starts the cluster and the roles, and makes one report from theirs. Only this part knows all others.
 
-The data never pass through here. The roles meet in the channels; to the orchestrator they only report.
+No data pass through here. The roles exchange data through channels, and only send reports to the orchestrator.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ MODULES = {name: module for name, (module, _) in PRODUCERS.items()} | READERS
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome:
-    """A run's report and what the picture needs."""
+    """The report of a run, and the data for the picture."""
 
     report: RunReport
     spans: Sequence[PictureSpan]
@@ -58,10 +58,10 @@ class Outcome:
 
 @dataclass(slots=True)
 class _Collected:
-    """What the roles have reported so far: results by role, the viewer's steps, the last item counts."""
+    """The reports so far: results by role, the viewer's steps, the last item counts."""
 
     results: dict[str, messages.Message] = field(default_factory=dict)
-    steps: list[StepFigures] = field(default_factory=list)  # one per caption of a run that is bounded in time
+    steps: list[StepFigures] = field(default_factory=list)  # one for each caption; the length of the run bounds them
     items: dict[str, int] = field(default_factory=dict)
     picture: messages.Message = field(default_factory=lambda: {"spans": []})
 
@@ -79,9 +79,9 @@ class _Collected:
 
 
 def conduct(seconds: int, progress: Progress) -> Outcome:
-    """Run the whole programme for `seconds` seconds: blocks for about eight seconds more than that.
+    """Run the whole programme for `seconds`. Blocks for about eight seconds more than that.
 
-    Raises DemoFailed, with every process ended, if anything that it needs is missing, does not start, or dies.
+    If a needed part is missing, does not start, or dies, ends every process and raises DemoFailed.
     """
     locate_film()
     cpu_before = _children_cpu_seconds()
@@ -89,7 +89,7 @@ def conduct(seconds: int, progress: Progress) -> Outcome:
     try:
         with LocalCluster(frontends=FRONTENDS, supernodes=SUPERNODES, hosts=HOSTS) as cluster:
             collected, accepted, placed = _run_programme(cluster, seconds, progress)
-    except st.StampedeError as error:  # first: some of them are OSErrors, too
+    except st.StampedeError as error:  # this clause is first, because some of these errors are also OSErrors
         raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
     except (ServiceFailed, OSError) as error:
         raise DemoFailed(f"the cluster did not start: {one_sentence(str(error))}") from error
@@ -101,7 +101,7 @@ def conduct(seconds: int, progress: Progress) -> Outcome:
 def _run_programme(
     cluster: LocalCluster, seconds: int, progress: Progress
 ) -> tuple[_Collected, Mapping[str, int], Mapping[str, str]]:
-    """Inside the running cluster: what was reported, what the hosts accepted, and where the streams were."""
+    """Run the roles in the running cluster. Returns their reports, the accepted items and the host of each stream."""
     with st.connect(cluster.address, name="orchestrator", secret=cluster.secret.text) as rt:
         channels = _create_channels(rt)
         with RoleProcesses({"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}) as roles:
@@ -115,7 +115,7 @@ def _run_programme(
 
 
 def _create_channels(rt: st.Connection) -> Mapping[str, st.Channel]:
-    """All channels, spread over both hosts, and the group that the captions set the pace of."""
+    """Make all channels at both hosts, and the group with the captions as reference."""
     hosts = sorted(host.name for host in rt.hosts())
     channels = {
         stream.name: rt.channel(
@@ -187,12 +187,12 @@ def _report(
 
 
 def _expected(results: Mapping[str, messages.Message]) -> dict[str, int]:
-    """How many items of each stream begin in a caption's span, from the periods that the producers report."""
+    """Compute how many items of each stream begin in a caption's span, from the periods in the producers' reports."""
     sources = {stream: CAPTION_NANOS // results[role]["period_nanos"] for role, (_, stream) in PRODUCERS.items()}
     return {stream.name: sources[SOURCE_OF_FEATURE.get(stream.name, stream.name)] for stream in STREAMS}
 
 
 def _children_cpu_seconds() -> float:
-    """User and system time of all child processes that have ended."""
+    """Return the user and system time of all child processes that have ended."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime

@@ -1,4 +1,4 @@
-"""What the picture shows, taken from the spans that the viewer kept: small enough for one line to the orchestrator."""
+"""The data of the picture, from the viewer's last spans. They are small enough for one line to the orchestrator."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ENVELOPE_BINS = 16
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PictureSpan:
-    """One caption and what lay in its span. All times in nanoseconds since the programme's start.
+    """One caption and the items in its span. All times are nanoseconds since the start of the programme.
 
     `frames`: the frames' times; `thumbnail`: (time, JPEG) of the one in the middle; `motion`: (time, energy, cut);
     `loudness`: (time, duration, dBFS); `sound`: (time, duration, lowest and highest sample of equal parts).
@@ -41,12 +41,12 @@ class PictureSpan:
 
 
 def picture_record(spans: Iterable[Span], start: int) -> dict[str, object]:
-    """The spans as the fields of a `picture` event; spans without a caption or without frames are left out."""
+    """Return the spans as fields of a `picture` event. Spans without a caption or without frames are left out."""
     return {"spans": [_span_record(span, start) for span in spans if span[CAPTIONS.name] and span[VIDEO.name]]}
 
 
 def picture_spans(record: Mapping[str, object]) -> list[PictureSpan]:
-    """The spans of a `picture` event, thumbnails decoded."""
+    """Return the spans of a `picture` event, with decoded thumbnails."""
     spans = record["spans"]
     assert isinstance(spans, list)
     return [PictureSpan(**{**span, "thumbnail": _decoded(*span["thumbnail"])}) for span in spans]

@@ -1,4 +1,4 @@
-"""What is on: the streams of the programme, where they live and how they hang together. Pure."""
+"""The streams of the programme: their hosts and their sources. Pure."""
 
 from __future__ import annotations
 

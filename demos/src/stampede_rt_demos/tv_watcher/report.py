@@ -1,4 +1,4 @@
-"""The run's figures as text: the table and the sentences below it. Pure."""
+"""Prints the figures of a run: the table and the sentences below it. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LEGEND = "latency: from the put to the stream's reader (video, audio: the analy
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RunReport:
-    """All that a run has shown. CPU in per cent of one core, over the programme's length.
+    """The results of a run. CPU is in per cent of one core, over the length of the programme.
 
     `expected`: how many items of each stream begin in one span of `reference`; `lateness_max_nanos`: by producer, how
     late the worst put began; `cluster_cpu_percent` includes the cluster's start.
@@ -32,22 +32,22 @@ class RunReport:
 
     @property
     def lost(self) -> int:
-        """Items that a host accepted and a reader never received, over all streams."""
+        """The number of items that a host accepted and the reader never received, in all streams."""
         return sum(figure.lost for figure in self.figures)
 
     def in_step(self, step: StepFigures) -> bool:
-        """The span was complete, held what it had to, and the features had their sources' times."""
+        """Whether the span was complete, had the expected items, and its features had the times of their sources."""
         return step.complete and step.features_keep_times and dict(step.counts) == dict(self.expected)
 
 
 def render(report: RunReport) -> str:
-    """The table and what there is to say about it."""
+    """Return the table and the sentences below it."""
     sentences = (textwrap.fill(sentence, LINE_CHARS, subsequent_indent="  ") for sentence in _sentences(report))
     return "\n".join([table(report.figures), _LEGEND, "", *sentences])
 
 
 def subtitle(report: RunReport) -> str:
-    """The run in one line, for the picture: who took part, and how soon a span was in the viewer's hands."""
+    """Return the run in one line, for the picture: the processes, and the delay of a span at the viewer."""
     hosts = len({figure.host for figure in report.figures})
     return (
         f"{len(report.role_cpu_percent)} processes that meet only in {len(report.figures)} channels on {hosts} hosts; "
@@ -64,7 +64,7 @@ def table(figures: Sequence[StreamFigures]) -> str:
 
 
 def bytes_text(count: int) -> str:
-    """A size as people write it, in powers of ten: "25.5 MB"."""
+    """Return a size as text, in powers of ten: "25.5 MB"."""
     size, unit = float(count), "B"
     for unit in ("B", "kB", "MB", "GB"):
         if size < 1000 or unit == "GB":
@@ -123,7 +123,7 @@ def _delay_sentence(steps: Sequence[StepFigures]) -> str:
 
 
 def _delays(steps: Sequence[StepFigures]) -> list[int]:
-    """From each span's end to the instant at which all of it was in hand, in nanoseconds."""
+    """Return, for each span, the nanoseconds from its end until the viewer had all of it."""
     return [step.received_unix_nano - step.end for step in steps]
 
 

@@ -1,4 +1,4 @@
-"""Divides what a group made visible at its captions: one span each, with everything that lies in it. Pure."""
+"""Divides the items of a cut event at the captions. Each span has one caption and all items in it. Pure."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Span = Mapping[str, Sequence[st.Item]]
 
 
 def spans_taken(cut: st.Cut[st.Channel], received_unix_nano: int) -> list[tuple[StepFigures, Span]]:
-    """The spans that a cut event brought, and what to report of each.
+    """Return the spans of a cut event, each with the figures to report.
 
-    Items that come late belong to a span that was reported before as one that lacks them; they are in no other.
+    Late items belong to an earlier span, which was reported as incomplete. They are in no other span.
     """
     event = {stream.name: cut[stream.channel] for stream in STREAMS}
     complete = not cut.incomplete and not any(items.truncated for items in event.values())
@@ -27,10 +27,10 @@ def spans_taken(cut: st.Cut[st.Channel], received_unix_nano: int) -> list[tuple[
 
 
 def spans_of(event: Span, cut: int) -> list[tuple[int, Span]]:
-    """The spans in one event, which brought what lies before `cut`, and where each ends: the next caption or the cut.
+    """Return the spans in one event, each with its end: the next caption, or `cut`.
 
-    An event brings one caption as a rule. It brings none when the cut comes to the first caption, before which there is
-    nothing, and several when the reader was slower than the captions.
+    As a rule an event has one caption. It has none when the cut comes to the first caption, because no items lie before
+    it. It has several if the reader was slower than the captions.
     """
     bounds = [*sorted({caption.time for caption in event[CAPTIONS.name]}), cut]
     return [
@@ -40,12 +40,12 @@ def spans_of(event: Span, cut: int) -> list[tuple[int, Span]]:
 
 
 def features_keep_times(span: Span) -> bool:
-    """Every feature has the time and the duration of the item that it was made from, one for one."""
+    """Whether every feature has the time and the duration of its source item."""
     return all(_times(span[feature]) == _times(span[source]) for feature, source in SOURCE_OF_FEATURE.items())
 
 
 def _step(span: Span, end: int, *, complete: bool, received_unix_nano: int) -> StepFigures:
-    """What the viewer reports of a span: counts, not items."""
+    """Return the viewer's figures for a span: counts, not items."""
     caption = span[CAPTIONS.name][0]
     return StepFigures(
         time=caption.time,

@@ -1,4 +1,4 @@
-"""What was in step, and each stream's figures. Pure."""
+"""The figures of spans and of streams. Pure."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StepFigures:
-    """One caption's span as the viewer got it: how many items of each stream, all there or not, and when.
+    """One caption's span at the viewer: the number of items of each stream, whether it was complete, and when it came.
 
-    `complete`: every stream had come to the span's end when it was handed over, and nothing of it had been collected.
-    `received_unix_nano`: when all of it was in the viewer's hands.
+    `complete`: every stream had reached the end of the span when the event came, and retention had collected none of
+    its items. `received_unix_nano`: when the viewer had all items of the span.
     """
 
     time: int
@@ -25,7 +25,7 @@ class StepFigures:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StreamFigures:
-    """One line of the final table. Latencies in nanoseconds; None: nothing to measure."""
+    """One line of the final table. Latencies are in nanoseconds; None: no items to measure."""
 
     name: str
     host: str
@@ -52,7 +52,7 @@ def stream_figures(
     steps: Sequence[StepFigures],
     seconds: float,
 ) -> StreamFigures:
-    """Put together what the host counted, what the stream's reader noted and what the viewer saw in step."""
+    """Combine the host's counter, the notes of the stream's reader, and the viewer's steps."""
     return StreamFigures(
         name=name,
         host=host,

@@ -1,4 +1,4 @@
-"""A step of the viewer as the fields of an event, and back. Pure."""
+"""Converts a step of the viewer to the fields of an event, and back. Pure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from stampede_rt_demos.tv_watcher.statistics import StepFigures
 
 
 def step_fields(step: StepFigures) -> dict[str, object]:
-    """A step as the fields of a `step` event."""
+    """Return a step as the fields of a `step` event."""
     return {
         "time": step.time,
         "end": step.end,
@@ -20,7 +20,7 @@ def step_fields(step: StepFigures) -> dict[str, object]:
 
 
 def step_of(message: Message) -> StepFigures:
-    """The step of a `step` event. Raises BadMessage if fields are missing."""
+    """Return the step of a `step` event. Raises BadMessage if fields are missing."""
     try:
         return StepFigures(**{name: message[name] for name in StepFigures.__dataclass_fields__})
     except KeyError as error:

@@ -1,6 +1,7 @@
-"""Draws the streams' items on one time line, with the synchronised intervals marked.
+"""Draws the items of the streams on one time line, and marks the synchronised intervals.
 
-Colours are from the Okabe-Ito palette, which colour-blind readers can tell apart; nothing is said by colour alone.
+Colours are from the Okabe-Ito palette, which colour-blind readers can distinguish. No information is in the colour
+alone.
 """
 
 from __future__ import annotations
@@ -55,9 +56,9 @@ _LABELS = {
 
 
 def draw(spans: Sequence[PictureSpan], path: Path, subtitle: str) -> None:
-    """Draw the spans into a PNG at `path`; holds one figure's memory, about 30 MB, until it returns.
+    """Draw the spans into a PNG at `path`. Uses about 30 MB until it returns.
 
-    `subtitle` says what was measured. Raises ValueError if there is nothing to draw, OSError if the file cannot be
+    `subtitle` has the measured figures. Raises ValueError if there is nothing to draw, OSError if the file cannot be
     written.
     """
     if not spans:
@@ -77,7 +78,7 @@ def draw(spans: Sequence[PictureSpan], path: Path, subtitle: str) -> None:
 
 
 def _figure(spans: Sequence[PictureSpan], subtitle: str) -> tuple[Figure, dict[str, Axes]]:
-    """The empty lanes over a common time axis, titles and background."""
+    """Return the empty lanes over a common time axis, with titles and background."""
     figure, axes = plt.subplots(
         len(_LANES),
         1,
@@ -98,7 +99,10 @@ def _figure(spans: Sequence[PictureSpan], subtitle: str) -> tuple[Figure, dict[s
 
 
 def _make_bare(lane: Axes, label: str) -> None:
-    """No frame and no ticks; the label stands to the left, the scale, where there is one, to the right."""
+    """Remove the frame and the ticks of a lane.
+
+    The label is at the left, and the scale, if there is one, at the right.
+    """
     lane.set_ylabel(label, rotation=0, ha="right", va="center", labelpad=8, color=INK)
     lane.patch.set_visible(False)
     lane.yaxis.tick_right()
@@ -118,7 +122,7 @@ def _label_time(figure: Figure, lowest: Axes, spans: Sequence[PictureSpan]) -> N
 
 
 def _draw_background(figure: Figure, spans: Sequence[PictureSpan]) -> None:
-    """The intervals through all lanes: every second one shaded, a line where one ends and the next begins."""
+    """Draw the intervals through all lanes: every second one shaded, with a line between two of them."""
     behind = figure.add_axes((LEFT, BOTTOM, RIGHT - LEFT, TOP - BOTTOM), zorder=-1)
     behind.set_axis_off()
     behind.set_xlim(_seconds(spans[0].start), _seconds(spans[-1].end))
@@ -129,7 +133,7 @@ def _draw_background(figure: Figure, spans: Sequence[PictureSpan]) -> None:
 
 
 def _draw_brackets(lane: Axes, spans: Sequence[PictureSpan]) -> None:
-    """A bracket over each synchronised interval, and what it holds."""
+    """Draw a bracket over each synchronised interval, with the number of its items."""
     lane.set_ylim(0, 1)
     for span in spans:
         start, end = _seconds(span.start) + 0.015, _seconds(span.end) - 0.015
@@ -139,7 +143,7 @@ def _draw_brackets(lane: Axes, spans: Sequence[PictureSpan]) -> None:
 
 
 def _draw_video(lane: Axes, marks: Axes, spans: Sequence[PictureSpan]) -> None:
-    """The frame in each span's middle; below it a mark for every frame, a heavy one for the frame that is shown."""
+    """Draw the middle frame of each span. Below it is a mark for every frame, a thick one for the shown frame."""
     for span in spans:
         time, jpeg = span.thumbnail
         with Image.open(io.BytesIO(jpeg)) as image:
@@ -153,7 +157,7 @@ def _draw_video(lane: Axes, marks: Axes, spans: Sequence[PictureSpan]) -> None:
 
 
 def _draw_motion(lane: Axes, spans: Sequence[PictureSpan]) -> None:
-    """Energy as steps, on a root scale so that small motion is seen beside a cut; cuts are marked by name."""
+    """Draw the energy as steps, on a root scale, so that small motion is visible next to a cut. Name the cuts."""
     points = [point for span in spans for point in span.motion]
     times = [*(_seconds(time) for time, _, _ in points), _seconds(spans[-1].end)]
     heights = np.sqrt([energy for _, energy, _ in [*points, *points[-1:]]])
@@ -170,7 +174,7 @@ def _draw_motion(lane: Axes, spans: Sequence[PictureSpan]) -> None:
 
 
 def _draw_sound(lane: Axes, spans: Sequence[PictureSpan]) -> None:
-    """The wave's envelope, and a thin line where one block ends and the next begins."""
+    """Draw the envelope of the wave, with a thin line between two blocks."""
     blocks = [block for span in spans for block in span.sound]
     peak = max((abs(value) for _, _, envelope in blocks for pair in envelope for value in pair), default=0.0) or 1.0
     for time, duration, envelope in blocks:
@@ -182,7 +186,7 @@ def _draw_sound(lane: Axes, spans: Sequence[PictureSpan]) -> None:
 
 
 def _draw_loudness(lane: Axes, spans: Sequence[PictureSpan]) -> None:
-    """One step per block, from its begin to its end."""
+    """Draw one step for each block, from its beginning to its end."""
     levels = [level for span in spans for level in span.loudness]
     heights = [max(dbfs, LOUDNESS_FLOOR_DBFS) for _, _, dbfs in levels]
     starts = [_seconds(time) for time, _, _ in levels]
@@ -194,7 +198,7 @@ def _draw_loudness(lane: Axes, spans: Sequence[PictureSpan]) -> None:
 
 
 def _draw_captions(lane: Axes, spans: Sequence[PictureSpan]) -> None:
-    """A box over the caption's span: the clip's timecode above, the text below."""
+    """Draw a box over each caption's span, with the clip's timecode above and the text below."""
     lane.set_ylim(0, 1)
     for span in spans:
         left, width = _seconds(span.start) + 0.015, _seconds(span.end - span.start) - 0.03
@@ -208,7 +212,7 @@ def _draw_captions(lane: Axes, spans: Sequence[PictureSpan]) -> None:
 
 
 def _set_scale(lane: Axes, low: float, high: float, style: str = "g") -> None:
-    """The lane from `low` to `high`, both written at its right."""
+    """Set the scale of the lane from `low` to `high`, and write both at its right."""
     lane.set_ylim(low, high)
     lane.set_yticks([low, high], [f"{low:{style}}", f"{high:{style}}"])
     lowest, highest = lane.get_yticklabels()
@@ -217,7 +221,10 @@ def _set_scale(lane: Axes, low: float, high: float, style: str = "g") -> None:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """A PNG with a palette, a third of the size: most of it for the photographs, the drawing's own colours exactly."""
+    """Save a PNG with a palette, a third of the size.
+
+    Most colours are for the photographs; the drawing's stay exact.
+    """
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png")
     with Image.open(drawn) as opened:

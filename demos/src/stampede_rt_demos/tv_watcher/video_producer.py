@@ -1,4 +1,4 @@
-"""The video producer: the clip's frames as JPEG, at the clip's own rate, looped."""
+"""The video producer: puts the looped frames of the clip as JPEG, at the rate of the clip."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stampede_rt_demos.tv_watcher.programme import FRAME_HEIGHT, FRAME_WIDTH, JP
 
 
 def play(stage: Stage) -> dict[str, object]:
-    """Decode everything first, so that the real-time loop only puts; then put until the programme's end."""
+    """Decode all frames first, so that the real-time loop only puts. Then put until the end of the programme."""
     video = decode_video(locate_film(), FRAME_WIDTH, FRAME_HEIGHT, JPEG_QUALITY)
     length = stage.settings.length_nanos
     with st.connect(stage.settings.address, name="video-producer") as rt:

@@ -1,6 +1,6 @@
-"""The viewer: watches what the group makes visible whenever a caption has come, in step over all streams.
+"""The viewer: with each caption it gets the items of all streams that the group makes visible together.
 
-Nobody tells it how many frames or blocks belong to a caption: the group does (paper, sections 3.3 and 5, Figure 7).
+It does not know how many frames or blocks belong to a caption; the group decides (paper, sections 3.3 and 5, Figure 7).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ READ_HERE_ALONE = (CAPTIONS, MOTION, LOUDNESS)
 def play(stage: Stage) -> dict[str, object]:
     """Watch until the programme's end.
 
-    The streams that nobody else reads are also received item by item, to know their latency and that nothing is lost.
+    The viewer also reads the streams without another reader item by item, to measure their latency and losses.
     """
     with st.connect(stage.settings.address, name="viewer") as rt, ThreadPoolExecutor(len(READ_HERE_ALONE)) as threads:
         channels = {stream.name: open_channel(rt, stream) for stream in READ_HERE_ALONE}
@@ -47,9 +47,9 @@ def play(stage: Stage) -> dict[str, object]:
 
 
 def watch(stage: Stage, cuts: st.CutSubscription, until: int) -> deque[Span]:
-    """Event by event, up to the one whose cut is `until`; keeps the last few spans for the picture.
+    """Read events up to the one whose cut is `until`, and return the last few spans for the picture.
 
-    Raises DemoFailed if that one has not come GRACE_SECONDS after `until`.
+    Raises DemoFailed if this last event has not come GRACE_SECONDS after `until`.
     """
     spans: deque[Span] = deque(maxlen=PICTURE_SPANS_MAX)
     patience = (until - time.time_ns()) / NANOS_PER_SECOND + GRACE_SECONDS
