@@ -1,1 +1,1 @@
-"""`stampede bench`: figures with their peers beside them, as tables and charts."""
+"""`stampede bench`: measures Stampede RT and comparable systems, as tables and charts."""

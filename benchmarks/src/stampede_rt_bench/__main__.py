@@ -1,4 +1,4 @@
-"""`python -m stampede_rt_bench NAME`: what `stampede bench NAME` does."""
+"""`python -m stampede_rt_bench NAME`, the same as `stampede bench NAME`."""
 
 import sys
 

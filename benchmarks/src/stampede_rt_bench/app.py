@@ -1,4 +1,4 @@
-"""`stampede bench`: the paper's figures; what the machine's parts can do; the same work on other systems."""
+"""`stampede bench`: measures the paper's figures, the limits of the machine, and the same work on other systems."""
 
 from __future__ import annotations
 

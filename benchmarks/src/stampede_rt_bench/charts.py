@@ -1,4 +1,4 @@
-"""Charts as PNG files. Colours are from the Okabe-Ito palette; nothing is said by colour alone."""
+"""Charts as PNG files. Colours are from the Okabe-Ito palette. No information is in the colour alone."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Points = Sequence[tuple[float, Spread]]
 
 @dataclass(frozen=True, kw_only=True)
 class Axes:
-    """What a chart says besides its lines; `goal` is a bound that is drawn across."""
+    """The title and axes of a chart; `goal` is a bound, drawn as a line across."""
 
     title: str
     x: str
@@ -40,10 +40,10 @@ class Axes:
 
 
 def draw_lines(path: Path, axes: Axes, lines: Mapping[str, Points]) -> None:
-    """Lines, medians with bars from the least to the most. Raises OSError."""
+    """Draw lines through the medians, with bars from the least to the greatest value. Raises OSError."""
     with _drawn(path, axes.title, (7.5, 4.6)) as plot:
         xs = sorted({x for points in lines.values() for x, _ in points})
-        log_x = axes.log_x and len(xs) > 1  # one place alone has no scale
+        log_x = axes.log_x and len(xs) > 1  # a single point needs no scale
         plot.set(xscale="log" if log_x else "linear", yscale="log" if axes.log_y else "linear")
         for number, (label, points) in enumerate(lines.items()):
             _draw_line(plot, number, label, points)
@@ -71,7 +71,7 @@ def _draw_line(plot: plots.Axes, number: int, label: str, points: Points) -> Non
 
 
 def _set_scales(plot: plots.Axes, axes: Axes, xs: Sequence[float]) -> None:
-    """A tick at every measured x, and numbers written out."""
+    """Set a tick at every measured x, with full numbers."""
     plot.set(xlabel=axes.x, ylabel=axes.y)
     plot.set_xticks(xs, [f"{x:,g}" if x < 1e6 else f"{x:,.0f}" for x in xs])
     plot.xaxis.set_minor_locator(NullLocator())
@@ -84,7 +84,7 @@ def _write_medians(plot: plots.Axes, points: Points) -> None:
 
 
 def draw_bars(path: Path, title: str, unit: str, groups: Mapping[str, Mapping[str, Spread]]) -> None:
-    """Groups of bars below each other on a logarithmic scale, medians written beside. Raises OSError."""
+    """Draw groups of bars on a logarithmic scale, each with its median. Raises OSError."""
     names = list(dict.fromkeys(name for bars in groups.values() for name in bars))
     height = 1.2 + sum(0.28 * len(bars) + 0.35 for bars in groups.values())
     with _drawn(path, title, (9, height)) as plot:
@@ -120,7 +120,7 @@ class Span(NamedTuple):
 
 
 class Lane(NamedTuple):
-    """A stream's spans, and where the cut stood."""
+    """A stream's spans, and the group's cut at that moment."""
 
     label: str
     spans: Sequence[Span]
@@ -128,7 +128,7 @@ class Lane(NamedTuple):
 
 
 def draw_spans(path: Path, title: str, lanes: Sequence[Lane]) -> None:
-    """Spans on lanes below each other: filled if visible, else with a dashed edge. Raises OSError."""
+    """Draw spans on lanes: filled if visible, otherwise with a dashed edge. Raises OSError."""
     with _drawn(path, title, (9, 1.4 + 0.75 * len(lanes))) as plot:
         for place, lane in enumerate(lanes):
             colour = COLOURS[place % 2]
@@ -146,7 +146,7 @@ def draw_spans(path: Path, title: str, lanes: Sequence[Lane]) -> None:
 
 @contextmanager
 def _drawn(path: Path, title: str, inches: tuple[float, float]) -> Iterator[plots.Axes]:
-    """An empty plot under its title, written to `path` afterwards."""
+    """Yield an empty plot with a title, and write it to `path` at the end."""
     plt.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK, "axes.edgecolor": INK})
     figure, plot = plt.subplots(figsize=inches, layout="constrained")
     try:

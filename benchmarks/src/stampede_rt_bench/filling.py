@@ -19,12 +19,12 @@ REMOTE_BYTES_MAX = 1 << 33
 
 
 def time_of(index: int) -> int:
-    """The time of the item at that place."""
+    """Return the time of the item with this index."""
     return FIRST_NANOS + index * PERIOD_NANOS
 
 
 def filled_channel(items: int, *, run_items: int = 1) -> ChannelCore:
-    """A channel of so many items of 64 B, put in runs of `run_items`, as they would come from producers."""
+    """Return a channel with `items` items of 64 B, in runs of `run_items`, as producers would put them."""
     channel = ChannelCore(Policy(max_items=items, max_bytes=BYTES_MAX), incarnation=1, name="bench")
     for first in range(0, items, run_items):
         put_run(channel, range(first, min(first + run_items, items)))
@@ -32,7 +32,10 @@ def filled_channel(items: int, *, run_items: int = 1) -> ChannelCore:
 
 
 def filled_remote_channel(rt: st.Connection, items: int) -> st.Channel:
-    """A channel of a cluster with so many items of 64 B, REMOTE_PERIOD_NANOS apart, the newest at about now."""
+    """Return a channel of a cluster with `items` items of 64 B, REMOTE_PERIOD_NANOS apart.
+
+    The newest is at about now.
+    """
     channel = rt.channel(f"bench/{items}", max_items=items, max_bytes=REMOTE_BYTES_MAX)
     first = st.now() - items * REMOTE_PERIOD_NANOS
     payload = bytes(PAYLOAD_BYTES)

@@ -1,4 +1,4 @@
-"""What the figures were measured on."""
+"""Describes the machine of the measurement."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ KIB = 1024
 
 
 def describe(packages: Sequence[str]) -> dict[str, str]:
-    """The machine and the versions of installed packages, by what each is."""
+    """Return facts about the machine, and the versions of installed packages, by name."""
     memory_kib = int(_first(r"^MemTotal:\s*(\d+)", Path("/proc/meminfo")) or 0)
     described = {
         "processor": _first(r"^model name\s*:\s*(.+)$", Path("/proc/cpuinfo")) or platform.machine(),

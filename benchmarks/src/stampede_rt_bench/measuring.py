@@ -1,4 +1,4 @@
-"""How a figure is taken: the same operation many times, several runs, the median and the spread between runs."""
+"""Measures a figure: the same operation many times, in several runs, with the median and the spread of the runs."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ NANOS_PER_US = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """How large channels get at the most, how many runs a figure is the median of, and frames in a run of a stream."""
+    """The largest size of channels, the number of runs for a figure, and the number of frames in a run of a stream."""
 
     items_max: int
     runs: int
     frames: int = 2312
 
     def sizes(self, least: int = 1000) -> list[int]:
-        """Powers of ten from `least` to `items_max`."""
+        """Return the powers of ten from `least` to `items_max`."""
         sizes = []
         size = least
         while size <= self.items_max:
@@ -33,7 +33,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class Spread:
-    """One figure over several runs: the median, the least and the most."""
+    """One figure over several runs: the median, the least and the greatest value."""
 
     median: float
     least: float
@@ -41,17 +41,17 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """Of at least one value."""
+        """Return the spread of one or more values."""
         return cls(statistics.median(values), min(values), max(values))
 
     def over(self, other: Spread) -> float:
-        """The ratio of the medians."""
+        """Return the ratio of the medians."""
         return self.median / other.median
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """No garbage collection inside, which would walk every item of a large channel at some operation's cost."""
+    """Switch off garbage collection inside: it would visit every item of a large channel during some operation."""
     gc.collect()
     gc.disable()
     try:
@@ -61,7 +61,7 @@ def quiet() -> Iterator[None]:
 
 
 def microseconds(operation: Callable[[], object], *, times: int, runs: int) -> Spread:
-    """What one `operation` takes: the mean over `times` of them, in each of `runs` runs."""
+    """Return the time of one `operation`: the mean over `times` calls, in each of `runs` runs."""
     means = []
     with quiet():
         operation()

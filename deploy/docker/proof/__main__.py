@@ -1,11 +1,11 @@
-"""Runs a compose project without an engine, from its real images, and checks that it does what it promises.
+"""Runs a compose project without a container engine, from its real images, and checks what it promises.
 
     unshare --net --mount --pid --mount-proc --fork \\
         python deploy/docker/proof --project project.json --images images.json --work FOLDER
 
-`project.json` is what compose_check prints; `images.json` maps each image to its `root` folder and `config`. Must be
-root, in namespaces of its own: this process is the machine, every container gets namespaces below.
-Prints one line for each thing that was seen to hold; exit code 1, with the reason, at the first that does not.
+`project.json` is the output of compose_check; `images.json` maps each image to its `root` folder and `config`. Run it
+as root, in new namespaces: this process plays the machine, and every container gets namespaces below it. Prints one
+line for each successful check. At the first failed check it prints the reason; the exit status is 1.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def main() -> int:
 
 
 def prove(project: Mapping[str, Any], images: Mapping[str, Mapping[str, Any]], work: Path) -> None:
-    """The whole proof. Raises ProofFailed or NotProvable; leaves nothing running."""
+    """Run the whole proof. Raises ProofFailed or NotProvable. Ends all containers."""
     configs = {name: image["config"] for name, image in images.items()}
     plans = plan_project(project, configs, str(work / "volumes"))
     make_volumes(plans, images)
@@ -73,14 +73,14 @@ def prove(project: Mapping[str, Any], images: Mapping[str, Mapping[str, Any]], w
 
 
 def ends(containers: Mapping[str, Container]) -> Iterator[str]:
-    """The last words of all that ended: the reason for what does not work often lies in another container."""
+    """Yield the last output of all ended containers, because the reason for a failure is often in another container."""
     for name, container in containers.items():
         if container.started and container.exit_code is not None:
             yield f"{name} ended with code {container.exit_code}; {container.story()}"
 
 
 def use(containers: Mapping[str, Container], order: list[str], secret: Path) -> None:
-    """Everything between start and stop, in the order in which an operator would meet it."""
+    """Run all checks between start and stop, in the order in which an operator would do these steps."""
     start(containers, order)
     for container in containers.values():
         check_rights(container, secret.read_text().strip())
@@ -94,7 +94,7 @@ def use(containers: Mapping[str, Container], order: list[str], secret: Path) -> 
 
 
 def make_volumes(plans: Mapping[str, ContainerPlan], images: Mapping[str, Mapping[str, Any]]) -> None:
-    """A new named volume begins as a copy, owner and mode included, of what the image has at its place."""
+    """Make the named volumes. Each begins as a copy of the image's folder at its place, with owner and mode."""
     for plan in plans.values():
         for kind, source, target in plan.mounts:
             if kind == "bind":
@@ -104,7 +104,7 @@ def make_volumes(plans: Mapping[str, ContainerPlan], images: Mapping[str, Mappin
 
 @contextmanager
 def engine_services(plans: Mapping[str, ContainerPlan], gateway: str) -> Iterator[None]:
-    """What an engine does for a network while the block runs, on a thread: it knows names, and publishes ports."""
+    """Do the work of an engine for a network while the block runs, on a thread: resolve names and publish ports."""
     loop = asyncio.new_event_loop()
 
     async def listen() -> None:
@@ -124,7 +124,7 @@ def engine_services(plans: Mapping[str, ContainerPlan], gateway: str) -> Iterato
 
 
 def start(containers: Mapping[str, Container], order: list[str]) -> None:
-    """Start each when what it waits for is as far as its condition demands, then wait until all are healthy."""
+    """Start each container when the conditions of its dependencies hold. Then wait until all are healthy."""
     healthy: set[str] = set()
     for name in order:
         for earlier, condition in containers[name].plan.waits_for.items():
@@ -138,7 +138,10 @@ def start(containers: Mapping[str, Container], order: list[str]) -> None:
 
 
 def check_rights(container: Container, secret: str) -> None:
-    """The user is the image's, without capabilities; the image cannot be changed; the secret is only in its file."""
+    """Check the user, its rights, and the secret.
+
+    The user is that of the image, without capabilities. Nobody can change the image. The secret is only in its file.
+    """
     facts, plan = container.facts(), container.plan
     require(facts["Uid"].split() == [str(plan.uid)] * 4 and plan.uid != 0, f"{plan.service} runs as {facts['Uid']}")
     require(int(facts["CapEff"], 16) == int(facts["CapBnd"], 16) == 0, f"{plan.service} has capabilities")
@@ -150,7 +153,7 @@ def check_rights(container: Container, secret: str) -> None:
 
 
 def run_readme_program(secret: Path) -> None:
-    """The first program of the README, as it stands there, outside all containers, against the published port."""
+    """Run the first program of the README unchanged, outside all containers, against the published port."""
     block = re.search(r"^```python\n(.*?)^```$", README.read_text(), re.MULTILINE | re.DOTALL)
     if block is None or "st.connect(" not in block[1]:
         raise ProofFailed(f"{README} does not begin with a program that connects")
@@ -162,7 +165,7 @@ def run_readme_program(secret: Path) -> None:
 
 
 def run_program(channel: str, secret: Path) -> None:
-    """A program of the same kind whose every word of output is known, on a channel of its own."""
+    """Run a similar program on another channel, and compare its whole output."""
     done = client([str(PROGRAM), channel], {"STAMPEDE_SECRET_FILE": str(secret)})
     require(done.returncode == 0, f"the program failed:\n{done.stdout}{done.stderr}")
     require(done.stdout.splitlines() == EXPECTED, f"the program printed:\n{done.stdout}")
@@ -170,7 +173,7 @@ def run_program(channel: str, secret: Path) -> None:
 
 
 def check_refusal(folder: Path) -> None:
-    """Without the secret nobody gets in."""
+    """Check that a program without the right secret is refused."""
     wrong = folder / "another-secret"
     wrong.write_text("not the secret of this cluster\n")
     wrong.chmod(0o600)
@@ -180,7 +183,10 @@ def check_refusal(folder: Path) -> None:
 
 
 def survive_deaths(containers: Mapping[str, Container], secret: Path) -> None:
-    """One supernode after the other is killed, the leader among them; programs go on; each comes back on its volume."""
+    """Kill one supernode after the other, also the leader.
+
+    Check that programs go on, and that each comes back with its volume.
+    """
     for name in (name for name in containers if name.startswith("supernode-")):
         containers[name].kill()
         run_program(f"cam/without-{name}", secret)
@@ -190,7 +196,10 @@ def survive_deaths(containers: Mapping[str, Container], secret: Path) -> None:
 
 
 def check_limits(container: Container) -> None:
-    """What the file allows is well above what an idle service needs: a limit that kills at once is no limit."""
+    """Check that the limits of the file are far above the use of an idle service.
+
+    A lower limit would kill the service at once.
+    """
     facts, plan = container.facts(), container.plan
     peak, tasks = int(facts["VmHWM"].split()[0]) * 1024, int(facts["Threads"])
     require(2 * peak < plan.memory_bytes_max, f"{plan.service} used {peak} of {plan.memory_bytes_max} bytes")
@@ -200,7 +209,7 @@ def check_limits(container: Container) -> None:
 
 
 def client(words: list[str], env: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
-    """Run a Python program on the machine, with this interpreter, and with no setting of ours but `env`."""
+    """Run a Python program on the machine, with this interpreter. Of our settings it gets only `env`."""
     outer = {key: value for key, value in os.environ.items() if not key.startswith("STAMPEDE_")}
     command = [sys.executable, *words]
     return subprocess.run(
@@ -209,13 +218,13 @@ def client(words: list[str], env: Mapping[str, str]) -> subprocess.CompletedProc
 
 
 def require(holds: bool, otherwise: str) -> None:
-    """Raises ProofFailed with `otherwise` if it does not hold."""
+    """Raise ProofFailed with `otherwise` if the condition does not hold."""
     if not holds:
         raise ProofFailed(otherwise)
 
 
 def say(line: str) -> None:
-    """One thing that was seen, with the time since the start."""
+    """Print one result, with the time since the start."""
     sys.stdout.write(f"  {time.monotonic() - _BEGAN:5.1f} s  {line}\n")
     sys.stdout.flush()
 

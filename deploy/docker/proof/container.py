@@ -1,4 +1,4 @@
-"""One running container: started from its plan, asked for its health, looked at, and stopped."""
+"""One container: starts it from its plan, checks its health, inspects it, and stops it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ class ProofFailed(Exception):
 
 
 class Container:
-    """Order of use: `start`, `wait_healthy`, `stop`; `kill` at any time. `log` holds all that it printed."""
+    """One container. Call `start`, `wait_healthy` and `stop` in this order, and `kill` at any time.
+
+    `log` has its whole output.
+    """
 
     def __init__(self, plan: ContainerPlan, number: int, image_root: str, name_server: str, log: Path) -> None:
         self.plan = plan
@@ -41,7 +44,7 @@ class Container:
         self.pid = 0
 
     def start(self) -> None:
-        """Start it in namespaces of its own and plug it into the bridge. Raises ProofFailed."""
+        """Start it in new namespaces, and connect it to the bridge. Raises ProofFailed."""
         scratch = tempfile.mkdtemp(prefix="container-", dir=self.log.parent)
         command = ["unshare", *_NAMESPACES, "--fork", "--kill-child", sys.executable, "-I", str(_ENTER)]
         with self.log.open("ab") as log:
@@ -58,7 +61,10 @@ class Container:
             stdin.write(json.dumps(self.plan.as_json() | {"files": self._files}).encode())
 
     def _first_process(self) -> int:
-        """The process id, seen from here, of the container's process 1. The namespaces are made when it is there."""
+        """Return this namespace's process id of the container's process 1.
+
+        When it exists, its namespaces exist, too.
+        """
         launcher = self._running()
         children = Path(f"/proc/{launcher.pid}/task/{launcher.pid}/children")
         deadline = time.monotonic() + FORK_SECONDS
@@ -82,7 +88,10 @@ class Container:
         raise ProofFailed(f"{self.plan.service} is not healthy: {said}; {self.story()}")
 
     def check_health(self) -> tuple[bool, str]:
-        """Run the health check's command in the container, as its user. Returns whether it succeeded, and its words."""
+        """Run the command of the health check in the container, as its user.
+
+        Returns whether it succeeded, and its output.
+        """
         done = self.run(self.plan.health)
         return done.returncode == 0, (done.stdout + done.stderr).strip()
 
@@ -95,12 +104,12 @@ class Container:
         return subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
 
     def facts(self) -> dict[str, str]:
-        """What the kernel says of process 1: user, groups, capabilities, peak of memory, threads."""
+        """Return the kernel's facts about process 1: user, groups, capabilities, peak of memory, threads."""
         lines = Path(f"/proc/{self.pid}/status").read_text().splitlines()
         return {key: value.strip() for key, _, value in (line.partition(":") for line in lines)}
 
     def stop(self) -> float:
-        """SIGTERM to process 1, and wait as long as the file allows. Returns the seconds. Raises ProofFailed."""
+        """Send SIGTERM to process 1, and wait as long as the file allows. Returns the seconds. Raises ProofFailed."""
         launcher = self._running()
         began = time.monotonic()
         self.signal(signal.SIGTERM)
@@ -113,11 +122,11 @@ class Container:
         return time.monotonic() - began
 
     def kill(self) -> None:
-        """End it as a power cut would, if it still runs. It is gone, and its locks are free, when this returns."""
+        """End it with SIGKILL if it still runs. When this returns, the process has ended, and its locks are free."""
         if self._launcher is None or self.exit_code is not None:
             return
         if self.pid:
-            self.signal(signal.SIGKILL)  # the launcher ends when its child has
+            self.signal(signal.SIGKILL)  # the launcher ends after its child
         else:
             self._launcher.kill()
         self._launcher.wait()
@@ -133,11 +142,11 @@ class Container:
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs."""
+        """The exit status; None while it runs."""
         return self._running().poll()
 
     def story(self) -> str:
-        """Its last words."""
+        """Return its last lines, for an error."""
         return "its last lines:\n" + "\n".join(self.log.read_text(errors="replace").splitlines()[-20:])
 
     def _link(self) -> str:

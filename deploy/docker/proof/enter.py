@@ -1,7 +1,7 @@
-"""Becomes one container: reads its plan from standard input, makes the file system, gives up every right, and runs it.
+"""Becomes one container: reads the plan from standard input, makes the file system, drops all rights, runs the service.
 
-Started as process 1 of new namespaces (mount, network, pid, uts, ipc) by `container.py`, with the image's root folder
-and an empty scratch folder as arguments.
+`container.py` starts it as process 1 of new namespaces (mount, network, pid, uts, ipc). The arguments are the image's
+root folder and an empty scratch folder.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def main() -> NoReturn:
-    """Never returns: the service takes the process's place."""
+    """Run the service in place of this process. Never returns."""
     image_root, scratch = Path(sys.argv[1]), Path(sys.argv[2])
     plan: dict[str, Any] = json.load(sys.stdin)
     root = make_root(plan, image_root, scratch)
@@ -32,7 +32,7 @@ def main() -> NoReturn:
 
 
 def make_root(plan: dict[str, Any], image_root: Path, scratch: Path) -> Path:
-    """The image with a layer of the container's own above it, and everything mounted that the plan names."""
+    """Make the root: the image with a separate layer for the container above it, and all mounts of the plan."""
     mount("--make-rprivate", "/")
     mount("-t", "tmpfs", "tmpfs", str(scratch))
     upper, work, root = (scratch / name for name in ("upper", "work", "root"))
@@ -46,13 +46,13 @@ def make_root(plan: dict[str, Any], image_root: Path, scratch: Path) -> Path:
     targets = [mount_one(root, *entry) for entry in plan["mounts"]]
     subprocess.run(["hostname", plan["service"]], check=True)
     if plan["read_only"]:
-        mount("-o", "remount,ro", str(root))  # this one alone: what is mounted below it keeps its own rights
+        mount("-o", "remount,ro", str(root))  # only this mount; the mounts below it keep their own rights
     assert all(target.exists() for target in targets)
     return root
 
 
 def mount_devices(root: Path) -> None:
-    """The few devices that every container has."""
+    """Mount the few devices that every container has."""
     mount("-t", "tmpfs", "-o", "mode=755", "tmpfs", str(root / "dev"))
     for name in DEVICES:
         (root / "dev" / name).touch()
@@ -62,7 +62,7 @@ def mount_devices(root: Path) -> None:
 
 
 def mount_one(root: Path, kind: str, source: str, target: str) -> Path:
-    """One entry of the plan's mounts; returns the place that it is at."""
+    """Make one mount of the plan. Returns its path."""
     place = inside(root, target)
     if kind == "tmpfs":
         place.mkdir(parents=True, exist_ok=True)
@@ -80,12 +80,12 @@ def mount_one(root: Path, kind: str, source: str, target: str) -> Path:
 
 
 def inside(root: Path, target: str) -> Path:
-    """`target`, as the container names it, in its root."""
+    """Return the path below `root` of `target`, a path inside the container."""
     return root / target.lstrip("/")
 
 
 def give_up_rights(uid: int, gid: int, groups: list[int]) -> None:
-    """No capability can be held or gained any more, and the user is the plan's."""
+    """Drop all capabilities for good, and become the user of the plan."""
     last = int(Path("/proc/sys/kernel/cap_last_cap").read_text())
     for capability in range(last + 1):
         prctl(PR_CAPBSET_DROP, capability)
@@ -96,14 +96,14 @@ def give_up_rights(uid: int, gid: int, groups: list[int]) -> None:
 
 
 def prctl(option: int, value: int) -> None:
-    """Raises OSError if the kernel refuses."""
+    """Call prctl. Raises OSError if the kernel refuses."""
     if _libc.prctl(option, value, 0, 0, 0) != 0:
         number = ctypes.get_errno()
         raise OSError(number, f"prctl {option} {value}: {os.strerror(number)}")
 
 
 def mount(*arguments: str) -> None:
-    """Raises CalledProcessError if it is refused."""
+    """Run `mount`. Raises CalledProcessError if it fails."""
     subprocess.run(["mount", *arguments], check=True)
 
 

@@ -1,4 +1,4 @@
-"""The name server that an engine gives to every network: it knows the services, by their addresses (RFC 1035)."""
+"""A name server like that of an engine's network: it knows the addresses of the services (RFC 1035)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TTL_SECONDS = 1
 
 
 class NameServer(asyncio.DatagramProtocol):
-    """Answers questions for IPv4 addresses of `addresses`; a known name has no others, an unknown name has none."""
+    """Answers questions for the IPv4 addresses in `addresses`. For other types or names the answer has no records."""
 
     def __init__(self, addresses: Mapping[str, str]) -> None:
         self._addresses = addresses
@@ -25,17 +25,18 @@ class NameServer(asyncio.DatagramProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Called by asyncio with the socket."""
-        self._transport = cast(asyncio.DatagramTransport, transport)  # it is one, but of no common class before 3.12
+        # It is a datagram transport, but not of this class before Python 3.12.
+        self._transport = cast(asyncio.DatagramTransport, transport)
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
-        """Called by asyncio with every question. What is no question gets no answer."""
+        """Called by asyncio with every datagram. Sends no answer if the datagram is no question."""
         response = answer(data, self._addresses)
         if response is not None and self._transport is not None:
             self._transport.sendto(response, addr)
 
 
 def answer(query: bytes, addresses: Mapping[str, str]) -> bytes | None:
-    """The response to a query with one question, or None if it is none. Pure."""
+    """Return the response to a query with one question; None if it is no such query. Pure."""
     try:
         number, flags, questions, *_ = _HEADER.unpack_from(query)
         name, end = _read_name(query, _HEADER.size)

@@ -14,13 +14,16 @@ FORWARD_BYTES_MAX = 64 * 2**10
 
 
 def make_bridge(project: Mapping[str, Any]) -> str:
-    """The project's one network; this namespace is the machine, and has the gateway's address, which is returned."""
+    """Make the project's network. This namespace plays the machine, and has the gateway's address.
+
+    Returns this address.
+    """
     (network,) = project["networks"].values()
     (config,) = network["ipam"]["config"]
     prefix = ipaddress.ip_network(config["subnet"]).prefixlen
     ip("link", "set", "lo", "up")
-    # With a hardware address of its own: a bridge without one takes a new one when a port is added or removed, and its
-    # neighbours would lose the name server until they ask again.
+    # The bridge gets a fixed hardware address. Otherwise it takes a new one when a port is added or removed, and the
+    # containers would lose the name server until they ask for its address again.
     ip("link", "add", BRIDGE, "address", _hardware_address(config["gateway"]), "type", "bridge")
     ip("addr", "add", f"{config['gateway']}/{prefix}", "dev", BRIDGE)
     ip("link", "set", BRIDGE, "up")
@@ -30,8 +33,8 @@ def make_bridge(project: Mapping[str, Any]) -> str:
 def plug_in(pid: int, link: str, address: str) -> None:
     """Give the network namespace of process `pid` an interface on the bridge, with `address`, and its loopback.
 
-    `link` is a new name of 12 letters at most. The hardware address follows from `address`, so that a container that
-    is started again is found by neighbours that still remember it.
+    `link` is a new name of 12 letters at most. The hardware address is computed from `address`. So other containers
+    still find a container that is started again.
     """
     inner, outer = f"{link}-in", f"{link}-ex"
     ip("link", "add", outer, "type", "veth", "peer", "name", inner, "address", _hardware_address(address))
@@ -51,9 +54,10 @@ def _hardware_address(address: str) -> str:
 
 
 def unplug(link: str) -> None:
-    """Take the interface `link` away, if it is still there: the kernel gives up a dead process's only after a while.
+    """Remove the interface `link`, if it still exists.
 
-    Until then its old namespace would hold the address, and answer for it, beside the one that is started again.
+    After a process has died, the kernel removes its interface only after a while. Until then the old namespace would
+    still have the address, and answer for it, although another one has started.
     """
     done = subprocess.run(["ip", "link", "delete", f"{link}-ex"], capture_output=True, text=True, check=False)
     if done.returncode != 0 and "Cannot find device" not in done.stderr:
@@ -61,7 +65,7 @@ def unplug(link: str) -> None:
 
 
 def ip(*words: str) -> None:
-    """Raises CalledProcessError if it is refused."""
+    """Run `ip`. Raises CalledProcessError if it fails."""
     subprocess.run(["ip", *words], check=True)
 
 
@@ -72,7 +76,7 @@ async def publish(host: str, port: int, target: tuple[str, int]) -> asyncio.Serv
         try:
             there = await asyncio.open_connection(*target)
         except OSError:
-            writer.close()  # nobody listens there: the caller sees its connection end
+            writer.close()  # nothing listens there, so the caller's connection ends
             return
         await asyncio.gather(_pump(reader, there[1]), _pump(there[0], writer))
 
@@ -80,7 +84,7 @@ async def publish(host: str, port: int, target: tuple[str, int]) -> asyncio.Serv
 
 
 async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
-    with contextlib.suppress(ConnectionError):  # either end may go first
+    with contextlib.suppress(ConnectionError):  # either side may close first
         while data := await source.read(FORWARD_BYTES_MAX):
             sink.write(data)
             await sink.drain()

@@ -1,7 +1,7 @@
-"""What a container engine would be told for each service: the compose project and the images' settings, merged. Pure.
+"""Merges the compose project and the settings of the images into one plan for each service. Pure.
 
-`project` is the compose file as the reference parser prints it; `image` is the `Config` of `podman image inspect`.
-The rules of merging are those of the Compose specification: the file's words win over the image's.
+`project` is the compose file as the reference parser prints it; `image` is the `Config` of `podman image inspect`. The
+Compose specification has the rules for the merge: settings of the file override those of the image.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _SECONDS = re.compile(r"(?:(\d+)m)?(?:(\d+(?:\.\d+)?)s)?")
 
 
 class NotProvable(Exception):
-    """The compose file says something that this proof does not carry out; the text names it."""
+    """The compose file has a setting that this proof does not support; the text names it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,14 +44,17 @@ class ContainerPlan:
     tasks_max: int
 
     def as_json(self) -> dict[str, Any]:
-        """For the process that becomes the container."""
+        """Return the plan for the process that becomes the container."""
         return asdict(self)
 
 
 def plan_project(
     project: Mapping[str, Any], images: Mapping[str, Mapping[str, Any]], volumes_folder: str
 ) -> dict[str, ContainerPlan]:
-    """A plan for every service of the project; named volumes are folders of `volumes_folder`. Raises NotProvable."""
+    """Return a plan for every service of the project. Named volumes are folders in `volumes_folder`.
+
+    Raises NotProvable.
+    """
     services: Mapping[str, Mapping[str, Any]] = project["services"]
     return {
         name: _plan_service(name, service, project, images[service["image"]], volumes_folder)
@@ -60,7 +63,7 @@ def plan_project(
 
 
 def start_order(plans: Mapping[str, ContainerPlan]) -> list[str]:
-    """The services, each after all that it waits for (the reference parser has refused cycles)."""
+    """Return the services, each after all its dependencies. (The reference parser refuses cycles.)"""
     order: list[str] = []
 
     def visit(name: str) -> None:
@@ -164,7 +167,7 @@ def _health(name: str, service: Mapping[str, Any]) -> list[str]:
 
 
 def seconds(text: str) -> float:
-    """A duration in the form of the Compose specification, minutes and seconds only. Raises NotProvable."""
+    """Return the seconds of a duration of the Compose specification; only minutes and seconds. Raises NotProvable."""
     match = _SECONDS.fullmatch(text)
     if match is None or not text:
         raise NotProvable(f"the duration {text!r}")

@@ -1,4 +1,4 @@
-"""Puts three items and gets them back, as a user outside the containers does: `put_and_get.py [CHANNEL]`."""
+"""Puts three items and gets them, like a user outside the containers: `put_and_get.py [CHANNEL]`."""
 
 import sys
 

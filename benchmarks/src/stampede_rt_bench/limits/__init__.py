@@ -1,1 +1,1 @@
-"""What the parts can do on this machine: bare grpcio, raw sockets, and a copy in memory."""
+"""The limits of this machine: gRPC without our code, raw sockets, and a copy in memory."""

@@ -1,6 +1,6 @@
-"""Bare grpcio in its best form: an asyncio server of bytes, open streams, messages of about 1 MiB where items are many.
+"""grpcio without our code, in its fastest form: an asyncio server of bytes, open streams, messages of about 1 MiB.
 
-Clients are synchronous; asyncio clients take about as long for a round trip.
+Clients are blocking. asyncio clients take about as long for a round trip.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ LOOK_SECONDS = 0.1
 
 @dataclass(frozen=True)
 class BareGrpc:
-    """A relay of messages in a process of its own."""
+    """A relay of messages in a separate process."""
 
     name: str = "bare gRPC"
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """It does everything for one reader."""
+        """It does all kinds of work for one reader."""
         return {"frames": ONE_READER}
 
     def unavailable_because(self) -> str | None:

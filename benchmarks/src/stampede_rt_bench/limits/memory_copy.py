@@ -1,4 +1,4 @@
-"""A copy in memory: what no transport that hands out bytes of its own can come below."""
+"""A copy in memory. No transport that returns its own bytes can be faster."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ TIMES_MAX = 200_000
 
 
 def copy_times_us(rounds: int) -> dict[int, Spread]:
-    """By size in bytes, what one copy into a new object takes; the sources together are larger than small caches."""
+    """Return, by size in bytes, the time of one copy into a new object.
+
+    All sources together are larger than small caches.
+    """
     times: dict[int, Spread] = {}
     for size in (SMALL, MEDIUM, LARGE):
         sources = [bytearray(size) for _ in range(max(1, min(64, (16 << 20) // size)))]
@@ -26,5 +29,5 @@ def copy_times_us(rounds: int) -> dict[int, Spread]:
 
 
 def gigabytes_per_second(size: int, time_us: Spread) -> float:
-    """At the median."""
+    """Return the speed at the median time."""
     return size / (time_us.median * NANOS_PER_US)

@@ -1,4 +1,4 @@
-"""Raw sockets, Unix and TCP: frames of a length and bytes. Below this no client and server in Python can come."""
+"""Raw sockets, Unix and TCP, with frames of a length and bytes. No client and server in Python can be faster."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ LOOK_SECONDS = 0.1
 
 @dataclass(frozen=True)
 class RawSockets:
-    """A relay of frames in a process of its own; one thread for each connection."""
+    """A relay of frames in a separate process, with one thread for each connection."""
 
     family: Literal["unix", "tcp"]
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """It does everything for one reader."""
+        """It does all kinds of work for one reader."""
         return {"frames": ONE_READER}
 
     @property

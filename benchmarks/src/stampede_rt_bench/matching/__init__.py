@@ -1,1 +1,1 @@
-"""Our match beside the synchroniser of ROS message_filters, on the same recorded inputs."""
+"""Compares our match with the synchronisers of ROS message_filters, on the same recorded inputs."""

@@ -1,6 +1,6 @@
-"""The C++ ApproximateTime policy of ROS message_filters on a recording: built here, fed in recorded order.
+"""Replays a recording into the C++ ApproximateTime policy of ROS message_filters, which this module builds.
 
-Debian has it as libmessage-filters-dev; no ROS installation is needed, and nothing is sent.
+Debian has it as libmessage-filters-dev. It needs no ROS installation, and sends nothing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def is_installed() -> bool:
 
 @cache
 def _program() -> Path:
-    """The program, built once for each process; its folder goes when the interpreter ends."""
+    """Return the program. It is built once for each process; its folder is removed when the interpreter ends."""
     folder = tempfile.TemporaryDirectory(prefix="stampede-bench-")
     program = Path(folder.name) / "approximate_time"
     flags = ["-O2", "-w", "-o", str(program), str(SOURCE), *(f"-l{library}" for library in LIBRARIES)]
@@ -43,7 +43,10 @@ _folders: list[tempfile.TemporaryDirectory[str]] = []
 
 
 def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
-    """What its callback got, and when, had the items come as recorded; the tolerance is its maximum interval."""
+    """Return the sets that its callback gets, with their times, for this recording.
+
+    The tolerance is its maximum interval.
+    """
     streams = list(RATES_HZ)
     lines = [f"{tolerance_nanos} {QUEUE_ITEMS}"]
     lines += [f"{arrival.arrived} {streams.index(arrival.stream)} {arrival.time}" for arrival in arrivals]

@@ -1,6 +1,6 @@
-"""ROS message_filters on a recording: its ApproximateTimeSynchronizer, in the system's Python, fed in recorded order.
+"""Replays a recording into the ApproximateTimeSynchronizer of ROS message_filters, in the system's Python.
 
-Debian has it as python3-message-filters; no ROS installation is needed, and nothing is sent.
+Debian has it as python3-message-filters. It needs no ROS installation, and sends nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ QUEUE_ITEMS = 50
 PACKAGE = "python3-message-filters"
 RUN_SECONDS_MAX = 300
 
-# Runs where message_filters lives, which is not where this package lives: only the standard library beside it.
+# This script runs in the Python that has message_filters, which does not have this package. So it uses only the
+# standard library besides.
 SCRIPT = """
 import json, sys
 import rospy
@@ -54,7 +55,7 @@ def is_installed() -> bool:
 
 
 def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
-    """What its callback got, and when, had the items come as recorded; the tolerance is its `slop`."""
+    """Return the sets that its callback gets, with their times, for this recording. The tolerance is its `slop`."""
     streams = list(RATES_HZ)
     job = {
         "streams": streams,

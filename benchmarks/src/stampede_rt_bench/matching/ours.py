@@ -1,4 +1,4 @@
-"""Our match on a recording: the core as a host runs it, in the recording's time."""
+"""Replays a recording into our match: the core of a host, with the clock of the recording."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ITEMS_MAX = 1000
 
 
 def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
-    """What was matched, and when, had the items come as recorded."""
+    """Return the matches, with their times, for this recording."""
     start = arrivals[0].arrived
     policy = Policy(max_age_nanos=60_000_000_000, max_future_nanos=1_000_000_000)
     channels = {stream: ChannelCore(policy, incarnation=1, name=stream) for stream in RATES_HZ}

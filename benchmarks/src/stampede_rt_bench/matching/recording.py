@@ -1,4 +1,4 @@
-"""Recorded inputs: what three sensors of different rates measured, and when it arrived. Pure, the same for one seed.
+"""Makes recordings: the items of three sensors with different rates, and their arrivals. Pure; one seed, one recording.
 
 All instants are int nanoseconds.
 """
@@ -19,7 +19,7 @@ REFERENCE = "lidar"
 
 
 class Arrival(NamedTuple):
-    """One item of a stream: the time that it is about, and when it came in."""
+    """One item of a stream: its time, and when it arrived."""
 
     arrived: int
     stream: str
@@ -28,11 +28,11 @@ class Arrival(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Conditions:
-    """How the sensors and the way from them behave. `drop_share`: of items that never come.
+    """The faults of the sensors and their links. `drop_share`: the share of lost items.
 
-    `lag_nanos`: by stream, how much later than the others it comes; `silence`: a stream that says nothing from one
-    second to another, counted from the start; `reorders`: items of one stream may overtake each other on their way.
-    `tolerance_nanos` is what both synchronisers are given.
+    `lag_nanos`: by stream, how much later than the others it arrives. `silence`: a stream without items from one second
+    to another, counted from the start. `reorders`: items of one stream may overtake each other. `tolerance_nanos`: the
+    tolerance for all synchronisers.
     """
 
     name: str
@@ -61,7 +61,7 @@ SCENARIOS = (
 
 
 def record(conditions: Conditions, seconds: int, seed: int) -> list[Arrival]:
-    """What arrives in the order in which it arrives; each stream in the order of its times, unless it `reorders`."""
+    """Return the arrivals in their order. Each stream arrives in the order of its times, unless it `reorders`."""
     random_source = random.Random(f"{seed} {conditions.name}")
     arrivals: list[Arrival] = []
     for stream, rate_hz in RATES_HZ.items():
@@ -86,12 +86,12 @@ def _is_silent(conditions: Conditions, stream: str, due: int) -> bool:
 
 
 def times_of(arrivals: Sequence[Arrival], stream: str) -> list[int]:
-    """The times of a stream's items, ascending."""
+    """Return the times of a stream's items, ascending."""
     return sorted(arrival.time for arrival in arrivals if arrival.stream == stream)
 
 
 def nearest_sets(arrivals: Sequence[Arrival], tolerance_nanos: int) -> dict[int, dict[str, int]]:
-    """For each item of the reference that has a partner in every stream: its time, and the nearest time of each."""
+    """Map the time of each reference item that has a partner in every stream to the nearest time of each stream."""
     others = {stream: times_of(arrivals, stream) for stream in RATES_HZ if stream != REFERENCE}
     sets = {}
     for time in times_of(arrivals, REFERENCE):

@@ -1,4 +1,4 @@
-"""What a synchroniser gave for a recording, and how good that was. Pure."""
+"""The sets that a synchroniser returned for a recording, and their judgement. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival, n
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FoundSet:
-    """One set: when it was given out, the reference's time, and the time of each other stream's item."""
+    """One set: when it was returned, the reference's time, and the time of the item of each other stream."""
 
     given: int
     reference: int
@@ -19,7 +19,10 @@ class FoundSet:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Replay:
-    """All sets of one run. `told_unmatched`: items without a partner that the user is told of; None: no such word."""
+    """All sets of one run.
+
+    `told_unmatched`: the number of reported items without a partner; None: it cannot report them.
+    """
 
     sets: Sequence[FoundSet]
     told_unmatched: int | None
@@ -27,10 +30,11 @@ class Replay:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judgement:
-    """`possible`: sets that a complete view of the recording has; `right`: of the given, those; `wrong`: other ones.
+    """`possible`: the sets of the whole recording. `right`: returned sets that are among these.
 
-    `unmatched`: items of the reference that no set was given for; `told`: those that the user hears of, None: no such
-    word. `delays_nanos`: how long after the arrival of its last item each set was given.
+    `wrong`: other returned sets. `unmatched`: reference items without a returned set. `told`: how many of these were
+    reported; None: it cannot report them. `delays_nanos`: for each set, the time from the arrival of its last item
+    until it was returned.
     """
 
     possible: int
@@ -42,7 +46,7 @@ class Judgement:
 
 
 def judge(replay: Replay, arrivals: Sequence[Arrival], tolerance_nanos: int) -> Judgement:
-    """Compare what was given with what a complete view has."""
+    """Compare the returned sets with those of the whole recording."""
     possible = nearest_sets(arrivals, tolerance_nanos)
     arrived = {(arrival.stream, arrival.time): arrival.arrived for arrival in arrivals}
     right = sum(possible.get(one.reference) == dict(one.times) for one in replay.sets)
@@ -58,6 +62,6 @@ def judge(replay: Replay, arrivals: Sequence[Arrival], tolerance_nanos: int) -> 
 
 
 def _complete(found: FoundSet, arrived: Mapping[tuple[str, int], int]) -> int:
-    """When its last item had arrived."""
+    """Return when the last item of the set had arrived."""
     items = {REFERENCE: found.reference, **found.times}
     return max(arrived[stream, items[stream]] for stream in RATES_HZ)

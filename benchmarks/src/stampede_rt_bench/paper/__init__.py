@@ -1,1 +1,1 @@
-"""The figures of the paper, section 6, and what the time model promises about cost."""
+"""The figures of the paper (section 6), and the costs that the time model promises."""

@@ -1,6 +1,6 @@
-"""The streams of the paper's Figure 7: 30 frames and 2 captions a second, each with a host and a consumer of its own.
+"""The streams of the paper's Figure 7: 30 frames and 2 captions a second, each with its own host and consumer.
 
-The producer's two threads, both hosts and both consumers are told nothing of each other.
+The producer's two threads, both hosts and both consumers know nothing of each other.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MACHINES = 4  # for the two hosts and the two consumers
 
 
 class Receipt(NamedTuple):
-    """An item's time, and when the get returned that brought it."""
+    """An item's time, and when the get with this item returned."""
 
     time: int
     received: int
@@ -43,7 +43,7 @@ class Receipt(NamedTuple):
 class Setting:
     """Whether consumers read through a group, its bound (with `end` frames have durations), and when captions come.
 
-    Captions are `captions_after_nanos` after the frames whose beginning they share, and known `decoding_nanos` later.
+    Captions begin `captions_after_nanos` after the beginning of a frame, and are known `decoding_nanos` later.
     """
 
     name: str
@@ -56,9 +56,9 @@ class Setting:
 def play(
     setting: Setting, network: NamespaceNetwork | None, seconds: int = SECONDS
 ) -> tuple[list[Receipt], list[Receipt]]:
-    """What the consumers of frames and captions got, and when. Blocks for some seconds more than that.
+    """Return the receipts of the consumers of frames and captions. Blocks for some seconds more than `seconds`.
 
-    On a `network` of MACHINES places every host and consumer is in one of its own.
+    With a `network` of MACHINES namespaces every host and consumer has its own namespace.
     """
     context = multiprocessing.get_context("spawn")
     namespaces: Sequence[NetworkNamespace | None] = (
@@ -70,7 +70,8 @@ def play(
             for name, host in zip((VIDEO, CAPTIONS), rt.hosts(), strict=True)
         ]
         rt.group(GROUP, channels, reference="oldest", bound=setting.bound)
-        deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C this process ends them, in silence
+        # After Ctrl-C this process ends them, without their messages.
+        deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)
         consumers = [pools.enter_context(context.Pool(1, *deaf)) for _ in channels]
         for consumer, channel, namespace in zip(consumers, channels, namespaces, strict=True):
             consumer.apply(prepare, (namespace, address, channel.name, setting.grouped))
@@ -83,7 +84,7 @@ def play(
 
 
 def _produce(channels: Sequence[st.Channel], setting: Setting, start: int, end: int) -> None:
-    """Two threads, as in the paper: frames and captions when they are due; then the word that no more will come."""
+    """Put frames and captions when they are due, on two threads as in the paper. Then advance both channels."""
     video, captions = channels
     frames = _times(start, end, FRAMES_PER_SECOND)
     texts = [at + setting.captions_after_nanos for at in _times(start, end, CAPTIONS_PER_SECOND)]
@@ -104,7 +105,7 @@ def _produce(channels: Sequence[st.Channel], setting: Setting, start: int, end: 
 
 
 def _times(start: int, end: int, per_second: int) -> list[int]:
-    """Every frame that begins with a caption does so to the nanosecond: periods are not added up."""
+    """Compute the times from the start, and do not add periods. So frames and captions agree to the nanosecond."""
     count = (end - start) * per_second // NANOS_PER_SECOND
     return [start + number * NANOS_PER_SECOND // per_second for number in range(count)]
 
@@ -125,7 +126,7 @@ _prepared: list[tuple[st.Connection, st.Channel | st.GroupChannel]] = []
 
 
 def prepare(namespace: NetworkNamespace | None, address: str, name: str, grouped: bool) -> None:
-    """Go to the place, if there is one, and get ready to read the channel there."""
+    """Enter the namespace, if there is one, and prepare to read the channel there."""
     if namespace is not None:
         namespace.enter()
     rt = st.connect(address)
@@ -133,7 +134,7 @@ def prepare(namespace: NetworkNamespace | None, address: str, name: str, grouped
 
 
 def consume(start: int, end: int) -> list[Receipt]:
-    """Everything of the channel as it can be had, newer than what is there, until nothing more can come."""
+    """Read all new items of the channel as soon as they are visible, until no more can come."""
     receipts: list[Receipt] = []
     rt, source = _prepared.pop()
     with rt:

@@ -1,10 +1,9 @@
-"""Figure 4 of the paper: what one get by time costs, by how many items a channel holds and where the item is.
+"""Figure 4 of the paper: the cost of one get by time, by the number of held items and the position of the item.
 
-The figure times the host's core, as the paper's does: a get by reference. A line beside it times the same get as a
-client makes it over gRPC, from a host that is a process of its own.
-
-The peer is what a user would write by hand: a SortedDict from time to payload, searched for the newest time not later.
-It knows no spans, no seqs, no reasons; it says what the search alone costs in Python.
+Like the paper's figure, it measures the core of the host: a get by reference. Another line measures the same get of a
+client over gRPC, from a host in another process. For comparison there is the code that a user would write: a search in
+a SortedDict from time to payload for the newest time that is not later. It knows no spans, seqs or reasons, and shows
+the cost of the search alone in Python.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ FEWEST, JUDGED_FROM = 10, 1000
 
 
 def measure(effort: Effort, chart: Path) -> Table:
-    """The table and the chart of one get."""
+    """Make the table and the chart of one get."""
     lines: dict[str, list[tuple[float, Spread]]] = {name: [] for name in (*POSITIONS, BY_HAND)}
     for items in effort.sizes(FEWEST):
         for name, value in _of_channel(items, effort.runs).items():
@@ -59,7 +58,7 @@ def _of_channel(items: int, runs: int) -> dict[str, Spread]:
 
 
 def _get(channel: ChannelCore, items: int, share: float) -> Callable[[], object]:
-    """The items whose span holds an instant in the middle of one item's span."""
+    """Return a get of the items whose span contains an instant in the middle of one item's span."""
     instant = time_of(int(items * share)) + PERIOD_NANOS // 2
     query, now = Query(interval=parse_interval(instant, instant)), time_of(items)
     if len(channel.read(query, now).slices) != 1:

@@ -1,6 +1,6 @@
-"""What an interval get costs as it returns more items: at the host alone, and as a client gets it over gRPC.
+"""The cost of an interval get by the number of returned items: at the host alone, and for a client over gRPC.
 
-The paper (section 6) finds it about linear in the number of items returned.
+In the paper (section 6) it is about linear in the number of returned items.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Points = list[tuple[float, Spread]]
 
 
 def measure(effort: Effort, chart: Path) -> Table:
-    """The table and the chart of interval gets."""
+    """Make the table and the chart of interval gets."""
     held = min(effort.items_max, HELD_ITEMS_MAX)
     returned = [count for count in RETURNED if count <= held // 2]
     lines = {
@@ -52,7 +52,8 @@ def _at_host(held: int, returned: list[int], runs: int, *, run_items: int) -> Po
         found = sum(part.hi - part.lo for part in channel.read(query, now).slices)
         if found != count:
             raise AssertionError(f"{found} items came instead of {count}")
-        points.append((count, microseconds(lambda q=query: channel.read(q, now), times=_gets(count), runs=runs)))  # type: ignore[misc]
+        # type: ignore[misc].
+        points.append((count, microseconds(lambda q=query: channel.read(q, now), times=_gets(count), runs=runs)))
     return points
 
 

@@ -1,4 +1,4 @@
-"""What held items cost beside their payload, by how they were put; each size in a fresh process."""
+"""The memory of held items besides their payload, by the size of the put runs; each size in a new process."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GOAL_BYTES = 350
 
 
 def measure(effort: Effort, chart: Path) -> Table:
-    """The table and the chart of bytes over the payload for each held item."""
+    """Make the table and the chart of bytes over the payload for each held item."""
     held = max(HELD_ITEMS_MIN, min(effort.items_max, HELD_ITEMS_MAX))
     points = [
         (run_items, Spread.of([_in_fresh_process(held, run_items) for _ in range(min(effort.runs, 3))]))
@@ -39,9 +39,9 @@ def _in_fresh_process(held: int, run_items: int) -> float:
 
 
 def bytes_over_payload(held: int, run_items: int) -> float:
-    """What this process grew by for each item, less its payload."""
+    """Return the growth of this process for each item, without its payload."""
     with quiet():
-        warmed = filled_channel(1000, run_items=run_items)  # imports and caches are not the items' cost
+        warmed = filled_channel(1000, run_items=run_items)  # so that imports and caches do not count
         before = _resident_bytes()
         channel = filled_channel(held, run_items=run_items)
         grown = _resident_bytes() - before

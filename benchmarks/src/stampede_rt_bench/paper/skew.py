@@ -1,7 +1,7 @@
-"""Figure 7 of the paper: how far apart two consumers get what belongs together, with a group and without.
+"""Figure 7 of the paper: the time between the receipts of related items at two consumers, with a group and without.
 
-A frame's skew is the time between its receipt and that of the caption in whose span it begins; a run's skew is the root
-of the mean of its squares. All receipts are timed by one clock, since namespaces share their machine's.
+A frame's skew is the time between its receipt and that of the caption in whose span it begins. A run's skew is the root
+mean square. One clock measures all receipts, because namespaces share the clock of their machine.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ SETTINGS = (
 
 
 class SkewRun(NamedTuple):
-    """Each frame's place in its caption's span and its skew; how many frames of each caption came in one get."""
+    """For each frame its index in its caption's span and its skew; for each caption the number of frames in one get."""
 
     skews_ms: Sequence[tuple[int, float]]
     frames_together: Sequence[int]
 
     @property
     def skew_ms(self) -> float:
-        """The root of the mean square."""
+        """Return the root mean square of the skew."""
         return math.sqrt(statistics.fmean(skew * skew for _, skew in self.skews_ms))
 
 
 def measure(effort: Effort, chart: Path) -> Table:
-    """The table and the chart of skew, grouped and not."""
+    """Make the table and the chart of the skew, with a group and without."""
     table = Table(["consumers read", "skew of a frame, ms", "of a caption's 15 frames in one get"])
     lines: dict[str, list[tuple[float, Spread]]] = {}
     why_not = unavailable_because()
@@ -86,7 +86,7 @@ def _notes(effort: Effort, why_not: str | None) -> list[str]:
 
 
 def _by_place(runs: Sequence[SkewRun]) -> list[tuple[float, Spread]]:
-    """The median skew of the first, second, ... frame of a span, over the runs."""
+    """Return the median skew of the first, second, ... frame of a span, over the runs."""
     points = []
     for namespace in range(FRAMES_PER_CAPTION):
         medians = [[ms for at, ms in run.skews_ms if at == namespace] for run in runs]
@@ -95,9 +95,9 @@ def _by_place(runs: Sequence[SkewRun]) -> list[tuple[float, Spread]]:
 
 
 def judge(frames: Sequence[Receipt], captions: Sequence[Receipt]) -> SkewRun:
-    """Each frame against the caption in whose span it begins; the last caption's span may not be over.
+    """Compare each frame with the caption in whose span it begins. The last caption's span may not be over.
 
-    Raises AssertionError if a caption between the first and the last has not all its frames.
+    Raises AssertionError if a caption between the first and the last lacks frames.
     """
     times = [caption.time for caption in captions]
     skews: list[tuple[int, float]] = []

@@ -1,7 +1,7 @@
-"""Figure 3 of the paper: what a group of text and audio shows, and what it hides, as its consumers see it.
+"""Figure 3 of the paper: the items of text and audio that a group shows and hides, as its consumers see them.
 
-Text items of 1 s and audio blocks of 125 ms at different hosts, audio ahead of the text; the reference is the text, and
-the bound the end of its newest item.
+Text items of 1 s and audio blocks of 125 ms are at different hosts, and audio is ahead of the text. The reference is
+the text, and the cut is the end of its newest item.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ READ_SECONDS = 10.0
 
 
 def measure(effort: Effort, chart: Path) -> Table:
-    """The table and the chart of what is visible before and after the next text item. `effort` changes nothing."""
+    """Make the table and the chart of the visible items before and after the next text item. `effort` has no effect."""
     table = Table(["", "put", "visible", "hidden", "cut at, s"])
     with connected(hosts=2) as rt:
         hosts = [host.name for host in rt.hosts()]
@@ -48,7 +48,7 @@ def _put(channel: st.Channel, base: int, places: range, period_nanos: int) -> No
 
 
 def _look(table: Table, when: str, group: st.Group, channels: Sequence[st.Channel], base: int) -> list[Lane]:
-    """What each channel holds, and which of it a reader of the group gets, once the cut stands where it must."""
+    """Return the items of each channel, and those that a reader of the group gets, when the cut has stopped."""
     end = base + 60 * NANOS_PER_SECOND
     newest = channels[0].newest()
     assert newest is not None

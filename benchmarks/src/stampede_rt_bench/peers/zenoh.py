@@ -55,7 +55,7 @@ class Zenoh:
 
     @contextmanager
     def served(self, room: Room) -> Iterator[Served]:
-        """A router in a process of its own, or nothing but an address at which the publisher will listen."""
+        """A router in a separate process; without a router, only the address at which the publisher will listen."""
         (port,) = free_ports(1, "127.0.0.1")
         address = f"tcp/127.0.0.1:{port}"
         if self.way != "router":
@@ -74,7 +74,7 @@ class Zenoh:
 
 
 class ZenohClient:
-    """A publisher listens where there is no router, and readers come to it."""
+    """Without a router the publisher listens, and readers connect to it."""
 
     def __init__(self, way: str, address: str, room: Room) -> None:
         self._way, self._address, self._room = way, address, room
@@ -154,7 +154,7 @@ class ZenohClient:
         time.sleep(SETTLE_SECONDS)
 
     def _wait_until_stored(self, session: Any) -> None:
-        """The storage keeps items a moment after they were put. Raises TimeoutError."""
+        """Wait until the storage has the items, which takes a moment after the put. Raises TimeoutError."""
         until_s = time.monotonic() + STORED_SECONDS
         while not any(True for _ in session.get(f"{KEY}?newest=1")):
             if time.monotonic() > until_s:

@@ -11,7 +11,7 @@ FOLDER, PATTERN = Path("/dev/shm"), "*.zenoh"
 
 @contextmanager
 def segments_removed(folder: Path = FOLDER) -> Iterator[None]:
-    """Remove at the end what appeared meanwhile and no process maps."""
+    """At the end, remove the segments that appeared meanwhile and that no process maps."""
     before = set(folder.glob(PATTERN))
     try:
         yield
@@ -22,7 +22,7 @@ def segments_removed(folder: Path = FOLDER) -> Iterator[None]:
 
 
 def _mapped(paths: set[Path]) -> set[Path]:
-    """Those that a process of this machine has mapped."""
+    """Return the paths that a process of this machine has mapped."""
     mapped: set[Path] = set()
     for maps in Path("/proc").glob("[0-9]*/maps") if paths else ():
         with suppress(OSError):

@@ -1,1 +1,1 @@
-"""Work that several systems do in turn, and how it is measured. What does the work is in `limits` and `peers`."""
+"""The work that several systems do in turn, and its measurement. The systems are in `limits` and `peers`."""

@@ -1,4 +1,4 @@
-"""Several systems do the same works in turn, again and again, so that a disturbed machine disturbs all of them."""
+"""Several systems do the same work in turn, several times, so that other load on the machine affects all of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FIGURES = ("items_per_second", "cpu_us_per_item", "lost_share", "p50_us", "p99_u
 
 @dataclass
 class Results:
-    """What came out, by work and system; what could not be measured, and why."""
+    """The results by work and system, and the reasons why some could not be measured."""
 
     runs: dict[Work, dict[str, list[Measured]]] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
@@ -27,16 +27,16 @@ class Results:
         return Spread.of([getattr(one, figure) for one in self.runs[work][system]])
 
     def headline(self, work: Work, system: str) -> Spread:
-        """The figure that works are compared by: items a second, or the median time."""
+        """Return the figure for comparisons: items a second, or the median time."""
         return self.spread(work, system, "items_per_second" if work.kind == "stream" else "p50_us")
 
     def speed(self, work: Work, system: str, other: str) -> float:
-        """How many times as fast one is as the other."""
+        """Return how many times as fast `system` is as `other`."""
         mine, theirs = self.headline(work, system).median, self.headline(work, other).median
         return mine / theirs if work.kind == "stream" else theirs / mine
 
     def most_readers(self, works: Sequence[Work], system: str, lost_share_max: float) -> int:
-        """The largest number of readers with less than that lost in the median, among works that differ in it."""
+        """Return the largest number of readers, among these works, with a median loss below `lost_share_max`."""
         held = [
             work.readers
             for work in works
@@ -54,7 +54,7 @@ def compare(
     done: Callable[[Results, Work], None],
     say: Callable[[str], None],
 ) -> Results:
-    """Measure every system that is here with every work that it can do; `done` hears of each finished work."""
+    """Measure every available system with every work that it can do. `done` is called after each work."""
     results = Results()
     present = []
     for system in systems:

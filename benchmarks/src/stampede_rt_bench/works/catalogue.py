@@ -1,4 +1,4 @@
-"""The works that systems are compared by."""
+"""The works with which systems are compared."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ SMALL, MEDIUM, LARGE = 64, 18_000, 300_000
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
-    """One thing to do. `rate` is items a second, 0 for as fast as it goes; `items` is what one operation moves.
+    """One work. `rate` is items a second, 0 for full speed; `items` is the number of items that one operation moves.
 
-    After `items_total` the publisher ends by itself; 0 lets it go on.
+    The publisher ends by itself after `items_total` items; 0: it does not.
     """
 
     name: str
@@ -32,7 +32,10 @@ class Work:
 
     @property
     def is_operation(self) -> bool:
-        """One process that asks and waits, again and again; else a producer's process and readers' processes."""
+        """Whether one process repeats an operation.
+
+        Otherwise there is a process for the producer and one for each reader.
+        """
         return self.kind in ("put", "newest", "interval")
 
 
@@ -42,7 +45,7 @@ def size(item_bytes: int) -> str:
 
 
 def works(readers: Sequence[int] = READERS) -> list[Work]:
-    """All of them; 30 frames a second to each of these numbers of readers."""
+    """Return all works, with 30 frames a second for each of these numbers of readers."""
     return [
         Work(name="put", title="one acknowledged put of 64 B", kind="put", item_bytes=SMALL),
         Work(name="newest", title="newest item of 18 KB", kind="newest", item_bytes=MEDIUM),

@@ -1,7 +1,7 @@
-"""What a system must offer to be measured: a server that the benchmark starts, and a client with five kinds of work.
+"""The interface of a measured system: a server that the benchmark starts, and a client with five kinds of work.
 
-A client's methods take iterators, and the loop is inside the client. So a client on asyncio keeps its loop running from
-one operation to the next, as its users do.
+A client's methods take iterators, and the client iterates. So the event loop of a client on asyncio runs from one
+operation to the next, as in a user's program.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Block = bytes | bytearray
 
 @dataclass(frozen=True, kw_only=True)
 class Room:
-    """What the work needs: the bytes of an item, items that may wait in any queue, readers, items to be read later."""
+    """The needs of the work: bytes of an item, items that may wait in a queue, readers, items to be read later."""
 
     item_bytes: int
     items_max: int
@@ -28,7 +28,7 @@ class Room:
 
 @dataclass(frozen=True, kw_only=True)
 class Served:
-    """A running server: where clients find it, and the processes whose CPU time belongs to it."""
+    """A running server: its address, and the processes whose CPU time belongs to it."""
 
     address: str
     pids: Sequence[int] = ()
@@ -36,10 +36,10 @@ class Served:
 
 
 class Receiver(Protocol):
-    """Where a client puts what it reads."""
+    """Takes the items that a client reads."""
 
     def ready(self) -> None:
-        """The subscription stands: everything published from now on will come."""
+        """Note that the subscription is open: every item that is published from now on will come."""
 
     def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
         """One item. A system without times or seqs gives 0."""
@@ -74,7 +74,7 @@ class Client(Protocol):
 
 
 class System(Protocol):
-    """Something that can be measured. Its objects travel to the processes that use it."""
+    """A system that can be measured. Its objects are pickled for the processes that use them."""
 
     @property
     def name(self) -> str:
@@ -85,10 +85,10 @@ class System(Protocol):
         """By the kind of work (`put`, `newest`, `interval`, `stream`, `frames`, `latency`), why it cannot do that."""
 
     def unavailable_because(self) -> str | None:
-        """What is missing on this machine and how to get it; None if nothing is."""
+        """Return what is missing on this machine and how to install it; None if nothing is."""
 
     def served(self, room: Room) -> AbstractContextManager[Served]:
-        """A fresh server, gone afterwards."""
+        """Return a context with a new server, which ends with the context."""
 
     def connect(self, served: Served, room: Room) -> Client:
         """A client of it, in the calling process."""

@@ -1,4 +1,4 @@
-"""What publishers send, and when: at full speed within a bound, or at a fixed rate."""
+"""The payloads of publishers and their times: at full speed within a bound, or at a fixed rate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROOM_FACTOR = 4
 
 
 def room_for(item_bytes: int, items_min: int = 0, *, readers: int = 1, keeps: bool = False) -> Room:
-    """Room for four times what may be on its way, so that no system must throw anything away."""
+    """Return the room for four times the items that may be in flight, so that no system must drop items."""
     window = window_items(item_bytes)
     batch = max(BATCH_ITEMS_MIN, min(BATCH_ITEMS_MAX, BATCH_BYTES // item_bytes))
     items_max = max(items_min, ROOM_FACTOR * window)
@@ -32,9 +32,9 @@ def window_items(item_bytes: int) -> int:
 
 
 def at_full_speed(progress: RunCounters, room: Room, deadline_s: float) -> Iterator[Step]:
-    """Batches of payloads that were made before, held back while a window of them is unread.
+    """Yield prepared batches of payloads, and wait while a window of them is unread.
 
-    If nothing is read for a second, because items were lost, one more batch goes out.
+    If no item is read for a second, because items were lost, it yields one more batch.
     """
     ring = _batches(room)
     window, sent, turn = window_items(room.item_bytes), 0, 0
@@ -63,9 +63,9 @@ def _batches(room: Room) -> list[list[bytes]]:
 def at_rate(
     progress: RunCounters, item_bytes: int, per_second: float, deadline_s: float, items_total: int = 0
 ) -> Iterator[Step]:
-    """One payload whenever it is due, with the time at which it was sent. A late one goes at once.
+    """Yield one payload whenever it is due, with its sending time. A late payload is sent at once.
 
-    It ends after `items_total`, unless that is 0.
+    Ends after `items_total` payloads, unless that is 0.
     """
     filler = bytes(item_bytes - SENT.size)
     begun_s, sent = time.monotonic(), 0

@@ -1,4 +1,4 @@
-"""What a reader does with items: it touches time, seq and payload, counts, and notes how long each item took."""
+"""Reads time, seq and payload of each item, counts the items, and notes how long each took."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Counting:
 
 
 class Timing(Counting):
-    """Notes for each item how long it was on its way, up to a bound."""
+    """Notes how long each item was in flight, for a bounded number of items."""
 
     def __init__(self, progress: RunCounters, reader: int, item_bytes: int, deadline_s: float) -> None:
         super().__init__(progress, reader, item_bytes, deadline_s)
@@ -84,7 +84,7 @@ class Answers(Counting):
 
 
 class Operations:
-    """Turns of one operation: counts them, and notes how long each took, up to a bound."""
+    """Counts the turns of one operation, and notes how long each took, for a bounded number of turns."""
 
     def __init__(self, progress: RunCounters, answers: Answers, items: int) -> None:
         self._progress, self._answers, self._items = progress, answers, items

@@ -1,4 +1,4 @@
-"""What a comparison found, as Markdown, JSON and charts."""
+"""Writes the results of a comparison as Markdown, JSON and charts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Report:
     tables: list[tuple[str, Table]] = field(default_factory=list)
 
     def table(self, results: Results, work: Work) -> Table:
-        """All systems that did the work: times or rates, CPU time, what was lost, and how they compare."""
+        """Return the table of all systems that did the work: times or rates, CPU time, losses, and the comparison."""
         times = [] if work.kind == "stream" else ["p50, us", "p99, us", "p99.9, us"]
         columns = [work.title, *times, "items/s", "CPU us/item"]
         columns += [] if work.is_operation else ["lost, %"]
@@ -115,7 +115,7 @@ class Report:
         )
 
     def values(self, results: Results) -> dict[str, object]:
-        """The same as data, every run of it."""
+        """Return the same results as data, with every run."""
         return {
             "command": self.command,
             "machine": dict(self.machine),

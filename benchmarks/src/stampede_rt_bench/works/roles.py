@@ -1,4 +1,4 @@
-"""What each process of a run does: operate, publish or read."""
+"""The work of each process of a run: operate, publish or read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stampede_rt_bench.works.run_counters import RunCounters
 
 
 class Assignment(NamedTuple):
-    """What every process of a run is told."""
+    """The instructions for every process of a run."""
 
     system: System
     served: Served
@@ -30,7 +30,7 @@ class Assignment(NamedTuple):
 
 
 class WorkerOutcome(NamedTuple):
-    """What a process tells at its end: its measured times in nanoseconds, or why it failed."""
+    """The report of a process at its end: its measured times in nanoseconds, or why it failed."""
 
     nanos: array[int]
     failure: str = ""
@@ -40,7 +40,7 @@ Role = Callable[[Assignment, int, Client], "array[int]"]
 
 
 def play(role: Role, assignment: Assignment, number: int, results: Connection) -> None:
-    """The whole life of a process: connect, work, tell the outcome."""
+    """Run a process: connect, do the work, report the outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C the first process ends this one
     os.environ.update(assignment.served.environment)
     try:

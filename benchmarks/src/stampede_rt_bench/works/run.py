@@ -1,4 +1,4 @@
-"""One run: a fresh server, the processes of the work, a time in steady state that is measured."""
+"""One run: starts a new server and the processes of the work, and measures for a time in steady state."""
 
 from __future__ import annotations
 
@@ -27,12 +27,15 @@ PRELOADED = ["stampede_rt", "grpc", "grpc.aio", "stampede_rt_bench.works.roles",
 
 
 class RunFailed(Exception):
-    """A process of a run failed, or did not come to its end; the text says which."""
+    """A process of a run failed, or did not end; the text says which."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """What one run showed. Times are of an operation, or from put to reader; the last three are 0 at full speed."""
+    """The results of one run.
+
+    Times are those of an operation, or from put to reader; the last three are 0 at full speed.
+    """
 
     seconds: float
     items_per_second: float
@@ -44,7 +47,7 @@ class Measured:
 
 
 def share(ordered: array[int] | list[int], part: float) -> float:
-    """The value below which that part of the ordered ones is, in microseconds; 0 of none."""
+    """Return the value below which `part` of the ordered values lie, in microseconds; 0 without values."""
     return ordered[min(len(ordered) - 1, int(part * len(ordered)))] / NANOS_PER_US if len(ordered) else 0.0
 
 
@@ -153,7 +156,7 @@ class _Team:
             time.sleep(0.01)
 
     def finish(self) -> list[WorkerOutcome]:
-        """End the work: first the publisher, then, once all is read or nothing comes for a second, the readers."""
+        """End the work: first the publisher; then the readers, once all items are read or none comes for a second."""
         progress, work = self._assignment.progress, self._assignment.work
         progress.stop_publishing()
         publisher = [] if work.is_operation else [self._accept(self._members[0][1])]

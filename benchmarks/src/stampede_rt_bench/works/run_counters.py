@@ -1,4 +1,4 @@
-"""Counters that the processes of one run share, beside the system that is measured."""
+"""Counters that the processes of one run share, independent of the measured system."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _ENDED, _STOPPED, _MEASURED, _PUBLISHED, _READERS = range(5)
 
 
 class RunCounters:
-    """Whether the run is measured and has ended, how many items the publisher sent, and how many each reader has.
+    """Shared values: whether the run is measured or has ended, and the items of the publisher and of each reader.
 
     Words are 8 bytes, aligned, and each has one writer. The words of readers that are ready follow their counts.
     """
@@ -21,11 +21,11 @@ class RunCounters:
         self._readers = readers
 
     def measure(self, on: bool) -> None:
-        """Begin or end the time whose operations and items count."""
+        """Begin or end the time in which operations and items count."""
         self._words[_MEASURED] = on
 
     def measured(self) -> bool:
-        """Whether what happens now counts."""
+        """Whether operations and items count now."""
         return bool(self._words[_MEASURED])
 
     def stop_publishing(self) -> None:
@@ -65,7 +65,7 @@ class RunCounters:
         return list(self._words[_READERS : _READERS + self._readers])
 
     def received_by_each(self) -> int:
-        """What the slowest reader has."""
+        """The number of items that the slowest reader has."""
         return int(min(self._words[_READERS : _READERS + self._readers]))
 
     def set_ready(self, reader: int) -> None:

@@ -1,4 +1,4 @@
-"""The certificates of a cluster on this machine: an authority in a folder, and what it issues for each part."""
+"""The certificates of a cluster on this machine: an authority in a folder, and a certificate for each part."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
 
 class ClusterCertificates:
-    """Makes its authority at once. `folder` is made, for this user only; services are called at `host`."""
+    """Makes an authority and `folder`, which only this user can read.
+
+    `host`: the name at which callers reach services.
+    """
 
     def __init__(self, folder: Path, *, host: str = "localhost", cluster: str = CLUSTER) -> None:
         self.folder = folder
@@ -33,13 +36,13 @@ class ClusterCertificates:
         return self.folder / "ca.pem"
 
     def take_over(self) -> Issued:
-        """A new authority issues from now on; the former ones stay trusted."""
+        """Use a new authority from now on. All parts still trust the former ones."""
         self._authority = make_authority(self._cluster, now=datetime.now(UTC), lifetime=LIFETIME)
         self._trust([*self._trusted, self._authority.certificate])
         return self._authority
 
     def forget_former(self) -> None:
-        """Only the newest authority is trusted from now on."""
+        """Let all parts trust only the newest authority from now on."""
         self._trust([self._authority.certificate])
 
     def _trust(self, authorities: list[bytes]) -> None:
@@ -51,7 +54,7 @@ class ClusterCertificates:
     def issue(
         self, role: Role, name: str, *, begins: datetime | None = None, lifetime: timedelta = LIFETIME
     ) -> TlsFiles:
-        """A certificate for that part, in the place of its former one. `begins`: now, unless told."""
+        """Issue a certificate for that part, which replaces its former one. `begins`: now by default."""
         identity = Identity(self._cluster, role, name)
         now = begins or datetime.now(UTC)
         made = issue(self._authority, identity, self._addresses, now=now, lifetime=lifetime)

@@ -18,18 +18,18 @@ from stampede_rt_runtime.identity import Role
 from stampede_rt_runtime.values import Address, parse_address
 
 _TITLES = {Role.SUPERNODE: "supernode", Role.FRONTEND: "front-end", Role.HOST: "host"}
-READY_SECONDS = 40.0  # a quiet machine needs 1 to 2, a busy one may need 10
+READY_SECONDS = 40.0  # an idle machine needs 1 to 2, a busy one may need 10
 
 
 class LocalCluster:
-    """Use as a context manager: everything is ready inside, and gone after it.
+    """A cluster of processes. A context manager: all services are ready inside the block, and ended after it.
 
-    `listen` is the first front-end's address; the others and all other services take free ports of the same host.
-    If `durable`, supernodes keep their log and hosts their identity in `folder`, and can be restarted. `folder` is a
-    temporary one unless named, None if nothing needs it; `secret_file` is made in it unless named. With `tls` all ports
-    ask for certificates (`certificates`, `tls_files`), and for the secret only if `secret_file` is named. The first
-    hosts run in the namespaces of `host_namespaces`, from where `listen` must be reachable; not with `tls`, whose
-    certificates are of one address. `on_line` and `on_exit`: see ServiceProcess.
+    `listen` is the first front-end's address. All other services take free ports of the same host. If `durable`,
+    supernodes keep their log and hosts their identity in `folder`, and can be restarted. By default `folder` is a
+    temporary one; it is None if no service needs it. By default `secret_file` is made in it. With `tls` all ports ask
+    for certificates (`certificates`, `tls_files`), and for the secret only if `secret_file` is given. The first hosts
+    run in the namespaces `host_namespaces`, which must reach `listen`. These cannot be used with `tls`, because its
+    certificates are for one address. `on_line` and `on_exit`: see ServiceProcess.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class LocalCluster:
             raise ValueError(
                 "certificates are of one address, and host_namespaces have several; leave out one of the two"
             )
-        # In memory and with the user's own secret nothing is written, so that even SIGKILL leaves no folder behind.
+        # A cluster in memory with the user's own secret writes no files. So even after SIGKILL no folder is left.
         self._temporary = folder is None and (durable or tls or secret_file is None)
         self.folder = Path(tempfile.mkdtemp(prefix="stampede-")) if self._temporary else folder
         self.secret: Secret = make_secret_file(secret_file or self._inside("secret"))
@@ -78,24 +78,24 @@ class LocalCluster:
 
     @property
     def address(self) -> str:
-        """What clients are given: the front-ends, comma-separated."""
+        """The address for clients: the front-ends, comma-separated."""
         return ",".join(self._frontend_addresses)
 
     @property
     def secret_file(self) -> Path:
-        """Where clients find the secret (`$STAMPEDE_SECRET_FILE`)."""
+        """The file of the secret, for clients (`$STAMPEDE_SECRET_FILE`)."""
         return self.secret.path
 
     def tls_files(self, name: str = "somebody", role: Role = Role.CLIENT) -> TlsFiles | None:
-        """A certificate for a caller, made anew; None without `tls`."""
+        """Return a new certificate for a caller; None without `tls`."""
         return self.certificates.issue(role, name) if self.certificates else None
 
     def processes(self) -> Iterator[ServiceProcess]:
-        """All of them, hosts first: the order in which they can be stopped without errors in their logs."""
+        """Yield all processes, hosts first. In this order they can be stopped without errors in their logs."""
         yield from (*self.hosts, *self.frontends, *self.supernodes)
 
     def start(self, timeout: float = READY_SECONDS) -> None:
-        """Start everything at once and wait until all of it is ready. Raises ServiceFailed, with nothing left over."""
+        """Start all services, and wait until they are ready. If one fails, ends all and raises ServiceFailed."""
         deadline = time.monotonic() + timeout
         try:
             for process in reversed(list(self.processes())):
@@ -110,7 +110,7 @@ class LocalCluster:
             raise
 
     def stop(self) -> None:
-        """Stop everything that runs, hosts first, and remove the temporary folder. Bounded; idempotent."""
+        """Stop all services, hosts first, and remove the temporary folder. Takes a limited time. Idempotent."""
         for group in (self.hosts, self.frontends, self.supernodes):
             for process in group:
                 process.ask_to_stop()
@@ -142,7 +142,7 @@ class LocalCluster:
         return ["--data-dir", str(self._inside(name))] if self._durable else []
 
     def _first_dead(self) -> ServiceProcess | None:
-        """A supernode that died explains a host that is not ready, not the other way round."""
+        """Return the first dead service, supernodes first: one may be why a host is not ready."""
         return next((one for one in reversed(list(self.processes())) if one.ended), None)
 
     def _has_lost_one(self) -> bool:

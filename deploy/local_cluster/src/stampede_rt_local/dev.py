@@ -98,7 +98,7 @@ def _run(settings: DevSettings, began: float) -> int:
     ready = threading.Event()
 
     def pass_on(process: ServiceProcess, line: str) -> None:
-        if ready.is_set():  # while they start, services complain of each other
+        if ready.is_set():  # during the start, services log errors about each other
             print(escaped(f"{process.name}: {line}"), file=sys.stderr)
 
     cluster = LocalCluster(

@@ -1,4 +1,4 @@
-"""Machines that are none: network namespaces on a bridge, each with an address of its own (Linux, root, iproute2)."""
+"""Simulated machines: network namespaces on a bridge, each with its own address (Linux, root, iproute2)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from types import TracebackType
 from typing import Self
 
 CLONE_NEWNET = 0x40000000  # sched.h
-NETWORKS = IPv4Network("198.18.0.0/15")  # kept for tests (RFC 2544): no machine beside this one has such an address
+NETWORKS = IPv4Network("198.18.0.0/15")  # reserved for tests (RFC 2544), so no other machine has such an address
 PREFIX_BITS, NAMESPACES_MAX = 27, 29
 NETWORKS_MAX = 1 << PREFIX_BITS - NETWORKS.prefixlen
 
 
 def unavailable_because() -> str | None:
-    """Why namespaces cannot be used here, or None."""
+    """Return why namespaces cannot be used here; None if they can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     if shutil.which("ip") is None:
@@ -33,18 +33,21 @@ def unavailable_because() -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class NetworkNamespace:
-    """One namespace: its name, and the address of what runs in it."""
+    """One namespace: its name, and the address of the processes in it."""
 
     name: str
     outer_link: str
     address: str
 
     def command(self, *words: str) -> list[str]:
-        """The same command, to be run inside; its process id is that of the command itself."""
+        """Return the command that runs `words` inside. It has the process id of the command itself."""
         return ["ip", "netns", "exec", self.name, *words]
 
     def enter(self) -> None:
-        """Put the calling thread, and those that it starts from now on, inside; sockets made before stay outside."""
+        """Move the calling thread, and the threads that it starts later, into the namespace.
+
+        Earlier sockets stay outside.
+        """
         descriptor = os.open(f"/run/netns/{self.name}", os.O_RDONLY)
         try:
             if ctypes.CDLL(None, use_errno=True).setns(descriptor, CLONE_NEWNET) != 0:
@@ -54,10 +57,10 @@ class NetworkNamespace:
 
 
 class NamespaceNetwork:
-    """`size` namespaces that reach each other and this process. Use as a context manager; leaves nothing behind.
+    """`size` namespaces that reach each other and this process. A context manager, which removes all of them.
 
-    `address` is this process's own on the bridge. There may be NAMESPACES_MAX namespaces. Their names and addresses are
-    certain once it is entered: the kernel lets only one bridge have a name, so no two networks share one.
+    `address` is that of this process on the bridge. There may be NAMESPACES_MAX namespaces. Their names and addresses
+    are chosen when the context begins. Two networks never share a bridge, because its name is unique in the kernel.
     """
 
     def __init__(self, size: int) -> None:
@@ -76,7 +79,7 @@ class NamespaceNetwork:
         ]
 
     def _claim(self) -> None:
-        """Make the bridge of the first network that nobody has. Raises OSError."""
+        """Make the bridge of the first free network. Raises OSError."""
         for step in range(NETWORKS_MAX):
             self._choose((os.getpid() + step) % NETWORKS_MAX)
             command = ["ip", "link", "add", self._bridge, "type", "bridge"]
@@ -108,7 +111,7 @@ class NamespaceNetwork:
         self.close()
 
     def close(self) -> None:
-        """Take everything down; what was not made yet is passed over."""
+        """Remove everything that was made."""
         if not self._is_made:
             return
         for namespace in self.namespaces:
@@ -128,12 +131,12 @@ class NamespaceNetwork:
 
 
 def ip(*words: str) -> None:
-    """Run `ip`. Raises OSError with what it said if it fails."""
+    """Run `ip`. If it fails, raises OSError with its output."""
     run(["ip", *words])
 
 
 def run(command: list[str], *, check: bool = True) -> bool:
-    """Whether the command succeeded; with `check`, raises OSError with what it said if not."""
+    """Run a command. Returns whether it succeeded; with `check`, raises OSError with its output if it failed."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if check and done.returncode != 0:
         raise OSError(f"{' '.join(command)} failed: {done.stderr.strip()}")

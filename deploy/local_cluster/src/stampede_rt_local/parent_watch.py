@@ -1,8 +1,8 @@
 """Runs a service that ends with the process that started it: `python -m stampede_rt_local.parent_watch MODULE ...`.
 
-Standard input is a pipe whose other end only the parent holds. The kernel closes it however the parent ends, SIGKILL
-included, and then the service ends. (Linux's PR_SET_PDEATHSIG fires when the *thread* that forked ends, and
-other systems have nothing like it.)
+Standard input is a pipe, and only the parent has its other end. When the parent ends in any way, also by SIGKILL, the
+kernel closes the pipe, and the service ends. (Linux's PR_SET_PDEATHSIG acts when the *thread* that forked ends, and
+other systems do not have it.)
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import signal
 import sys
 import threading
 
-GRACE_SECONDS = 5.0  # more than a service needs to stop in order
+GRACE_SECONDS = 5.0  # longer than a service needs to stop
 
 
 def _end_with_parent() -> None:
-    while os.read(0, 4096):  # until end of file; nobody writes
+    while os.read(0, 4096):  # until end of file; the parent writes nothing
         pass
     killer = threading.Timer(GRACE_SECONDS, os.kill, (os.getpid(), signal.SIGKILL))
     killer.daemon = True
@@ -26,7 +26,7 @@ def _end_with_parent() -> None:
 
 
 def main() -> None:
-    """Become the module named first, with the other words as its arguments."""
+    """Run the module in the first argument, with the other arguments."""
     _, module, *arguments = sys.argv
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
     sys.argv = [module, *arguments]

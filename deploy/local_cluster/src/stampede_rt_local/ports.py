@@ -5,16 +5,15 @@ from __future__ import annotations
 import random
 import socket
 
-# Below every system's ephemeral range (Linux: 32768 up), so that no outgoing connection can take the port meanwhile.
+# Below the ephemeral range of every system (Linux: from 32768 on), so that no outgoing connection takes the port.
 _LOWEST, _HIGHEST = 15_000, 32_000
 _TRIES_MAX = 200
 
 
 def free_ports(count: int, host: str = "localhost", *, besides: int = 0) -> list[int]:
-    """`count` different ports that are free at `host` now, none of them `besides`.
+    """Return `count` different ports that are free at `host` now, without `besides`.
 
-    They are drawn at random, so that clusters side by side seldom meet.
-    Raises OSError if there are none.
+    They are random, so that clusters at the same time seldom use the same ports. Raises OSError if there are none.
     """
     found: list[int] = []
     for port in random.sample(range(_LOWEST, _HIGHEST), _TRIES_MAX):

@@ -1,4 +1,4 @@
-"""One service as a child process: started, waited for, watched, stopped; its last words kept."""
+"""One service as a child process: starts it, waits for it, watches it, stops it, and keeps its last lines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stampede_rt_local.namespaces import NetworkNamespace
 LAST_LINES_MAX = 50
 LINE_CHARS_MAX = 4096
 LOOK_SECONDS = 0.25
-STOP_SECONDS = 6.0  # more than a service's own bound for its drain (2 * 2 s)
+STOP_SECONDS = 6.0  # longer than a service may drain (2 * 2 s)
 _READY = re.compile(r"stampede \S+(?: \S+)? ready on (\S+)\s*")
 
 
@@ -28,11 +28,11 @@ class ServiceFailed(Exception):
 
 
 class ServiceProcess:
-    """A service of this machine. Ends with this process, however that ends.
+    """A service on this machine. It ends when this process ends, in any way.
 
-    `name` is for people; `module` is run as `python -m`. `on_line` hears of each line that the process prints once it
-    is ready, `on_exit` of each end of the process, wanted or not; both are called on a thread of their own and must not
-    block. It runs in `namespace`, if one is given. Not to be used by several threads at once.
+    `name` is for people; `module` is run as `python -m`. `on_line` is called with each line that the process prints
+    after it is ready, and `on_exit` at each end of the process. Both are called on a separate thread and must not
+    block. The process runs in `namespace`, if one is given. Only one thread at a time may use the object.
     """
 
     def __init__(
@@ -55,17 +55,17 @@ class ServiceProcess:
 
     @property
     def alive(self) -> bool:
-        """The process is running (it may be paused, or not ready yet)."""
+        """Whether the process runs. It may be paused, or not ready yet."""
         return self._run is not None and self._run.popen.poll() is None
 
     @property
     def ended(self) -> bool:
-        """It was started and does not run any more."""
+        """Whether it was started and does not run any more."""
         return self._run is not None and not self.alive
 
     @property
     def address(self) -> str:
-        """Where it said it listens. Raises ServiceFailed before `wait_ready` has returned."""
+        """The address in its ready line. Raises ServiceFailed before `wait_ready` has returned."""
         if self._run is None or self._run.address is None:
             raise ServiceFailed(f"{self.name} is not ready yet")
         return self._run.address
@@ -77,19 +77,19 @@ class ServiceProcess:
 
     @property
     def exit_code(self) -> int | None:
-        """Of the last start; None while it runs; negative: the number of the signal that ended it."""
+        """The exit status of the last start. None while it runs; negative: the number of the signal that ended it."""
         return self._started().popen.poll()
 
     @property
     def last_lines(self) -> list[str]:
-        """What it printed last, standard error included; LAST_LINES_MAX lines at most."""
+        """Return its last lines, also of standard error; at most LAST_LINES_MAX."""
         return list(self._run.lines) if self._run else []
 
     def start(self) -> None:
         """Start the process and return at once; `wait_ready` waits for it."""
         if self.alive:
             raise ServiceFailed(f"{self.name} is running already, as process {self.pid}")
-        # -P: modules of the folder that the user happens to be in must not stand in for ours.
+        # With -P Python does not import modules of the user's present folder instead of ours.
         command = [sys.executable, "-P", "-m", "stampede_rt_local.parent_watch", self._module, *self.arguments]
         if self._namespace is not None:
             command = self._namespace.command(*command)
@@ -98,7 +98,7 @@ class ServiceProcess:
     def wait_ready(self, timeout: float, *, unless: Callable[[], bool] = lambda: False) -> str:
         """Wait for the ready line, `timeout` seconds at most, and return the address in it.
 
-        Raises ServiceFailed, and soon once `unless` holds, which is looked at now and then.
+        Raises ServiceFailed after that time, or soon after `unless` returns True.
         """
         run = self._started()
         deadline = time.monotonic() + timeout
@@ -112,13 +112,13 @@ class ServiceProcess:
         raise ServiceFailed(self._story(f"ended with exit code {run.popen.returncode} before it was ready"))
 
     def kill(self) -> None:
-        """End it as a crash does (SIGKILL), and wait until it is gone. Nothing happens if it is not running."""
+        """End it with SIGKILL, like a crash, and wait for its end. Does nothing if it does not run."""
         if self._run is not None:
             self._run.signal(signal.SIGKILL)
             self._run.wait(STOP_SECONDS)
 
     def stop(self) -> None:
-        """End it in order (SIGTERM); after STOP_SECONDS, by SIGKILL. Nothing happens if it is not running."""
+        """End it with SIGTERM; after STOP_SECONDS with SIGKILL. Does nothing if it does not run."""
         if self._run is not None:
             self._run.ask_to_stop()
             self._run.wait(STOP_SECONDS)
@@ -135,7 +135,7 @@ class ServiceProcess:
         return self.wait_ready(timeout)
 
     def pause(self) -> None:
-        """Freeze it (SIGSTOP): it keeps its connections and says nothing, as on a stalled machine."""
+        """Freeze it with SIGSTOP. It keeps its connections and sends nothing, as on a machine that hangs."""
         self._started().signal(signal.SIGSTOP)
 
     def resume(self) -> None:
@@ -143,7 +143,7 @@ class ServiceProcess:
         self._started().signal(signal.SIGCONT)
 
     def describe_end(self) -> str:
-        """For people: that it ended, how, and its last lines."""
+        """Return a text for people: that it ended, how, and its last lines."""
         return self._story(f"ended with exit code {self.exit_code}")
 
     def _hear_line(self, line: str) -> None:
@@ -165,7 +165,7 @@ class ServiceProcess:
 
 
 class _Run:
-    """One life of the process, with a thread that reads what it prints until its end."""
+    """One run of the process, with a thread that reads its output until its end."""
 
     def __init__(self, command: list[str], on_line: Callable[[str], None], on_exit: Callable[[], None]) -> None:
         self.address: str | None = None
@@ -180,25 +180,25 @@ class _Run:
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             env=_environment(),
-            process_group=0,  # Ctrl-C at the terminal comes to us alone, and we stop the services in order
+            process_group=0,  # only this process gets Ctrl-C of the terminal, and then stops the services
         )
         self._reader = threading.Thread(target=self._read, name=f"read {self.popen.pid}", daemon=True)
         self._reader.start()
 
     def signal(self, number: signal.Signals) -> None:
-        """Send a signal; nothing happens if the process is gone."""
+        """Send a signal. Does nothing if the process has ended."""
         with contextlib.suppress(ProcessLookupError):
             self.popen.send_signal(number)
 
     def ask_to_stop(self) -> None:
-        """Send SIGTERM, once: a service takes the second one as a wish to cut its drain."""
+        """Send SIGTERM only once, because a second one would make the service stop its drain."""
         if not self._asked:
             self._asked = True
             self.signal(signal.SIGTERM)
-            self.signal(signal.SIGCONT)  # a paused process hears nothing else
+            self.signal(signal.SIGCONT)  # a paused process gets no other signal
 
     def wait(self, timeout: float) -> None:
-        """Wait for the end; after `timeout` seconds send SIGKILL. Everything that it printed is read then."""
+        """Wait for the end; after `timeout` seconds send SIGKILL. When this returns, its whole output is read."""
         try:
             self.popen.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -229,5 +229,5 @@ def _lines(output: IO[bytes]) -> Iterator[str]:
 
 
 def _environment() -> dict[str, str]:
-    """This process's environment without our own variables: what a service is told comes from its arguments alone."""
+    """Return this process's environment without our variables: a service's settings come only from its arguments."""
     return {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
