@@ -1,4 +1,4 @@
-"""Every test of this folder runs on the core in memory and over gRPC, synchronous and asynchronous."""
+"""Every test of this folder runs on the core in memory, and over gRPC with the blocking and the asyncio client."""
 
 from __future__ import annotations
 

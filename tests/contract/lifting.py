@@ -1,4 +1,4 @@
-"""Blocking queues and their messages behind the awaitable face of `stampede_rt.aio`."""
+"""Wraps blocking queues and their messages, so that tests can await them like those of `stampede_rt.aio`."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _LIFTED = (
 
 
 def lifted(value: Any, pool: ThreadPoolExecutor | None) -> Any:
-    """`value` with awaitable methods; without a pool it has them already."""
+    """Return `value` with awaitable methods. Without a pool it already has them."""
     return Lifted(value, pool) if pool is not None and isinstance(value, _LIFTED) else value
 
 
 class Lifted:
-    """A blocking object whose methods are awaited, and give such objects again."""
+    """A blocking object with awaitable methods. They return wrapped objects, too."""
 
     def __init__(self, wrapped: Any, pool: ThreadPoolExecutor) -> None:
         self._wrapped = wrapped
@@ -64,7 +64,7 @@ class Lifted:
 
 
 def _plain(argument: Any) -> Any:
-    """What the client knows: its own objects, not those that await them."""
+    """Return the client's own object, without the wrapper."""
     if isinstance(argument, list):
         return [_plain(one) for one in argument]
     return argument._wrapped if isinstance(argument, Lifted) else argument

@@ -1,4 +1,4 @@
-"""The surface of a channel straight on the pure core: no network, no process, the same bytes."""
+"""The methods of a channel, directly on the pure core: without network and processes, with the same bytes."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LIMIT_BYTES = 1 << 20
 
 
 class MemoryConnection:
-    """Opens channels that live in this object, and in those that have joined it."""
+    """Opens channels in the memory of this object. Objects that have joined it share them."""
 
     def __init__(self, joins: MemoryConnection | None = None) -> None:
         self._channels: dict[str, MemoryChannel] = joins._channels if joins else {}
@@ -70,7 +70,7 @@ class MemoryChannel:
         self._line: deque[asyncio.Event] = deque()  # of puts
 
     def seen_by(self, consumer_id: int) -> MemoryChannel:
-        """The same channel, in the hands of another participant."""
+        """Return the same channel for another consumer."""
         handle = copy.copy(self)
         handle._consumer_id = consumer_id
         return handle
@@ -125,7 +125,7 @@ class MemoryChannel:
         return self._items([Slice(outcome.run, 0, 1)], None, payloads=True)[0]
 
     async def _put(self, offer: Offer, seal: Any, timeout: float | None) -> PutOutcome:
-        """Behind a put that waits, all wait."""
+        """Put after all puts that wait already."""
         deadline = None if timeout is None else st.now() + round(timeout * 1e9)
         event = asyncio.Event()
         self._line.append(event)
@@ -248,7 +248,7 @@ class MemoryChannel:
         return advanced
 
     async def stats(self) -> st.ChannelStats:
-        await asyncio.sleep(0)  # let those who were just woken run
+        await asyncio.sleep(0)  # let the tasks run that were just woken
         counters = self.core.counters(st.now())
         names = {"TOO_OLD": "too_old", "IN_FUTURE": "in_future", "ITEM_TOO_LARGE": "too_large", "CHANNEL_FULL": "full"}
         return st.ChannelStats(

@@ -1,4 +1,4 @@
-"""One awaitable face for every way to reach a channel, so that one suite holds for all of them."""
+"""Gives both clients and the core in memory the same awaitable methods, so that one suite tests all of them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _names = itertools.count()
 
 
 class Blocking:
-    """A blocking object whose methods are awaited, each in a thread of a pool of its own."""
+    """A blocking object with awaitable methods. Each call runs in a thread of the object's pool."""
 
     def __init__(self, wrapped: Any, pool: ThreadPoolExecutor) -> None:
         self._wrapped = wrapped
@@ -42,14 +42,14 @@ class Blocking:
 
 
 def _bare(argument: Any) -> Any:
-    """What the client knows: its own objects, not those that await them."""
+    """Return the client's own object, without the wrapper."""
     if isinstance(argument, list):
         return [_bare(one) for one in argument]
     return argument._wrapped if isinstance(argument, Blocking) else argument
 
 
 class BlockingGroup(Blocking):
-    """A group; its descriptors are awaited, too."""
+    """A group. Its descriptors have awaitable methods, too."""
 
     def __getitem__(self, channel: Any) -> Blocking:
         return Blocking(self._wrapped[_bare(channel)], self._pool)
@@ -99,7 +99,7 @@ class BlockingProducer(Blocking):
 
 
 class Surface:
-    """Opens channels of names that no other test has."""
+    """Opens channels with names that no other test uses."""
 
     def __init__(self, connection: Any, pool: ThreadPoolExecutor | None = None) -> None:
         self.connection = Blocking(connection, pool) if pool else connection
@@ -118,14 +118,14 @@ class Surface:
 
 
 async def take(items: AsyncIterator[Any], count: int) -> list[Any]:
-    """The next `count` items, within 10 s."""
+    """Return the next `count` items. Waits for at most 10 s."""
     async with asyncio.timeout(10):
         return [await anext(items) for _ in range(count)]
 
 
 @asynccontextmanager
 async def connected(client: str, address: str) -> AsyncIterator[Surface]:
-    """A cluster, over the `client` "aio" or "sync"."""
+    """Yield a connection to a cluster, with the `client` "aio" or "sync"."""
     if client == "aio":
         async with aio.connect(address) as connection:
             yield Surface(connection)

@@ -1,6 +1,6 @@
-"""Rules of access, verb by verb and with both clients: denied without a rule, done with it, ended when it goes.
+"""Rules of access, for each verb and with both clients: a call is denied without a rule and succeeds with one.
 
-The core in memory knows no callers, so these tests run over gRPC alone.
+When the rule is removed, open streams end. The core in memory knows no callers, so these tests run only over gRPC.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def operator(cluster: LocalCluster) -> Iterator[Operator]:
 
 @dataclass
 class Scene:
-    """A client whom rules judge (`rt`), one whom they do not (`own`), and the place of the things that they use.
+    """A client to which rules apply (`rt`), one to which they do not (`own`), and the things that they use.
 
-    `proves`: what a connection of a caller of that name is given; "": of one whom rules do not judge.
+    `proves`: returns the arguments of a connection for a caller of that name; "": for a caller without rules.
     """
 
     operator: Operator
@@ -54,7 +54,7 @@ class Scene:
         a, b = [await self.own.channel(self.name(thing), consumers=2) for thing in ("a", "b")]
         await self.own.group(self.name("pair"), [a, b])
         await self.own.queue(self.name("jobs"))
-        await self.allow("list", "channel", "*")  # which gives no verb but lets a client find them
+        await self.allow("list", "channel", "*")  # this verb gives no other right, but lets a client find the things
 
     def name(self, thing: str) -> str:
         return f"access/{self.who}/{thing}"
@@ -63,7 +63,7 @@ class Scene:
         await asyncio.to_thread(self.operator.add, self.who, verb, self.name(thing), "--kind", kind)
 
     async def forbid(self, verb: str, kind: str, thing: str) -> None:
-        """Take back what was allowed."""
+        """Remove the rule that `allow` added."""
         await asyncio.to_thread(self.operator.rm, self.who, verb, self.name(thing), "--kind", kind)
 
     async def channel(self, thing: str = "a") -> Any:
@@ -76,13 +76,13 @@ class Scene:
         return await self.rt.group(self.name("pair"))
 
     async def other_peer(self) -> Any:
-        """A peer of somebody else."""
+        """Return a peer of another caller."""
         if self._other is None:
             self._other = await self.connect(name=self.name("other"))
         return self._other
 
     async def peer(self) -> Any:
-        """Another connection of the same caller, which bears the peer's name."""
+        """Return another connection of the same caller, with the peer's name."""
         peer = await self.connect(self.who, name=self.name("peer"))
         await peer.mailbox.get(timeout=0)
         return peer
@@ -90,7 +90,7 @@ class Scene:
 
 @asynccontextmanager
 async def prepared(client: str, operator: Operator, proves: Callable[[str], dict[str, Any]]) -> AsyncIterator[Scene]:
-    """A scene for the `client` "aio" or "sync"."""
+    """Yield a scene for the `client` "aio" or "sync"."""
     with ThreadPoolExecutor(16) as pool:
         rig = Rig(operator.cluster.address, pool if client == "sync" else None)
         scene = Scene(operator, rig, proves)
@@ -185,7 +185,7 @@ async def test_each_verb_is_denied_without_a_rule_and_done_with_it(scene: Scene,
 
 
 async def begun(scene: Scene, opening: Any) -> Awaitable[Any]:
-    """The next thing that a stream tells, once the stream is open."""
+    """Return an awaitable of the next value of a stream, once the stream is open."""
     stream = await opening if inspect.isawaitable(opening) else opening
     await stream.__aenter__()
     return asyncio.ensure_future(anext(aiter(stream)))

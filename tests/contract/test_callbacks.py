@@ -20,7 +20,7 @@ pytestmark = pytest.mark.parametrize("surface", ["aio", "sync"], indirect=True)
 
 
 class Called:
-    """A function that remembers what it was called with, whichever thread or task calls it."""
+    """A function that notes its arguments. Any thread or task may call it."""
 
     def __init__(self, then: Callable[[Any], Any] = lambda _: None) -> None:
         self.values: list[Any] = []

@@ -1,4 +1,4 @@
-"""Items that go by consumption, and the window that follows the slowest consumer, on every surface."""
+"""Items that leave after consumption, and the window that follows the slowest consumer, on every surface."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tests.contract.surfaces import Surface
 
 
 class Team:
-    """Three participants, each with a connection of its own."""
+    """Three consumers, each with its own connection."""
 
     def __init__(self, surfaces: list[Surface], close: str) -> None:
         self._surfaces = surfaces
         self._close = close
 
     async def open(self, **policy: Any) -> list[Any]:
-        """One channel, as each of them holds it."""
+        """Open one channel; return each consumer's handle of it."""
         first = await self._surfaces[0].channel(**policy)
         return [first, *[await one.channel(first.name) for one in self._surfaces[1:]]]
 

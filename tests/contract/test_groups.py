@@ -1,4 +1,4 @@
-"""Groups and cross-sections on real hosts, by both clients: what one process sets up, every other finds."""
+"""Groups and cross-sections on real hosts, with both clients. Every process finds a group that another one makes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ async def surface(request: pytest.FixtureRequest, grouped_cluster: LocalCluster)
 
 
 async def two_channels(surface: Surface, **policy: Any) -> tuple[Any, Any]:
-    """One at each host."""
+    """Return two channels, one at each host."""
     hosts = await surface.connection.hosts()
     left, right = [await surface.channel(host=host.name, **({"max_age": "60s"} | policy)) for host in hosts]
     return left, right
@@ -151,7 +151,7 @@ async def test_a_cross_section_of_an_empty_reference_says_why(surface: Surface) 
 
 
 async def in_step(surface: Surface, **settings: Any) -> tuple[Any, Any, Any, int]:
-    """Two channels at two hosts, their group, and a time ten seconds ago."""
+    """Return two channels at two hosts, their group, and a time ten seconds ago."""
     left, right = await two_channels(surface)
     return await surface.group(group_name(), [left, right], **settings), left, right, st.now() - 10 * SECOND
 
@@ -176,7 +176,8 @@ async def test_a_get_of_the_group_takes_one_cut_on_all_hosts(surface: Surface) -
     for channel in (left, right):
         for number in range(3):
             await channel.put(b"%d" % number, time=base + number * SECOND)
-    await group[left].get(base + SECOND, base + SECOND, match="start", timeout=10)  # the cut has come so far
+    # Waits until the cut has reached this time.
+    await group[left].get(base + SECOND, base + SECOND, match="start", timeout=10)
     await group[right].get(base + SECOND, base + SECOND, match="start", timeout=10)
     found = await group.get(base, base + 9 * SECOND, match="start")
     assert {items.cut for items in found.values()} == {base + 2 * SECOND}
@@ -232,7 +233,7 @@ async def test_a_cut_event_brings_each_item_once_and_late_ones_apart(surface: Su
 
 
 async def event_at(cuts: Any, time: int) -> dict[str, list[bytes]]:
-    """All that the events up to the cut at `time` bring, by channel; late ones under "late"."""
+    """Return all items of the events up to the cut at `time`, by channel; late items have the key "late"."""
     brought: dict[str, list[bytes]] = {"late": []}
     while True:
         (cut,) = await take(cuts, 1)

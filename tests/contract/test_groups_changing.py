@@ -1,4 +1,4 @@
-"""Groups that others change while they are read, by both clients."""
+"""Groups that other processes change during reads, with both clients."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ async def surface(request: pytest.FixtureRequest, grouped_cluster: LocalCluster)
 
 @pytest.fixture
 async def other(grouped_cluster: LocalCluster) -> AsyncIterator[aio.Connection]:
-    """Another process, as far as the cluster can tell."""
+    """Yield another connection, which looks like another process to the cluster."""
     async with aio.connect(grouped_cluster.address) as connection:
         yield connection
 
@@ -188,7 +188,7 @@ async def test_what_is_under_way_goes_on_over_broken_streams_without_a_gap_or_a_
             await put_all([left, right], base + step * SECOND)
             times["items"] += [item.time for item in await take(items, 1)]
             times["cuts"] += [item.time for cut in await take(cuts, 1) for item in cut[left]]
-            if step > 2:  # the one of before, which the other channel has passed now
+            if step > 2:  # the item before, whose time the other channel has passed now
                 times["matches"] += [matched.time for matched in await take(matches, 1)]
     assert times["items"] == times["cuts"] == [base + step * SECOND for step in (1, 2, 3, 4)]
     assert times["matches"] == [base + step * SECOND for step in (2, 3, 4)]

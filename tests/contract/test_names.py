@@ -1,4 +1,4 @@
-"""Names, on both clients: upper-case letters count, and names that differ only in case are different names."""
+"""Names, on both clients: upper and lower case differ."""
 
 from __future__ import annotations
 
@@ -71,5 +71,5 @@ async def _forget(*things: Any) -> None:
 
 
 def plain(channel: Any) -> Any:
-    """The handle itself, without the awaitable face."""
+    """Return the handle itself, without the wrapper."""
     return getattr(channel, "_wrapped", channel)

@@ -1,4 +1,4 @@
-"""What participants know of their own clocks, and of each other's. Both clients; the core in memory has no peers."""
+"""The clock offsets that connections and peers report, with both clients. The core in memory has no peers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from stampede_rt_local.ports import free_ports
 from stampede_rt_runtime.server import serving
 from tests.contract.surfaces import Surface
 
-# ruff: noqa: N802  # methods bear the names of the RPCs
+# ruff: noqa: N802 # methods have the names of the RPCs
 
 MINUTE_NANOS = 60 * 10**9
 NAME = "clocks/one"
@@ -34,7 +34,7 @@ Connecting = Callable[..., Any]
 
 @pytest.fixture(params=["aio", "sync"])
 def connected(request: pytest.FixtureRequest) -> Connecting:
-    """Makes a connection by either client, to be awaited."""
+    """Return a function that makes a connection with one of the clients, to be awaited."""
 
     @asynccontextmanager
     async def connect(address: str, **settings: Any) -> AsyncIterator[Any]:
@@ -52,7 +52,7 @@ def connected(request: pytest.FixtureRequest) -> Connecting:
 
 
 def is_right(clock: st.ClockOffset | None) -> bool:
-    """All are on one machine, so that the true offset is 0."""
+    """Whether the true offset, 0 on one machine, lies within the uncertainty."""
     assert clock is not None
     return abs(clock.offset_nanos) <= clock.uncertainty_nanos <= MINUTE_NANOS
 
@@ -79,7 +79,10 @@ class Supernode(
     directory_service_pb2_grpc.DirectoryServiceServicer,
     peer_grpc.PeerServiceServicer,
 ):
-    """Knows two peers, and their clocks if it leads. `believed`: who leads, in its list; `said`: whom it sends to."""
+    """Knows two peers, and their clocks if it leads.
+
+    `believed`: the leader in its list; `said`: the leader in its refusals.
+    """
 
     def __init__(self, *, leads: bool) -> None:
         self.leads = leads
@@ -114,7 +117,7 @@ class Supernode(
 
 @asynccontextmanager
 async def two_supernodes() -> AsyncIterator[tuple[Supernode, Supernode]]:
-    """One that follows, at which a client begins, and the leader; both are told the truth."""
+    """Yield a follower, which a client asks first, and the leader. Both know the leader."""
     made = Supernode(leads=False), Supernode(leads=True)
     async with AsyncExitStack() as stack:
         addresses = []

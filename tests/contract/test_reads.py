@@ -11,7 +11,7 @@ MS = 1_000_000
 
 
 async def filled(surface: Surface, *times: int, **policy: object) -> tuple[object, int]:
-    """A channel with an item at each of `times` (milliseconds after a base two seconds ago), and the base."""
+    """Return a channel with an item at each of `times` (milliseconds after a base two seconds ago), and the base."""
     channel = await surface.channel(**({"max_age": "60s"} | policy))
     base = st.now() - 2_000 * MS
     for time in times:
@@ -84,9 +84,10 @@ async def test_where_items_overlap_a_later_item_does_not_cut_a_duration(surface:
     await channel.put(b"talk", time=base + 100 * MS, duration="900ms")
     await channel.put(b"end", time=base + 600 * MS)
     assert shown(await channel.at(base + 60 * MS)) == ["scene", "open"]
-    assert shown(await channel.at(base + 200 * MS)) == ["scene", "talk"]  # what has no duration is cut as ever
+    # The span of an item without a duration ends as in other channels.
+    assert shown(await channel.at(base + 200 * MS)) == ["scene", "talk"]
     assert shown(await channel.at(base + 300 * MS)) == ["talk"]
-    assert shown(await channel.at(base + 600 * MS)) == ["end"]  # "talk" has lasted for the overlap, and is cut
+    assert shown(await channel.at(base + 600 * MS)) == ["end"]  # "talk" has lasted for the overlap, so its span ends
     found = await channel.get(base, base + 1_000 * MS, match="start")
     assert [item.end and item.end - base for item in found] == [300 * MS, 100 * MS, 600 * MS, None]
     assert shown(await channel.get(base, base + 299 * MS, match="whole")) == ["open"]

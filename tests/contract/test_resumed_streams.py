@@ -1,4 +1,4 @@
-"""Streams that break are resumed by the client itself: nothing old comes as new, nothing is missed or counted twice."""
+"""The client resumes broken streams by itself: no old item comes as new, and none is missed or counted twice."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.parametrize("surface", ["aio", "sync"], indirect=True)
 
 
 def cut_off(items: Any) -> None:
-    """The stream under a subscription ends, as a lost connection would end it."""
+    """End the stream of a subscription, as a lost connection would."""
     items._stream.cancel()
 
 
@@ -123,7 +123,7 @@ async def test_the_newest_of_a_descriptor_is_not_given_again_after_a_break(surfa
     assert (await group[left].newest(timeout=10)).payload == b"held"
     async with group[left].subscribe(mode="newest") as items:
         cut_off(items)
-        await left.put(b"late", time=base + 5 * MS)  # visible at once, and later than the one that was there
+        await left.put(b"late", time=base + 5 * MS)  # visible at once, and later than the earlier item
         assert (await take(items, 1))[0].payload == b"late"
         cut_off(items)
         await left.put(b"later", time=base + 8 * MS)

@@ -1,4 +1,4 @@
-"""Readers that take nothing for a while: what waits, waits at the host, and the next thing they take is not old."""
+"""Readers that pause: items wait at the host, and the next item that the reader takes is not old."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _names = itertools.count()
 
 @pytest.fixture(params=["aio", "sync"])
 async def pair(request: pytest.FixtureRequest, grouped_cluster: LocalCluster) -> AsyncIterator[Surface]:
-    """Over two hosts."""
+    """Yield a connection to a cluster with two hosts."""
     async with connected(request.param, grouped_cluster.address) as surface:
         yield surface
 
@@ -59,7 +59,7 @@ async def test_what_is_under_way_to_a_reader_that_stops_is_bounded(surface: Surf
     channel = await surface.channel(max_items=4)
     size = 2**16
     async with channel.subscribe() as items:
-        for _ in range(ITEMS):  # a quick reader, which is sent ahead for
+        for _ in range(ITEMS):  # a fast reader, for which the host sends ahead
             await channel.put(b"quick" + bytes(size))
             await take(items, 1)
         for number in range(ITEMS):
@@ -120,7 +120,7 @@ async def until(condition: Any, channel: Any) -> None:
 
 
 async def in_step(surface: Surface, hosts_used: int = 2, **policy: Any) -> tuple[Any, Any, Any]:
-    """Two channels, at two hosts unless stated, and their group."""
+    """Return two channels, by default at two hosts, and their group."""
     hosts = await surface.connection.hosts()
     places = [hosts[0].name, hosts[hosts_used - 1].name]
     left, right = [await surface.channel(host=place, **({"max_age": "60s"} | policy)) for place in places]
@@ -128,14 +128,14 @@ async def in_step(surface: Surface, hosts_used: int = 2, **policy: Any) -> tuple
 
 
 async def begin(left: Any, right: Any, start: int) -> None:
-    """The first item of the left one is shown, the others are not."""
+    """Put items so that the group shows the first item of the left channel, and no others."""
     await left.put(b"first", time=start)
     await left.put(b"second", time=start + MS)
     await right.put(b"second", time=start + MS)
 
 
 async def fill(left: Any, right: Any, group: Any, start: int) -> None:
-    """Both get ITEMS more, and a last one that stays hidden; all hosts show the others then."""
+    """Put ITEMS more into both channels, and a last one that stays hidden. Wait until all hosts show the others."""
     for number in range(ITEMS + 1):
         await left.put(b"%d" % number, time=start + number * MS)
         await right.put(b"%d" % number, time=start + number * MS)

@@ -1,4 +1,4 @@
-"""Somebody sets the clock of a channel host's machine, by an hour: a host whose clock the test moves."""
+"""A step of a channel host's clock by an hour: the test moves the clock of the host."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_a_stepped_wall_clock_does_not_empty_a_window(
         host.tick(SECOND)
     host.tick(0, wall_step=step)
     assert [item.time for item in channel.get(st.OLDEST, st.NOW)] == put
-    host.tick(SECOND)  # half a second or one and a half, as the host's clock bends
+    host.tick(SECOND)  # 0.5 to 1.5 s, because the host's clock approaches the wall clock slowly
     assert [item.time for item in channel.get(*st.last("10s"), match="start")] == put
 
 

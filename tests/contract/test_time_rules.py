@@ -14,12 +14,12 @@ from tests.contract.test_reads import filled, shown
 
 MS = 1_000_000
 SECOND = 1_000 * MS
-SOON_S = 20  # what must be answered at once is answered by then on any machine; its own timeout is much longer
+SOON_S = 20  # the limit for an answer "at once" on any machine; the timeout of the call is much longer
 LONG_S = 3_600
 
 
 async def run_to_end(get: Any) -> Any:
-    """The answer of what must not wait for its own timeout."""
+    """Return the answer of a get that must not wait until its timeout."""
     async with asyncio.timeout(SOON_S):
         return await get
 
@@ -131,7 +131,7 @@ async def test_bounds_that_hang_on_items_are_resolved_at_the_first_one(surface: 
 
 
 async def waiting(channel: Any, count: int = 1) -> None:
-    """Until so many gets are blocked on the channel, within 20 s."""
+    """Wait until `count` gets are blocked on the channel, for at most 20 s."""
     async with asyncio.timeout(SOON_S):
         while (await channel.stats()).waiting_gets < count:
             pass

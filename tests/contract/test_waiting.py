@@ -11,7 +11,7 @@ MS = 1_000_000
 
 
 async def waiting(channel: object, count: int = 1) -> None:
-    """Until so many gets are blocked on the channel, within 10 s."""
+    """Wait until `count` gets are blocked on the channel, for at most 10 s."""
     async with asyncio.timeout(10):
         while (await channel.stats()).waiting_gets < count:
             pass

@@ -9,7 +9,7 @@ _START_UNIX_NANO = 1_700_000_000 * 10**9
 
 @dataclass(kw_only=True)
 class ManualClock:
-    """A HostClock whose two clocks go on together by `advance`, and apart by `set_wall_clock`."""
+    """A HostClock with two clocks. `advance` moves both; `set_wall_clock` moves only the wall clock."""
 
     unix_nano: int = _START_UNIX_NANO
     boot_nanos: int = 10**9
@@ -25,5 +25,5 @@ class ManualClock:
         self.boot_nanos += nanos
 
     def set_wall_clock(self, unix_nano: int) -> None:
-        """As when somebody sets the machine's clock: the other one does not move."""
+        """Set the wall clock, as somebody sets a machine's clock. The other clock does not move."""
         self.unix_nano = unix_nano

@@ -16,9 +16,9 @@ LINES_SHOWN = 12
 def cluster_fixture(
     *, scope: Literal["function", "module", "session"] = "module", **settings: Any
 ) -> Callable[..., Iterator[LocalCluster]]:
-    """A fixture that gives a running LocalCluster made with `settings`; clients in this process find its secret.
+    """Return a fixture with a running LocalCluster, made with `settings`. Clients in this process find its secret.
 
-    A test that kills something needs one of its own: scope="function".
+    A test that kills a part of it needs its own cluster: scope="function".
     """
 
     @pytest.fixture(scope=scope)
@@ -31,10 +31,10 @@ def cluster_fixture(
 
 @contextmanager
 def running_cluster(planned: LocalCluster | None = None, **settings: Any) -> Iterator[LocalCluster]:
-    """A running LocalCluster, `planned` or made with `settings`. While it runs, `$STAMPEDE_SECRET_FILE` names its
-    secret.
+    """Yield a running LocalCluster, `planned` or made with `settings`.
 
-    What its processes printed last is printed at the end: pytest shows it if a test failed.
+    While it runs, `$STAMPEDE_SECRET_FILE` names its secret. At the end the last lines of its processes are printed, and
+    pytest shows them if a test failed.
     """
     made = planned or LocalCluster(**settings)
     with pytest.MonkeyPatch.context() as patch, made:

@@ -1,4 +1,4 @@
-"""A TCP relay whose connections a test cuts, in each of the ways in which networks do that."""
+"""A TCP relay whose connections a test can cut, in all the ways of real networks."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ CUTS: tuple[Cut, ...] = ("reset", "close", "half")
 
 
 class CuttingRelay:
-    """Passes every connection to `port` on to `to_port`, from a thread of its own. A context manager.
+    """Forwards every connection from `port` to `to_port`, on a separate thread. A context manager.
 
-    `cut` may be called from any thread: "reset" ends all connections with RST, "close" with FIN, "half" passes on a
-    part of the next chunk, so that a frame is broken off, and then resets. While it `refuses`, new connections are
-    reset as soon as they come.
+    Any thread may call `cut`. "reset" ends all connections with RST, "close" with FIN. "half" forwards a part of the
+    next chunk, so that a frame is incomplete, and then resets. While `refuses` is True, the relay resets new
+    connections at once.
     """
 
     def __init__(self, port: int, to_port: int, seed: int = 0) -> None:
@@ -47,7 +47,7 @@ class CuttingRelay:
         self._thread.join(10)
 
     def cut(self, how: Cut) -> None:
-        """Cut all connections; "half" when the next chunk comes."""
+        """Cut all connections; with "half", when the next chunk comes."""
         self._loop.call_soon_threadsafe(self._cut, how)
 
     def _cut(self, how: Cut) -> None:
@@ -62,7 +62,7 @@ class CuttingRelay:
             self._writers.discard(writer)
             self.cuts += 1
             if reset:
-                linger = struct.pack("ii", 1, 0)  # closing then sends RST
+                linger = struct.pack("ii", 1, 0)  # the close then sends RST
                 with contextlib.suppress(OSError):
                     writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
             writer.transport.abort()

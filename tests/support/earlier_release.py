@@ -1,7 +1,7 @@
-"""A release of the supernode from before there were rules of access, made of today's code.
+"""Simulates a release of the supernode without rules of access, made from the present code.
 
-It knows feature level 1 alone, no command that needs more, and no AccessService. As a program,
-`python -m tests.support.earlier_release ARGUMENTS` is `stampede supernode ARGUMENTS` of that release.
+It knows only feature level 1, no commands of higher levels, and no AccessService. As a program, `python -m
+tests.support.earlier_release ARGUMENTS` is `stampede supernode ARGUMENTS` of that release.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ EARLIER_LEVEL = OWNERS_LEVEL - 1
 
 
 def earlier_kind_in(encoded: bytes) -> str:
-    """As that release names it; empty: it does not know the kind."""
+    """Return the kind of a command as that release names it; empty if it does not know the kind."""
     kind = kind_in(encoded)
     return kind if kind and level_needed(kind) <= EARLIER_LEVEL else ""
 

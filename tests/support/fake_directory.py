@@ -1,4 +1,4 @@
-"""A supernode that only answers probes: what it says is set by the test."""
+"""A fake supernode that only answers probes. The test sets its answers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from stampede_rt.v1 import directory_pb2, directory_service_pb2, directory_servi
 
 @dataclass
 class FakeDirectory(directory_service_pb2_grpc.DirectoryServiceServicer):
-    """`members`: id -> target. Every answer counts in `pings`."""
+    """A fake supernode. `members`: id -> target. `pings` counts the answers."""
 
     supernode_id: str = "s1"
     cluster_id: str = "c1"

@@ -1,8 +1,8 @@
-"""A supernode in whose memory a bit flips, so that its state differs from the others', and nothing in its log tells.
+"""A supernode in whose memory a bit flips. Its state then differs from the others', and its log does not show why.
 
-`python -m tests.support.flipped_memory ARGUMENTS` is `stampede supernode ARGUMENTS`. The bit flips when a channel is
-opened whose name begins with FLIPPED, and the file FLAG is in the data folder. It is one of the channel's incarnation,
-and shows in the result of the next command about that channel.
+`python -m tests.support.flipped_memory ARGUMENTS` is `stampede supernode ARGUMENTS`. If the file FLAG is in the data
+folder, the bit flips when a channel with a name that begins with FLIPPED is opened. It is a bit of the channel's
+incarnation. The result of the next command about that channel shows it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class FlippedReplica(DirectoryReplica):
     flag: Path
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """As every other one; then the bit flips."""
+        """Apply the command as every supernode does; then flip the bit."""
         known = set(self._directory.tables.channels)
         result = super().apply(index, command)
         if self.flag.exists():

@@ -1,4 +1,4 @@
-"""A child that is really forked, and how long it may take."""
+"""Runs a function in a forked child, with a time limit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIMIT_S = 30
 
 
 def in_a_forked_child(function: Callable[[], Any]) -> Any:
-    """What `function` returns in a forked child of this process; a child that hangs or dies fails the test."""
+    """Return the result of `function` in a forked child of this process. If the child hangs or dies, the test fails."""
     readable, writable = os.pipe()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 warns of threads
@@ -27,7 +27,7 @@ def in_a_forked_child(function: Callable[[], Any]) -> Any:
     status = None
     try:
         told = _read(readable)
-        status = os.waitpid(pid, 0)[1]  # it closed the pipe, and ends
+        status = os.waitpid(pid, 0)[1]  # the child has closed the pipe, and is ending
     finally:
         os.close(readable)
         if status is None:

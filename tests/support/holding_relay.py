@@ -1,4 +1,4 @@
-"""A TCP relay that holds what callers send, as a network does that is slow in one direction."""
+"""A TCP relay that can hold the bytes of callers, like a network that is slow in one direction."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ CHUNK_BYTES = 64 * 1024
 
 
 class HoldingRelay:
-    """Passes bytes on both ways. After `hold`, what callers send waits here, in order, until `release`."""
+    """Forwards bytes in both directions. After `hold`, the bytes of callers wait here, in order, until `release`."""
 
     def __init__(self) -> None:
         self._may_pass = asyncio.Event()
@@ -18,16 +18,16 @@ class HoldingRelay:
         self.holds_something = asyncio.Event()
 
     def hold(self) -> None:
-        """From now on nothing that callers send arrives."""
+        """Hold all bytes of callers from now on."""
         self.holds_something.clear()
         self._may_pass.clear()
 
     def release(self) -> None:
-        """All that was held arrives."""
+        """Forward all held bytes."""
         self._may_pass.set()
 
     async def forward(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, to_port: int) -> None:
-        """One connection, until either side ends it."""
+        """Serve one connection, until either side ends it."""
         far_reader, far_writer = await asyncio.open_connection("127.0.0.1", to_port)
         ways = [self._to_far(reader, far_writer), _copy(far_reader, writer)]
         tasks = [asyncio.ensure_future(way) for way in ways]
@@ -55,7 +55,7 @@ async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> N
 
 @contextlib.asynccontextmanager
 async def holding_relay(to_address: str) -> AsyncIterator[tuple[HoldingRelay, str]]:
-    """A relay before `to_address`, and its own address."""
+    """Yield a relay to `to_address`, and the relay's address."""
     relay, to_port = HoldingRelay(), int(to_address.rpartition(":")[2])
     connections: set[asyncio.Task[None]] = set()
 

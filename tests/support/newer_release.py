@@ -1,12 +1,12 @@
-"""A release of the supernode after today's, made of today's code: it knows one more kind of command.
+"""Simulates a later release of the supernode, made from the present code, with one more kind of command.
 
-The new kind is a field of DirectoryCommand that today's contract does not have, so that today's code meets it as any
-release meets what a later one has added. It caps a channel at one item, and needs the next feature level. All else is
-today's code: hello, log, directory, services.
+The new kind is a field of DirectoryCommand that the present contract does not have. So the present code sees it as any
+release sees an addition of a later one. The command limits a channel to one item, and needs the next feature level.
+Everything else is the present code: hello, log, directory, services.
 
-`NewerReplica` is the directory of that release, for tests with several releases in one process. As a program,
-`python -m tests.support.newer_release ARGUMENTS` is `stampede supernode ARGUMENTS` of that release: what names the
-release is put into today's modules before they run, and an UpdateChannel to one item goes into the log as the new kind.
+`NewerReplica` is the directory of that release, for tests with several releases in one process. As a program, `python
+-m tests.support.newer_release ARGUMENTS` is `stampede supernode ARGUMENTS` of that release: the names of the release
+are put into the present modules before they run, and an UpdateChannel to one item goes into the log as the new kind.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ def _varint(number: int) -> bytes:
 
 
 def encode_cap(op_id: bytes, channel_id: bytes, epoch: int, *, as_of_index: int = 0) -> bytes:
-    """A command of the new kind."""
+    """Return a command of the new kind."""
     body = UpdateChannelCommand(channel_id=channel_id, epoch=epoch).SerializeToString()
     head = DirectoryCommand(op_id=op_id, as_of_index=as_of_index).SerializeToString()
     return head + _varint(NEW_FIELD << 3 | 2) + _varint(len(body)) + body
 
 
 def encode_newer(command: Command) -> bytes:
-    """As the newer release encodes it."""
+    """Encode a command as the newer release does."""
     operation = command.operation
     if isinstance(operation, UpdateChannel) and operation.policy.max_items == CAPPED.max_items:
         return encode_cap(command.op_id, operation.channel_id, operation.epoch, as_of_index=command.as_of_index)
@@ -56,12 +56,12 @@ def _body_of(encoded: bytes) -> UpdateChannelCommand | None:
 
 
 def newer_kind_in(encoded: bytes) -> str:
-    """As the newer release names it."""
+    """Return the kind of a command, as the newer release names it."""
     return kind_in(encoded) or (NEW_KIND if _body_of(encoded) is not None else "")
 
 
 def decode_newer(encoded: bytes) -> Command:
-    """As the newer release reads it."""
+    """Decode a command as the newer release does."""
     body = None if kind_in(encoded) else _body_of(encoded)
     if body is None:
         return decode_command(encoded)
@@ -71,7 +71,7 @@ def decode_newer(encoded: bytes) -> Command:
 
 
 def newer_level_needed(kind: str) -> int:
-    """As the newer release's table has it."""
+    """Return the level that a kind needs in the newer release."""
     return NEW_LEVEL if kind == NEW_KIND else level_needed(kind)
 
 

@@ -1,4 +1,4 @@
-"""An operator of a running cluster: makes rules and tokens, and takes its rules back."""
+"""An operator of a running cluster: makes rules and tokens, and removes its rules at the end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Operator:
         return self._tokens[name]
 
     def add(self, *rule: str) -> None:
-        """As `stampede acl add`: who, verbs, names, and maybe "--kind" with a kind, or "--deny"."""
+        """Add a rule, as `stampede acl add`: who, verbs, names, and optionally "--kind" with a kind, or "--deny"."""
         self._change("AddAccessRule", rule)
         self._rules.append(rule)
 
@@ -60,7 +60,7 @@ class Operator:
 
 @contextmanager
 def operating(cluster: LocalCluster) -> Iterator[Operator]:
-    """An operator whose rules are gone afterwards. The cluster's secret is in the environment."""
+    """Yield an operator, and remove its rules at the end. The cluster's secret is in the environment."""
     with reached(cluster.address, None) as supernodes:
         made = Operator(cluster, supernodes)
         try:

@@ -1,4 +1,4 @@
-"""Processes that a test starts by itself, none of which outlives it."""
+"""Starts processes for a test, and ends them with it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 
 @contextmanager
 def started(command: Sequence[str], **settings: Any) -> Iterator[subprocess.Popen[str]]:
-    """A process with pipes for its input and output, in text. What still runs behind the block is killed.
+    """Yield a process with text pipes for its input and output. Kill it at the end of the block if it still runs.
 
-    `with subprocess.Popen(...)` waits there without a limit, so that a failed test would never end.
+    At that point `with subprocess.Popen(...)` would wait without a limit, and a failed test would never end.
     """
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, **(pipes | settings)) as process:

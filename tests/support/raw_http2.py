@@ -1,4 +1,4 @@
-"""A caller that speaks HTTP/2 by hand (RFC 9113), so that it can break off anywhere and ignore what it is told."""
+"""A caller that writes HTTP/2 frames itself (RFC 9113), so that it can stop anywhere and ignore the server."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class RawConnection:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.allowed_bytes: dict[int, int] = {}
         self.ended: dict[int, asyncio.Event] = {}
-        self.greeted = asyncio.Event()  # the server has told its settings
+        self.greeted = asyncio.Event()  # the server has sent its settings
         self.streams_max = 0
         self._initial_bytes = INITIAL_WINDOW_BYTES
-        self._connection_bytes = INITIAL_WINDOW_BYTES  # that may still be sent, on all streams together
+        self._connection_bytes = INITIAL_WINDOW_BYTES  # the bytes that it may still send, on all streams together
         self._more_allowed = asyncio.Event()
         self._reader, self._writer = reader, writer
         self._next_stream = 1
@@ -35,7 +35,7 @@ class RawConnection:
         return cls(reader, writer)
 
     async def call(self, method: str, metadata: Mapping[str, str] | None = None) -> int:
-        """Begin a call with its headers alone; gives the stream's number."""
+        """Begin a call, sending only its headers. Returns the number of the stream."""
         stream, self._next_stream = self._next_stream, self._next_stream + 2
         self.allowed_bytes[stream] = self._initial_bytes
         self.ended[stream] = asyncio.Event()
@@ -60,7 +60,10 @@ class RawConnection:
         await self._writer.drain()
 
     async def send_as_allowed(self, stream: int, message_bytes: int, sent_bytes: int) -> None:
-        """As `begin_message`, but never more than the server allows; returns early if it ends the stream."""
+        """Do as `begin_message` does, but never send more than the server allows.
+
+        Returns early if the server ends the stream.
+        """
         body, sent = memoryview(struct.pack("!BI", 0, message_bytes) + bytes(sent_bytes)), 0
         while sent < len(body) and not self.ended[stream].is_set():
             self._more_allowed.clear()
@@ -74,7 +77,7 @@ class RawConnection:
             await self._writer.drain()
 
     async def reset(self, stream: int) -> None:
-        """Take the call back (RST_STREAM, CANCEL)."""
+        """Cancel the call (RST_STREAM, CANCEL)."""
         self._writer.write(_frame(RST_STREAM, 0, stream, (8).to_bytes(4, "big")))
         self.ended[stream].set()
         await self._writer.drain()

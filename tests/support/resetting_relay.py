@@ -1,7 +1,7 @@
-"""A relay of HTTP/2 that resets the streams of a connection and leaves the connection as it is.
+"""A relay of HTTP/2 that resets the streams of a connection, and keeps the connection open.
 
-A proxy does this, and a server whose own connection broke. gRPC tells the caller of a stream that was reset with
-INTERNAL_ERROR as INTERNAL.
+A proxy does this, and so does a server whose own connection broke. If a stream is reset with INTERNAL_ERROR, gRPC
+reports INTERNAL to the caller.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ INTERNAL_ERROR, CANCEL = 2, 8
 
 @dataclass(eq=False)
 class _Connection:
-    """Both ends of a connection. Only whole frames are written, so that others may be put between them."""
+    """Both ends of a connection. The relay writes only whole frames, so that it can add other frames between them."""
 
     client: asyncio.StreamWriter
     server: asyncio.StreamWriter
@@ -28,7 +28,7 @@ class _Connection:
 
 
 class ResettingRelay:
-    """Passes every connection to `port` on to `to_port`, from a thread of its own. A context manager."""
+    """Forwards every connection from `port` to `to_port`, on a separate thread. A context manager."""
 
     def __init__(self, port: int, to_port: int) -> None:
         self._port = port
@@ -51,7 +51,10 @@ class ResettingRelay:
         self._thread.join(10)
 
     def wait_for_a_stream(self) -> None:
-        """Wait until a caller has a stream open. Not for the relay's thread. Raises TimeoutError after 10 s."""
+        """Wait until a caller has a stream open. Do not call it on the relay's thread.
+
+        Raises TimeoutError after 10 s.
+        """
         asyncio.run_coroutine_threadsafe(self._one_is_open(), self._loop).result(10)
 
     async def _one_is_open(self) -> None:
@@ -60,7 +63,7 @@ class ResettingRelay:
             await self._opened.wait()
 
     def reset(self) -> None:
-        """Reset all streams that callers have opened, and return when that is written. Not for the relay's thread."""
+        """Reset all streams of callers, and return when this is written. Do not call it on the relay's thread."""
         asyncio.run_coroutine_threadsafe(self._reset(), self._loop).result(10)
 
     async def _reset(self) -> None:
@@ -121,7 +124,7 @@ class ResettingRelay:
 
 
 async def _frame(reader: asyncio.StreamReader) -> tuple[int, int, bytes]:
-    """The next frame: its type, its stream and all its bytes (RFC 9113, section 4.1)."""
+    """Return the next frame: its type, its stream and all its bytes (RFC 9113, section 4.1)."""
     header = await reader.readexactly(HEADER_BYTES)
     length = int.from_bytes(header[:3], "big")
     stream = int.from_bytes(header[5:], "big") & 0x7FFFFFFF

@@ -1,4 +1,4 @@
-"""Waits for what other threads and processes bring about, and what nothing announces."""
+"""Waits for effects of other threads and processes that no event reports."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def wait_until(holds: Callable[[], object], what: str = "", within_seconds: floa
 
 
 async def until(holds: Callable[[], object], what: str = "", within_seconds: float = WITHIN_SECONDS) -> None:
-    """Return as soon as `holds()` is true, while the event loop goes on. Fails the test if it is not true in time."""
+    """Return as soon as `holds()` is true. The event loop runs meanwhile. Fails the test if it is not true in time."""
     deadline, never = time.monotonic() + within_seconds, asyncio.get_running_loop().create_future()
     while not holds():
         assert time.monotonic() < deadline, f"not so after {within_seconds:g} s: {what or holds}"

@@ -16,7 +16,7 @@ numbers = itertools.count()
 
 
 class Rig:
-    """Connections of one kind to the cluster, and queues of names that no other test has."""
+    """Connections of one client to the cluster, and queues with names that no other test uses."""
 
     def __init__(self, address: str, pool: ThreadPoolExecutor | None) -> None:
         self.address = address
@@ -40,7 +40,7 @@ class Rig:
 
 
 async def until(queue: Any, condition: Callable[[st.QueueStats], bool]) -> st.QueueStats:
-    """The first counters for which `condition` holds, within 10 s."""
+    """Return the first counters for which `condition` holds. Waits for at most 10 s."""
     async with asyncio.timeout(10):
         while not condition(stats := await queue.stats()):
             adds_up(stats)
@@ -54,6 +54,6 @@ def adds_up(stats: st.QueueStats) -> st.QueueStats:
 
 
 async def lease_from_now_on(queue: Any, lease: str) -> None:
-    """Of deliveries to come, so that only those before have leases that end soon."""
+    """Set the lease of later deliveries, so that only the leases of earlier ones end soon."""
     await queue.configure(lease=lease)
     await until(queue, lambda stats: stats.policy.lease_nanos == int(lease[:-1]) * 10**9)

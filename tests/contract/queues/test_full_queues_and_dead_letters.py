@@ -1,4 +1,4 @@
-"""Queues, on both clients: what a full queue does, and where items go that nobody copes with."""
+"""Queues, on both clients: full queues, and messages that no taker can process."""
 
 from __future__ import annotations
 

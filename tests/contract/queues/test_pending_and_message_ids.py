@@ -1,4 +1,4 @@
-"""Queues, on both clients: the list of what is leased, and messages that are put twice."""
+"""Queues, on both clients: the list of leased messages, and messages that are put twice."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Queues, on both clients: made, changed, listed, deleted, and arguments that are wrong."""
+"""Queues, on both clients: creation, changes, lists, deletion, and wrong arguments."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ async def test_an_absent_queue_is_not_made_when_that_is_not_wanted(rig: Rig) -> 
 async def test_a_queue_cannot_be_its_own_dead_letter_queue(rig: Rig) -> None:
     name = rig.name()
     with pytest.raises(st.InvalidArgument, match=f"dead_letter is queue '{name}' itself"):
-        await rig.queue(name, dead_letter=name)  # before it is there, too
+        await rig.queue(name, dead_letter=name)  # also before the queue exists
     queue = await rig.queue(name)
     for own in (name, queue):
         with pytest.raises(st.InvalidArgument, match=f"dead_letter is queue '{name}' itself"):

@@ -35,7 +35,7 @@ async def test_a_lease_that_ends_gives_the_item_to_the_next(rig: Rig) -> None:
     await lease_from_now_on(queue, "60s")
     again = await queue.get(timeout=10)
     assert again.deliveries == 2
-    assert late.lease_left < 0.1  # counted from when it came here
+    assert late.lease_left < 0.1  # counted from its arrival here
     with pytest.raises(st.LeaseExpired, match=queue.name):
         await late.ack()
     await again.ack()
@@ -99,7 +99,7 @@ async def test_what_a_block_raised_is_told_even_if_its_lease_has_ended(rig: Rig)
 
 
 async def test_a_live_taker_that_lets_a_lease_end_goes_on_being_served(rig: Rig) -> None:
-    """The host asks whether it lives before it passes it over."""
+    """The host checks whether the taker lives before it passes the taker over."""
     queue = await rig.queue(lease="100ms")
     gets = [asyncio.ensure_future(queue.get(timeout=20)) for _ in range(3)]
     await until(queue, lambda stats: stats.waiting_gets == 1)

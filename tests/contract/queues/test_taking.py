@@ -1,4 +1,4 @@
-"""Queues, on both clients: who is given what, in which order, and what was taken ahead."""
+"""Queues, on both clients: which taker gets which message, in which order, and prefetched messages."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def _has_leased(items: int, stats: st.QueueStats) -> bool:
 
 
 async def test_what_nobody_was_handed_does_not_count_as_delivered(rig: Rig) -> None:
-    """Takers that took ahead and left used up the deliveries of items that nobody had seen, and they were expelled."""
+    """Without this rule, takers that prefetch and leave use up deliveries of messages that no caller has seen."""
     queue = await rig.queue(max_deliveries=2)
     for number in range(3):
         await queue.put(str(number).encode())

@@ -1,4 +1,4 @@
-"""Short ways to set up and look at a channel core."""
+"""Short functions that make and inspect a channel core."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CLOCK = 1_000_000
 
 
 def a_channel(clock_ahead: int = 10**6, **policy: int | str | None) -> ChannelCore:
-    """A channel that takes times near CLOCK, wherever its limits are not stated."""
+    """Return a channel that accepts times near CLOCK, unless the policy states other limits."""
     return ChannelCore(Policy(**{"max_future_nanos": clock_ahead, **policy}), incarnation=3, name="cam/left")  # type: ignore[arg-type]
 
 

@@ -1,4 +1,4 @@
-"""A directory in memory behind real gRPC: what a channel host needs of supernodes and front-ends, and a hand on it."""
+"""A directory in memory behind real gRPC. It has what a channel host needs of supernodes and front-ends."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 class FakeDirectory(
     directory_service_pb2_grpc.DirectoryServiceServicer, frontend_service_pb2_grpc.FrontendServiceServicer
 ):
-    """Set `refuse[method]` to make a method fail; `calls` counts them; `target` is where it listens."""
+    """A fake directory. `refuse[method]` makes a method fail; `calls` counts the calls; `target` is its address."""
 
     def __init__(self, *, lease_ttl_nanos: int = 5 * 10**9) -> None:
         self.lease_ttl_nanos = lease_ttl_nanos
@@ -34,7 +34,7 @@ class FakeDirectory(
         self.channels: dict[bytes, channel_pb2.ChannelRecord] = {}
         self.refuse: dict[str, StampedeError] = {}
         self.calls: Counter[str] = Counter()
-        # By method, the clusters of which hosts said that they are.
+        # By method, the ids of the clusters that hosts have named as theirs.
         self.clusters_told: dict[str, list[str]] = {"RegisterHost": [], "RenewHostLease": []}
         self.cluster_id, self.former_cluster_ids = "c", list[str]()
         self.target = ""
@@ -61,12 +61,12 @@ class FakeDirectory(
         return record
 
     def move_away(self, channel_id: bytes) -> None:
-        """Another host owns it from now on, under the next epoch."""
+        """Give the channel to another host, with the next epoch."""
         record = self.channels[channel_id]
         record.host_id, record.epoch, record.incarnation = b"other-host-id-16", record.epoch + 1, record.incarnation + 1
 
     async def called(self, method: str, *, times: int) -> None:
-        """Return when that method has been called so many times in all."""
+        """Return when that method has been called `times` times in all."""
         async with asyncio.timeout(5), self._called:
             await self._called.wait_for(lambda: self.calls[method] >= times)
 

@@ -17,7 +17,10 @@ from tests.support.channel_host.fake_directory import FakeDirectory
 
 
 class FakeQueueDirectory(FakeDirectory, queue_directory_service_pb2_grpc.QueueDirectoryServiceServicer):
-    """`queues` by id; a host is told of its own when it registers, and watchers of what is changed by `tell`."""
+    """A fake directory with `queues` by id.
+
+    A host gets its own queues when it registers; `tell` reports changes to watchers.
+    """
 
     def __init__(self, *, lease_ttl_nanos: int = 5 * 10**9) -> None:
         super().__init__(lease_ttl_nanos=lease_ttl_nanos)
@@ -66,12 +69,12 @@ class FakeQueueDirectory(FakeDirectory, queue_directory_service_pb2_grpc.QueueDi
             yield directory_service_pb2.WatchResponse(changes=[directory_pb2.DirectoryChange(kind=kind, queue=record)])
 
     def tell(self, record: queue_pb2.QueueRecord) -> None:
-        """Watchers hear of the queue as it is now, or that it is gone."""
+        """Report the present queue, or its deletion, to watchers."""
         for changes in self._watchers:
             changes.put_nowait(record)
 
     def break_watches(self) -> None:
-        """Every watch ends."""
+        """End every watch."""
         watchers, self._watchers = self._watchers, []
         for changes in watchers:
             changes.put_nowait(None)

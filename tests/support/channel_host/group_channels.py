@@ -1,4 +1,4 @@
-"""Small channels to group, filled by hand."""
+"""Small channels for groups."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NOW = 10_000
 
 
 def channel(*times: int, durations: Sequence[int] | None = None, policy: Policy | None = None) -> ChannelCore:
-    """A channel with an item at each time, each put by itself."""
+    """Return a channel with an item at each time, each in its own put."""
     made = ChannelCore(policy or Policy(max_items=1000), incarnation=INCARNATION)
     for at, time in enumerate(times):
         put(made, time, None if durations is None else durations[at])

@@ -63,7 +63,7 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
         return record
 
     def change_members(self, group_id: bytes, channels: Sequence[GroupedChannel], *, told: bool = True) -> None:
-        """The group has these members from now on, and watchers hear of it if they are `told`."""
+        """Give the group these members. With `told`, report the change to watchers."""
         record = self.groups[group_id]
         record.spec.channel_ids[:] = [one.channel_id for one in channels]
         record.spec_version += 1
@@ -71,12 +71,15 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
             self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, group=record))
 
     def delete_group(self, group_id: bytes) -> None:
-        """There is no such group any more, and watchers hear of it."""
+        """Delete the group, and report this to watchers."""
         record = self.groups.pop(group_id)
         self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_REMOVED, group=record))
 
     def give_to(self, channel_id: bytes, host_id: bytes) -> channel_pb2.ChannelRecord:
-        """The channel's host was lost and another owns it, without its items; watchers hear of it."""
+        """Give the channel to another host, without its items, as after the loss of its host.
+
+        Report this to watchers.
+        """
         record = self.channels[channel_id]
         record.host_id, record.epoch, record.incarnation = host_id, record.epoch + 1, record.incarnation + 1
         self._tell(directory_pb2.DirectoryChange(kind=directory_pb2.CHANGE_KIND_UPDATED, channel=record))
@@ -114,7 +117,7 @@ class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirect
 
 
 class Host:
-    """One host of a cluster, and stubs as a client in any language would have them."""
+    """One host of a cluster, and the generated stubs."""
 
     def __init__(self, directory: GroupDirectory, host: ChannelHost, server: ServiceServer) -> None:
         self.directory = directory
@@ -146,7 +149,7 @@ class Host:
     async def until(
         self, group: group_pb2.GroupRecord, condition: Callable[[group_pb2.GroupStatus], bool]
     ) -> group_pb2.GroupStatus:
-        """Ask for the group's status, as fast as it is answered, until it is as wished."""
+        """Ask for the group's status again and again, until `condition` holds."""
         async with asyncio.timeout(WAIT_SECONDS):
             while not condition(status := await self.status(group)):
                 pass
@@ -171,7 +174,7 @@ class GroupedChannel:
         self.channel_id = record.channel_id
 
     async def put(self, *times: int, durations: Sequence[int] | None = None) -> None:
-        """An item at each time, with the time as its payload."""
+        """Put an item at each time, with the time as its payload."""
         payloads = [str(time).encode() for time in times]
         request = channel_service_pb2.PutRequest(
             channel_id=self.channel_id,
@@ -189,7 +192,7 @@ class GroupedChannel:
         )
 
     async def get(self, group: group_pb2.GroupRecord | None = None, **fields: Any) -> tuple[list[int], Any]:
-        """The times of the items, and the summary."""
+        """Return the times of the items, and the summary."""
         if group is not None:
             fields["group_id"] = group.group_id
         fields.setdefault("interval", between(MIN_INSTANT, MAX_INSTANT))
@@ -223,7 +226,7 @@ class Reading:
         return self
 
     async def take(self, count: int) -> list[int]:
-        """The times of the next items, as many as that."""
+        """Return the times of the next `count` items."""
         times: list[int] = []
         async with asyncio.timeout(WAIT_SECONDS):
             while len(times) < count:
@@ -252,7 +255,7 @@ class CutReader:
         await self.call.write(pb.SubscribeCutsRequest(boundary=boundary))
 
     async def event(self) -> Event:
-        """The next whole event."""
+        """Return the next whole event."""
         parts: list[pb.CutPart] = []
         async with asyncio.timeout(WAIT_SECONDS):
             while True:
@@ -263,7 +266,7 @@ class CutReader:
 
 
 class Event:
-    """What one host brings to an event."""
+    """One host's part of an event."""
 
     def __init__(self, boundary: pb.CutBoundary, parts: Sequence[pb.CutPart]) -> None:
         self.boundary = boundary
@@ -301,7 +304,7 @@ class Cluster:
         self.hosts: list[Host] = []
 
     async def start(self, name: str, host_id: bytes, *, boot: int = 7, listen: str = "localhost:0") -> Host:
-        """A host that has entered; the same id and another boot is a host that was restarted."""
+        """Start a host, and return it when it has registered. The same id with another boot is a restarted host."""
         host = ChannelHost(
             HostIdentity(host_id=host_id, name=name, boot_incarnation=boot),
             frontends=[self.directory.target],
@@ -324,7 +327,7 @@ class Cluster:
 
 @asynccontextmanager
 async def running_cluster(clock: HostClock | None = None) -> AsyncIterator[Cluster]:
-    """A cluster without hosts yet; all that are started leave at the end."""
+    """Yield a cluster without hosts. At the end all started hosts leave."""
     directory = GroupDirectory()
     async with AsyncExitStack() as stack:
         supernode = await stack.enter_async_context(serving(directory.register))

@@ -1,4 +1,4 @@
-"""A queue's core with takers that a test moves by hand."""
+"""A queue's core, with takers that a test controls."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.queue import (
 
 
 class Core:
-    """One queue and its clock, which stands until `now` is set."""
+    """One queue and its clock, which the test sets with `now`."""
 
     def __init__(self, **limits: Any) -> None:
         self.queue = QueueCore(QueueLimits(**limits), incarnation=1, name="q")
@@ -39,7 +39,7 @@ class Core:
         return taker
 
     def dealt(self) -> dict[int, list[int]]:
-        """Seqs by taker id, of all that was dealt since; it counts as sent."""
+        """Return the seqs of all newly dealt messages by taker id. They then count as sent."""
         found: dict[int, list[int]] = {}
         while batches := self.queue.take_dealt():
             for taker, batch in batches:
@@ -63,7 +63,7 @@ class Core:
         return self._settle(taker_id, Settlement(delivery_id, Terminate(reason)))
 
     def _settle(self, taker_id: int, *settlements: Settlement) -> list[str]:
-        """The reasons of refusals; empty for what is done."""
+        """Return the reason of each refusal; an empty text for a success."""
         results = self.queue.settle(taker_id, settlements, self.now)
         return [one.error.reason if one.error else "" for one in results]
 

@@ -1,4 +1,4 @@
-"""Hosts with queues behind real gRPC, a directory in memory, and stubs as a client in any language has them."""
+"""Hosts with queues behind real gRPC, a directory in memory, and the generated stubs."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ class QueueRig:
         self.directory = directory
         self.host = host
         self.target = target
-        # A stream that is not read must fill its window soon, whatever the machine's default is.
+        # An unread stream must fill its window soon, with any default of the machine.
         options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
         self.connection = grpc.aio.insecure_channel(target, options=options)
         self.stub = QueueServiceStub(self.connection)
         self.accounts = Accounts()  # those of its port
 
     def open(self, name: str = "q", **spec: Any) -> OpenedQueue:
-        """A queue that the directory positions at this host."""
+        """Return a queue whose owner in the directory is this host."""
         return OpenedQueue(self, self.directory.add_queue(name, self.host.identity.host_id, **spec))
 
 
 class OpenedQueue:
-    """A queue, as its callers use it."""
+    """A queue with the calls of its users."""
 
     def __init__(self, rig: QueueRig, record: queue_pb2.QueueRecord) -> None:
         self.rig = rig
@@ -55,7 +55,7 @@ class OpenedQueue:
         self.queue_id = record.queue_id
 
     async def put(self, *payloads: bytes, **fields: Any) -> channel_service_pb2.PutAck:
-        """One run on a stream of its own; its ack."""
+        """Put one run on a new stream, and return its ack."""
         (ack,) = await self.enqueue(run_of(*payloads, **fields))
         return ack
 
@@ -86,7 +86,7 @@ class OpenedQueue:
         return (await self.rig.stub.GetQueueStatus(request)).status
 
     async def until(self, condition: Callable[[queue_pb2.QueueStatus], bool]) -> queue_pb2.QueueStatus:
-        """Ask for the status, as fast as it is answered, until it is as wished."""
+        """Ask for the status again and again, until `condition` holds."""
         async with asyncio.timeout(WAIT_SECONDS_MAX):
             while not condition(status := await self.status()):
                 pass
@@ -94,7 +94,7 @@ class OpenedQueue:
 
 
 class Delivered:
-    """One item in a taker's hands."""
+    """One delivered message."""
 
     def __init__(self, payload: bytes, seq: int, delivery_id: int, delivery: int, run: queue_pb2.LeasedRun) -> None:
         self.payload = payload
@@ -105,7 +105,7 @@ class Delivered:
 
 
 class TakeCall:
-    """A stream that takes."""
+    """A Take stream."""
 
     def __init__(
         self, queue: OpenedQueue, taker_id: int, credit: int, *, epoch: int | None = None, **fields: Any
@@ -122,7 +122,7 @@ class TakeCall:
         self.drained = False
 
     async def open(self) -> TakeCall:
-        """Returns when the host has answered."""
+        """Open the stream, and return when the host has answered."""
         await self.send()
         response = await self.read()
         self.incarnation = response.incarnation
@@ -145,7 +145,7 @@ class TakeCall:
         return response
 
     async def items(self, count: int) -> list[Delivered]:
-        """The next so many."""
+        """Return the next `count` messages."""
         await self.send()
         while len(self._items) < count:
             await self.read()
@@ -153,7 +153,7 @@ class TakeCall:
         return found
 
     async def settled(self, *settlements: queue_pb2.Settlement) -> list[queue_pb2.SettlementResult]:
-        """What became of settlements on this stream."""
+        """Send settlements on this stream, and return their results."""
         before = len(self.results)
         await self.send(settlements=settlements)
         while len(self.results) < before + len(settlements):
@@ -161,7 +161,7 @@ class TakeCall:
         return self.results[before:]
 
     async def ended(self) -> grpc.StatusCode:
-        """How the stream ended, once it has; what comes before is read and dropped."""
+        """Return the status with which the stream ends. Reads and drops everything before."""
         async with asyncio.timeout(WAIT_SECONDS_MAX):
             with contextlib.suppress(grpc.aio.AioRpcError):
                 while await self.call.read() is not grpc.aio.EOF:
@@ -199,7 +199,7 @@ def _settlement(one: Delivered | int, **verdict: Any) -> queue_pb2.Settlement:
 
 
 def run_of(*payloads: bytes, number: int = 1, **fields: Any) -> pb.EnqueueRun:
-    """A run as a producer encodes it; without times the host stamps it."""
+    """Return a run as a producer encodes it. Without times the host stamps it."""
     run = item_pb2.ItemRun(
         payload_length_bytes=[len(payload) for payload in payloads],
         payloads=b"".join(payloads),
@@ -226,7 +226,7 @@ async def host_of(
     clock: HostClock | None = None,
     memory_bytes_max: int = 2**30,
 ) -> AsyncIterator[QueueRig]:
-    """A host that has entered the directory; it leaves at the end of the block."""
+    """Yield a host that has registered. It leaves at the end of the block."""
     server = ServiceServer(secret=None)
     host = ChannelHost(
         HostIdentity(host_id=host_id, name=name, boot_incarnation=7),
@@ -253,7 +253,7 @@ async def host_of(
 
 @asynccontextmanager
 async def running_queue_host(**settings: Any) -> AsyncIterator[QueueRig]:
-    """A host and its directory."""
+    """Yield a host and its directory."""
     async with queue_directory() as directory, host_of(directory, **settings) as rig:
         yield rig
 

@@ -30,13 +30,13 @@ FOREVER = -1
 
 
 class Rig:
-    """The host under test, its directory, and stubs as a client in any language would have them."""
+    """The host under test, its directory, and the generated stubs."""
 
     def __init__(self, directory: FakeDirectory, host: ChannelHost, target: str) -> None:
         self.directory = directory
         self.host = host
         self.target = target
-        # A stream that is not read must fill its window soon, whatever the machine's default is.
+        # An unread stream must fill its window soon, with any default of the machine.
         options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
         self.connection = grpc.aio.insecure_channel(target, options=options)
         self.channels = ChannelServiceStub(self.connection)
@@ -47,7 +47,7 @@ class Rig:
         return self.host.store.now()
 
     async def open(self, name: str = "a", spec: channel_pb2.ChannelSpec | None = None, created_by: str = "") -> Opened:
-        """A channel in the directory, bound at the host."""
+        """Return a channel in the directory, bound at the host."""
         record = self.directory.add_channel(name, HOST_ID, spec)
         record.created_by = created_by
         await self.gate.BindChannel(gate_pb.BindChannelRequest(channel_id=record.channel_id, epoch=record.epoch))
@@ -64,7 +64,7 @@ class Opened:
         self.incarnation = record.incarnation
 
     async def put(self, *runs: pb.PutRun, producer_id: int = 0, epoch: int | None = None) -> list[pb.PutAck]:
-        """Put runs on a stream of their own; the acks."""
+        """Put runs on a new stream, and return the acks."""
         request = pb.PutRequest(
             channel_id=self.channel_id, epoch=self.epoch if epoch is None else epoch, producer_id=producer_id, puts=runs
         )
@@ -72,7 +72,7 @@ class Opened:
         return [ack async for response in call for ack in response.acks]
 
     async def get(self, **fields: Any) -> Got:
-        """One get on a stream of its own."""
+        """Make one get on a new stream."""
         call = self.rig.channels.Get(iter((self.get_request(**fields),)))
         return Got([response async for response in call])
 
@@ -84,15 +84,15 @@ class Opened:
         return self.get_request(call_id, match=time_pb2.MATCH_START, newest_first=True, limit=1, **fields)
 
     def future(self) -> time_pb2.Interval:
-        """Where nothing is yet."""
+        """Return an interval in the future, where no items are yet."""
         return between(self.rig.now() + 3600 * S, MAX_INSTANT)
 
     def subscribe(self, **fields: Any) -> Any:
-        """A subscription that nothing holds back."""
+        """Return a subscription with more credit than it needs."""
         return self.rig.channels.Subscribe(iter((self.subscribe_request(credit_bytes=MAX_INSTANT, **fields),)))
 
     async def subscribe_slowly(self, **fields: Any) -> Any:
-        """A subscription without credit; `write` grants it."""
+        """Return a subscription without credit; `write` grants credit."""
         call = self.rig.channels.Subscribe()
         await call.write(self.subscribe_request(**fields))
         return call
@@ -108,7 +108,7 @@ class Opened:
         return (await self.rig.channels.GetChannelStatus(request)).status
 
     async def until(self, condition: Callable[[channel_pb2.ChannelStatus], bool]) -> channel_pb2.ChannelStatus:
-        """Ask for the status, as fast as it is answered, until it is as wished."""
+        """Ask for the status again and again, until `condition` holds."""
         async with asyncio.timeout(10):
             while not condition(status := await self.status()):
                 pass
@@ -142,7 +142,7 @@ def payloads_of(run: item_pb2.ItemRun) -> list[bytes]:
 
 
 def run_of(*payloads: bytes, times: Iterable[int] | None = None, number: int = 1, **fields: Any) -> pb.PutRun:
-    """A run as a producer encodes it; without times the host stamps it."""
+    """Return a run as a producer encodes it. Without times the host stamps it."""
     durations = fields.pop("durations", None)
     run = item_pb2.ItemRun(
         time_unix_nano=times,
@@ -169,7 +169,7 @@ async def running_host(
     memory_bytes_max: int = 2**30,
     lease_ttl_nanos: int = 600 * S,
 ) -> AsyncIterator[Rig]:
-    """A host that has entered its directory; it leaves at the end of the block, if it has not yet."""
+    """Yield a host that has registered. It leaves at the end of the block, if it has not left before."""
     directory = FakeDirectory(lease_ttl_nanos=lease_ttl_nanos)
     async with serving(directory.register) as supernode:
         directory.target = supernode.address

@@ -11,7 +11,7 @@ from tests.support.supernode.processes import PATIENCE_SECONDS, Supernode, attem
 
 
 async def command(*words: str) -> tuple[int, str]:
-    """Run `stampede supernode ...` to its end: the exit code, and what it printed."""
+    """Run `stampede supernode ...` to its end. Returns the exit status and the output."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "stampede_rt.cli", "supernode", *words),
         stdout=asyncio.subprocess.PIPE,
@@ -36,7 +36,7 @@ async def prepared(verb: str, name: str, port: int, folder: Path, *words: str) -
 
 
 async def status_has(address: str, text: str) -> None:
-    """Wait until `status` says it."""
+    """Wait until the output of `status` has `text`."""
     async for _ in attempts():
         _, printed = await command("status", "--member", address)
         if text in printed:

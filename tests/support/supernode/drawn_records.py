@@ -25,7 +25,7 @@ def some_group(directory: Directory, number: int) -> GroupRecord | None:
 
 
 def ids_of(directory: Directory, chosen: list[int]) -> tuple[bytes, ...]:
-    """Ids of channels, without repetition; number 5 is none."""
+    """Return different ids of channels. Number 5 is the id of no channel."""
     found = (some(directory, number) if number < 5 else None for number in chosen)
     return tuple(dict.fromkeys(channel.channel_id if channel else id_of(9999) for channel in found))
 

@@ -1,4 +1,4 @@
-"""One node alone with hand-written messages: what it holds, and what it answers."""
+"""A single Raft node that gets hand-written messages. Tests inspect its log and its answers."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ ABC = Configuration.of([Member(member_id=name, address=f"{name}:1") for name in 
 
 
 def command(text: str) -> bytes:
-    """A log command, with the byte that says its kind."""
+    """Return a log command, with the byte for its kind."""
     return LIBRARY_COMMAND + text.encode()
 
 
 class LoneNode:
-    """Member `a` of `a`, `b`, `c`, ... with every link up and a clock that stands still."""
+    """Member `a` of `a`, `b`, `c`, ... All links are up, and the clock does not advance."""
 
     def __init__(
         self,
@@ -70,16 +70,16 @@ class LoneNode:
             self.node.transport.deliver(Connected(member.member_id))
 
     def receive(self, sender: str, message: Message) -> list[tuple[str, Message]]:
-        """Let a message come in; return what the node says to it."""
+        """Give the node a message, and return its answers."""
         self.node.transport.deliver(Received(sender, message))
         return self.said()
 
     def said(self) -> list[tuple[str, Message]]:
-        """What the node has said since the last look."""
+        """Return the node's messages since the last call."""
         return [(to, decode_message(encode_message(message))) for to, message in self.node.transport.take_outbox()]
 
     def open_snapshot(self) -> None:
-        """Let the node go on with a snapshot that came in, as the steps of a replica do."""
+        """Let the node process a received snapshot, as the steps of a replica do."""
         for _ in range(10):
             self.node.install_opened()
 
@@ -102,12 +102,12 @@ class LoneNode:
         return term
 
     def held(self) -> list[tuple[int, int]]:
-        """(position, term) of every entry."""
+        """Return (position, term) of every entry."""
         return [(entry.log_index, entry.term) for entry in self.log[:]]
 
 
 def append(term: int, previous: tuple[int, int], entries: list[tuple[int, int]], *, commit: int = 1) -> AppendEntries:
-    """A leader's entries: `previous` and `entries` are (position, term)."""
+    """Return a leader's entries. `previous` and `entries` are (position, term)."""
     return AppendEntries(
         term=term,
         commit_index=commit,
@@ -131,7 +131,7 @@ def acknowledgement(term: int, next_index: int, *, success: bool = True) -> Appe
 
 
 def snapshot_pieces(*, last: int, term: int, size: int = 100) -> list[SnapshotChunk]:
-    """A snapshot of members a, b and c up to position `last`, cut into pieces."""
+    """Return the pieces of a snapshot of members a, b and c up to position `last`."""
     machine = ListMachine()
     for index in range(2, last + 1):
         machine.apply(index, f"{index}/{term}".encode())

@@ -1,4 +1,4 @@
-"""A ReplicatedLog of one replica that applies at once, and whose failures and leadership a test decides."""
+"""A ReplicatedLog of one replica that applies at once. A test controls its failures and its leadership."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SELF, OTHER = Member(member_id="s1", address="localhost:7581"), Member(member_id
 
 
 class Fate(Enum):
-    """What becomes of a proposal."""
+    """The outcome of a proposal."""
 
     REFUSED = "not taken"
     LOST = "unknown, and not done"
@@ -27,7 +27,7 @@ class Fate(Enum):
 
 
 class MemoryLog:
-    """`fates` are those of the next proposals; an empty queue: all goes well. `quorum` False: nothing goes."""
+    """A log in memory. `fates`: the outcomes of the next proposals; empty: all succeed. `quorum` False: all fail."""
 
     def __init__(self, machine: StateMachine) -> None:
         self.machine = machine
@@ -39,9 +39,9 @@ class MemoryLog:
         self.quorum = True
         self.diverged_at = 0
         self.disk_silent_seconds = 0.0
-        # What the members have told of their releases; None: both know what this one knows.
+        # The highest levels that the members have told; None: both know those of this release.
         self.highest_levels: dict[str, int] | None = None
-        # What every change of the members ends with; None: it succeeds.
+        # The error of every change of the members; None: it succeeds.
         self.change_fails: Exception | None = None
         self.snapshot_fails: Exception | None = None
         self.added: list[tuple[Member, str]] = []
@@ -75,7 +75,7 @@ class MemoryLog:
         return result
 
     def apply_held(self) -> list[bytes]:
-        """What was under way arrives, and this comes of it."""
+        """Apply the held proposals, and return their results."""
         held, self.held = self.held, []
         self.index += len(held)
         first = self.index - len(held) + 1

@@ -88,14 +88,14 @@ class Node:
 
     @staticmethod
     async def call(pending: Awaitable[T]) -> T:
-        """The answer. Raises the StampedeError that the call ended with."""
+        """Return the answer. Raises the StampedeError of the call."""
         try:
             return await pending
         except grpc.aio.AioRpcError as error:
             raise from_rpc_error(error, "the supernode") from error
 
     async def pass_seconds(self, seconds: float) -> None:
-        """The clock goes on in steps of a second, and the leader looks at its leases at each."""
+        """Advance the clock in steps of a second. The leader checks its leases at each step."""
         while seconds > 0:
             step = min(seconds, 1.0)
             self.clock.advance(round(step * 1e9))
@@ -136,7 +136,7 @@ async def running_node(*, sign_of_life_seconds: float = 60.0) -> AsyncIterator[N
 
 
 async def reason_of(pending: Awaitable[Any]) -> StampedeError:
-    """The error that `pending` ends with."""
+    """Return the error of `pending`."""
     with pytest.raises(StampedeError) as caught:
         await Node.call(pending)
     return caught.value

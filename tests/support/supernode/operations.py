@@ -42,7 +42,7 @@ class Log:
         return self.directory.apply(self._index, command)
 
     def mark_time(self, tenure: int = 1) -> Result:
-        """The leader says that the time of a mark has passed."""
+        """Apply a leader's mark of time."""
         return self.apply(MarkTime(tenure=tenure, after_index=self.directory.answered.last_mark))
 
 
@@ -73,7 +73,7 @@ def expire(number: int, *, boot: int = 1, registered_index: int, tenure: int = 1
     return ExpireHost(host_id=id_of(number), boot_incarnation=boot, registered_index=registered_index, tenure=tenure)
 
 
-_made = count(2**64)  # beyond every number that a test gives itself, so that no id is had twice and their order is told
+_made = count(2**64)  # above every number that a test uses, so that ids are unique and ordered
 
 
 def open_channel(

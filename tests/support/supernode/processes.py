@@ -29,13 +29,13 @@ T = TypeVar("T")
 
 
 class Supernode:
-    """One process and a stub to call it, which finds it again after a restart."""
+    """One process, and a stub for its calls, which also works after a restart."""
 
     def __init__(self, name: str, address: str, arguments: list[str]) -> None:
         self.name = name
         self.address = address
         self._arguments = arguments
-        # The program that it is: another release is another module.
+        # The module that the process runs; another release has another module.
         self.module = "stampede_rt_supernode"
         self._process: asyncio.subprocess.Process | None = None
         self.channel = dial(address, secret=None)
@@ -43,7 +43,7 @@ class Supernode:
 
     @property
     def command(self) -> list[str]:
-        """What starts it."""
+        """Return the command that starts it."""
         return [sys.executable, "-m", self.module, "--log-level", "warning", *self._arguments]
 
     async def start(self) -> str:
@@ -60,7 +60,7 @@ class Supernode:
         return line.decode().rstrip("\n")
 
     async def refused(self) -> tuple[int, str]:
-        """Start it, and wait until it ends by itself; returns its exit code and what it said on stderr."""
+        """Start it, and wait until it ends by itself. Returns its exit status and its standard error."""
         process = await asyncio.create_subprocess_exec(
             *self.command, stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE, env=clean_environment()
         )
@@ -74,7 +74,7 @@ class Supernode:
         return process.returncode, said.decode()
 
     async def end(self, number: signal.Signals) -> tuple[int, bytes]:
-        """Signal it; returns its exit code and what it printed since it was ready."""
+        """Send it a signal. Returns its exit status and its output since it was ready."""
         assert self._process is not None
         self._process.send_signal(number)
         async with asyncio.timeout(PATIENCE_SECONDS):
@@ -85,7 +85,7 @@ class Supernode:
         return code, rest
 
     def cpu_seconds(self) -> float:
-        """What it has used since it was started (proc_pid_stat(5): utime and stime)."""
+        """Return its CPU time since its start (proc_pid_stat(5): utime and stime)."""
         assert self._process is not None
         fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -99,7 +99,7 @@ class Supernode:
         return code
 
     def freeze(self) -> None:
-        """Nothing of it runs until `thaw`."""
+        """Stop the process until `thaw`."""
         assert self._process is not None
         self._process.send_signal(signal.SIGSTOP)
 
@@ -133,7 +133,7 @@ class Cluster:
         await asyncio.gather(*(one.start() for one in self.supernodes))
 
     async def leader(self) -> Supernode:
-        """The one that leads, as soon as there is one."""
+        """Return the leader, as soon as there is one."""
         async for _ in attempts():
             for one in self.supernodes:
                 with contextlib.suppress(grpc.aio.AioRpcError):
@@ -162,7 +162,7 @@ async def running_cluster(folder: Path, *settings: str) -> AsyncIterator[Cluster
 
 
 def clean_environment() -> dict[str, str]:
-    """This process's environment without settings and secrets of whoever runs the tests."""
+    """Return this process's environment, without the settings and secrets of the user who runs the tests."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("STAMPEDE_")}
     return {**kept, "XDG_CONFIG_HOME": "/nonexistent"}
 
@@ -174,7 +174,7 @@ def free_ports(count: int) -> list[int]:
 
 
 async def attempts() -> AsyncIterator[None]:
-    """Tries, a little apart, that fail the test when the patience is over."""
+    """Yield attempts with a short pause between them. Fails the test after a limited time."""
     deadline = time.monotonic() + PATIENCE_SECONDS
     while time.monotonic() < deadline:
         yield
@@ -215,7 +215,7 @@ async def resolve(supernode: Supernode, name: str) -> pb.ResolveChannelResponse:
 
 
 async def renew(supernode: Supernode, number: int) -> bool:
-    """Whether that supernode prolonged the lease; raises LeaseExpired if it ended."""
+    """Return whether that supernode renewed the lease. Raises LeaseExpired if the lease has ended."""
     request = pb.RenewHostLeaseRequest(host_id=number.to_bytes(16, "big"), boot_incarnation=1)
     try:
         await called(supernode.stub.RenewHostLease(request, timeout=1), supernode)
@@ -227,7 +227,7 @@ async def renew(supernode: Supernode, number: int) -> bool:
 
 
 async def called(pending: Awaitable[T], supernode: Supernode) -> T:
-    """The answer. Raises the StampedeError that the call ended with."""
+    """Return the answer. Raises the StampedeError of the call."""
     try:
         return await pending
     except grpc.aio.AioRpcError as error:

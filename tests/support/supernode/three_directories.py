@@ -1,4 +1,4 @@
-"""Three directories that are driven alike and must stay alike, for the property tests."""
+"""Three directories for the property tests. They get the same commands, and must stay equal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.support.supernode.operations import id_of
 
 
 class ThreeDirectories(RuleBasedStateMachine):
-    """`directory` is fed values, `twin` encoded bytes, `restored` is replaced by its own snapshot now and then."""
+    """`directory` gets values, `twin` gets encoded bytes, and `restored` is sometimes replaced by its own snapshot."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -44,12 +44,12 @@ class ThreeDirectories(RuleBasedStateMachine):
     def without_index(snapshot: bytes) -> Directory | bytes:
         directory = decode_snapshot(snapshot)
         directory.tables.index = 0
-        directory.answered = Answered()  # a few are forgotten whatever a command does
+        directory.answered = Answered()  # each command forgets a few answers
         return encode_snapshot(directory)
 
     @rule()
     def mark_time(self) -> None:
-        """A leader's mark, which callers' commands may then be too late for."""
+        """Apply a leader's mark of time. Afterwards commands of callers may be too late."""
         marks = self.directory.answered.last_mark
         self.apply(MarkTime(tenure=self.directory.tenure, after_index=marks), self.fresh_id())
 

@@ -52,8 +52,7 @@ def _at_host(held: int, returned: list[int], runs: int, *, run_items: int) -> Po
         found = sum(part.hi - part.lo for part in channel.read(query, now).slices)
         if found != count:
             raise AssertionError(f"{found} items came instead of {count}")
-        # type: ignore[misc].
-        points.append((count, microseconds(lambda q=query: channel.read(q, now), times=_gets(count), runs=runs)))
+        points.append((count, microseconds(lambda q=query: channel.read(q, now), times=_gets(count), runs=runs)))  # type: ignore[misc]
     return points
 
 
