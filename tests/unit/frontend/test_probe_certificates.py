@@ -16,8 +16,9 @@ from stampede_rt_runtime.tls import load_tls
 
 async def why_it_failed(target: str, dialer: Dialer) -> str:
     roster = SupernodeRoster((target,))
-    async with Prober(roster, dialer, explain=dialer.explain) as prober, asyncio.timeout(10), prober._changed:
-        await prober._changed.wait_for(roster.failures)
+    async with Prober(roster, dialer, explain=dialer.explain), asyncio.timeout(10):
+        while not roster.failures():  # noqa: ASYNC110  (there is no event for it)
+            await asyncio.sleep(0.01)
     return roster.failures()[0]
 
 

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable
+from itertools import islice
 from time import perf_counter_ns
 
 import grpc
@@ -24,6 +25,8 @@ logger = logging.getLogger(__name__)
 
 PROBE_DEADLINE_SECONDS = 1.0
 PROBE_PERIOD_SECONDS = 1.0
+WOKEN_PER_TURN = 16
+"""So many waiting callers go on in one turn of the event loop."""
 _RETRY_SECONDS_MIN = 0.05  # for a supernode that is just starting; the pause doubles up to the period
 
 
@@ -49,7 +52,8 @@ class Prober:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         # target -> the other cluster to which the supernode belonged at its last answer
         self._strangers: dict[str, str] = {}
-        self._changed = asyncio.Condition()
+        # callers that wait for a supernode that can serve
+        self._waiting: dict[asyncio.Future[None], None] = {}
         self._journal = StatusLog()
 
     async def __aenter__(self) -> Prober:
@@ -66,9 +70,24 @@ class Prober:
     async def wait_healthy(self, timeout: float) -> bool:
         """Wait until a supernode can serve, for `timeout` seconds at most. Returns False if none can."""
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(timeout), self._changed:
-                await self._changed.wait_for(self._roster.any_healthy)
+            async with asyncio.timeout(timeout):
+                while not self._roster.any_healthy():
+                    healthy = asyncio.get_running_loop().create_future()
+                    self._waiting[healthy] = None
+                    try:
+                        await healthy
+                    finally:
+                        self._waiting.pop(healthy, None)
         return self._roster.any_healthy()
+
+    def _wake_some(self) -> None:
+        """Wake the first callers in line, because a supernode can serve. The others follow in the next turns."""
+        for healthy in [*islice(self._waiting, WOKEN_PER_TURN)]:
+            del self._waiting[healthy]
+            if not healthy.done():  # if it is, its caller waits no more
+                healthy.set_result(None)
+        if self._waiting:
+            asyncio.get_running_loop().call_soon(self._wake_some)
 
     def _match_tasks(self) -> None:
         """Run one task for every target of the roster, which is bounded, and none for others."""
@@ -87,8 +106,8 @@ class Prober:
             while True:  # for as long as the target is on the roster; paced below
                 healthy = await self._probe(target, channel, stub)
                 self._tell()
-                async with self._changed:
-                    self._changed.notify_all()
+                if self._roster.any_healthy():
+                    self._wake_some()
                 pause = PROBE_PERIOD_SECONDS if healthy else min(2 * pause, PROBE_PERIOD_SECONDS)
                 await asyncio.sleep(pause)
                 pause = _RETRY_SECONDS_MIN if healthy else pause

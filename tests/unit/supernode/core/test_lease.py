@@ -1,6 +1,7 @@
 """The leader's lease table, on a manual clock in seconds."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
@@ -193,3 +194,17 @@ def test_a_holder_that_has_registered_since_it_was_gone_keeps_its_lease_and_its_
     assert (again.host_id, 1, 9) in pass_time(table, 2 * TTL - 1, 4 * TTL)
     table.note_gone(again.host_id, 8)
     assert not table.renew(again, 4 * TTL), "its end is proposed"
+
+
+def test_a_leader_that_resigns_frees_its_leases_in_pieces() -> None:
+    table, count = LeaseTable(), 5 * LOOKS_MAX
+    hosts = [replace(host(1), host_id=number.to_bytes(4)) for number in range(count)]
+    table.lead(7, hosts, 0, ttl_nanos=TTL)
+    table.resign()
+    assert table.due(2 * TTL) == []
+    kept = [count]
+    for _ in table.freeing():
+        kept.append(sum(len(leases) for leases, _ in table._forgotten))
+    assert max(before - after for before, after in pairwise(kept)) <= LOOKS_MAX
+    assert kept[-1] == 0
+    assert not table._forgotten

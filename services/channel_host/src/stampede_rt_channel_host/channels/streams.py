@@ -12,9 +12,13 @@ from grpc.aio import InternalError
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
+from stampede_rt_channel_host.core.channel import batched
 from stampede_rt_runtime.rpc import Context
 
 logger = logging.getLogger(__name__)
+
+STREAMS_PER_TURN = 16
+"""So many streams are ended in one turn of the event loop when all are."""
 
 
 class OpenStream:
@@ -84,8 +88,10 @@ class OpenStreams:
     async def end_all(self, error: StampedeError) -> None:
         """End every stream with `error`, refuse new ones with it, and wait until no stream is left."""
         self._closing = error
-        for stream in list(self._streams):
-            stream.end(error)
+        for streams in batched(list(self._streams), STREAMS_PER_TURN):
+            for stream in streams:
+                stream.end(error)
+            await asyncio.sleep(0)
         while self._streams:
             self._changed.clear()
             await self._changed.wait()

@@ -49,27 +49,36 @@ class Exchange:
         self._on_stale = on_stale
         self._on_asked = on_asked
         self._names: dict[bytes, str] = {}  # of the hosts of the groups known here, from the directory
+        # What this host wants of others: by group and host, and for each host in how many groups each channel is.
+        self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
+        self._wanted: dict[bytes, Counter[bytes]] = {}
         self._told_all: set[bytes] = set()  # hosts that have told all their times on the present link
         # Floors of groups that this host has still to look up: by group, then by host.
         self._floors: dict[bytes, dict[bytes, CutFloor]] = {}
         self._waiting_floors: Counter[bytes] = Counter()  # the number of floors in `_floors` of each host
 
-    def share(self) -> None:
-        """Tell the links who the other hosts are and what this host wants of them, after a change of groups
-        or owners.
+    def share(self, group_id: bytes) -> None:
+        """Tell the links of the hosts concerned what this host wants of them, after a change of a group or its owners.
+
+        Costs the hosts and channels of this group, however many other groups there are.
         """
-        targets: dict[bytes, str] = {}
-        self._names = {}
-        wanted: dict[bytes, set[bytes]] = {}
-        shared: dict[bytes, set[bytes]] = {}
-        for group_id, group in self._table.groups.items():
-            targets |= group.targets
+        group = self._table.groups.get(group_id)
+        former, members = self._members.pop(group_id, {}), _by_host(group, self._identity.host_id)
+        if group is not None and members:
+            self._members[group_id] = members
             self._names |= group.host_names
-            for channel_id, host_id in group.owners.items():
-                if host_id != self._identity.host_id:
-                    wanted.setdefault(host_id, set()).add(channel_id)
-                    shared.setdefault(host_id, set()).add(group_id)
-        self.peers.share(targets, wanted, shared)
+        for host_id in former.keys() | members.keys():
+            wanted = self._wanted.setdefault(host_id, Counter())
+            wanted.update(members.get(host_id, ()))
+            for channel_id in former.get(host_id, ()):
+                wanted[channel_id] -= 1
+                if not wanted[channel_id]:
+                    del wanted[channel_id]
+            target = group.targets.get(host_id) if group is not None else None
+            self.peers.share(host_id, target, wanted.keys(), group_id, shares=host_id in members)
+            if not wanted:
+                del self._wanted[host_id]
+                self._names.pop(host_id, None)
 
     def look(self, group: HostedGroup) -> None:
         """Confirm the group's cut if all hosts have told theirs, and refresh it."""
@@ -164,3 +173,12 @@ class Exchange:
         if held is None or held.incarnation != floor.incarnation or held.cut < floor.cut:
             self._floors.setdefault(floor.group_id, {})[host_id] = floor
         self._on_stale(floor.group_id)
+
+
+def _by_host(group: HostedGroup | None, own_id: bytes) -> dict[bytes, list[bytes]]:
+    """The members of a group that other hosts own, by host. No group has none."""
+    members: dict[bytes, list[bytes]] = {}
+    for channel_id, host_id in group.owners.items() if group is not None else ():
+        if host_id != own_id:
+            members.setdefault(host_id, []).append(channel_id)
+    return members

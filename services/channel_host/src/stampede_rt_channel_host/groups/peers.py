@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 from typing import Any
 
 import grpc
@@ -38,7 +38,7 @@ class PeerHost:
         self.host_id = host_id
         self.target = ""
         self.wanted: frozenset[bytes] = frozenset()
-        self.groups: frozenset[bytes] = frozenset()
+        self.groups: set[bytes] = set()
         self.link: HostLink | None = None
         self.unlinked = asyncio.Event()
         self.task: asyncio.Task[None] | None = None
@@ -61,28 +61,29 @@ class PeerHosts:
         self._lease_held = lease_held
         self._peers: dict[bytes, PeerHost] = {}
 
-    def share(self, targets: Mapping[bytes, str], wanted: Mapping[bytes, set[bytes]],
-              groups: Mapping[bytes, set[bytes]]) -> None:  # fmt: skip
-        """Take in which other hosts share groups with this one now, and drop all others.
+    def share(
+        self, host_id: bytes, target: str | None, wanted: Collection[bytes], group_id: bytes, *, shares: bool
+    ) -> None:
+        """Take in whether the other host shares a group with this one now. A host that shares none is dropped.
 
-        For each host, `targets` gives its address, `wanted` the channels that this host wants to hear about from it,
-        and `groups` the groups that both share.
+        `target` is its address, None: as before; `wanted`: all channels that this host wants to hear about from it.
         """
-        for host_id, peer in list(self._peers.items()):
-            if host_id not in groups:
+        peer = self._peers.get(host_id)
+        if not wanted:
+            if peer is not None:
                 self._drop(peer)
-        for host_id, shared in groups.items():
-            peer = self._peers.setdefault(host_id, PeerHost(host_id))
-            news = frozenset(shared) - peer.groups
-            peer.groups = frozenset(shared)
-            peer.target = targets.get(host_id, peer.target)
-            self._want(peer, frozenset(wanted.get(host_id, ())))
-            if peer.link is not None:
-                for group_id in sorted(news):
-                    peer.link.tell_floor(group_id)
-            if peer.task is None:
-                peer.task = asyncio.create_task(self._keep(peer), name=f"link to {host_id.hex()}")
-                peer.task.add_done_callback(_check)
+            return
+        if peer is None:
+            peer = self._peers[host_id] = PeerHost(host_id)
+        is_new = shares and group_id not in peer.groups
+        (peer.groups.add if shares else peer.groups.discard)(group_id)
+        peer.target = peer.target if target is None else target
+        self._want(peer, frozenset(wanted))
+        if is_new and peer.link is not None:
+            peer.link.tell_floor(group_id)
+        if peer.task is None:
+            peer.task = asyncio.create_task(self._keep(peer), name=f"link to {host_id.hex()}")
+            peer.task.add_done_callback(_check)
 
     def is_linked(self, host_id: bytes) -> bool:
         """Whether a stream to the host is open."""
@@ -149,7 +150,7 @@ class PeerHosts:
         If the other host opened the stream, that host decides how long the stream stays. Meanwhile this host remembers
         the link. If it forgot the link and both shared a group again, neither host would open a stream.
         """
-        peer.groups = frozenset()
+        peer.groups = set()
         self._want(peer, frozenset())
         if peer.task is not None:
             peer.task.cancel()

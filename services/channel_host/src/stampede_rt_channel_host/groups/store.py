@@ -213,7 +213,7 @@ class GroupStore:
         self._table.board.confirm(group.ownerless(), self.channels.now())
         await self._bind_own(group)
         if former_hosts != (group.owners, group.targets):
-            self.exchange.share()
+            self.exchange.share(group_id)
         self.exchange.look(group)
 
     def _refused(self, group_id: bytes, known: HostedGroup | None, error: StampedeError) -> None:
@@ -225,7 +225,7 @@ class GroupStore:
         if known is not None:
             self._table.forget(group_id)
             self._changed_groups.drop(known)
-            self.exchange.share()
+            self.exchange.share(group_id)
             known.end(error)
 
     def _adopt(self, group_id: bytes, told: ResolvedGroup) -> HostedGroup:

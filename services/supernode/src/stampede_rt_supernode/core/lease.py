@@ -60,6 +60,8 @@ class LeaseTable:
         # For each lease the time of the next look at it, at its end or before; also for some dropped leases.
         self._looks: list[tuple[int, int, bytes]] = []
         self._ending: dict[bytes, _Lease] = {}
+        # The leases and looks of former tenures that are not freed yet.
+        self._forgotten: list[tuple[dict[bytes, _Lease], list[tuple[int, int, bytes]]]] = []
         self._granted_nanos = 0  # all leases that are not ending hold at least until then
         self._walks = 0
         self._looked_nanos = 0
@@ -73,15 +75,29 @@ class LeaseTable:
         self.follow(live, now)
 
     def resign(self) -> None:
-        """End the tenure: this supernode does not lead any more, so it can grant and end nothing."""
+        """End the tenure: this supernode does not lead any more, so it can grant and end nothing.
+
+        Call `freeing` afterwards.
+        """
         self.tenure = 0
         self._forget_all()
 
     def _forget_all(self) -> None:
-        self._leases.clear()
-        self._looks.clear()
-        self._ending.clear()
+        if self._leases or self._looks:
+            self._forgotten.append((self._leases, self._looks))
+        self._leases, self._looks, self._ending = {}, [], {}
         self._granted_nanos = 0
+
+    def freeing(self) -> Iterator[None]:
+        """Free the leases of former tenures, in pieces."""
+        while self._forgotten:
+            leases, looks = self._forgotten[-1]
+            for _ in range(min(LOOKS_MAX, len(leases))):
+                leases.popitem()
+            del looks[-LOOKS_MAX:]
+            if not leases and not looks:
+                self._forgotten.pop()
+            yield
 
     def follow(self, live: Iterable[Registered], now: int) -> None:
         """Take over the live holders: a new registration gets a full TTL, and a holder that is gone is dropped.

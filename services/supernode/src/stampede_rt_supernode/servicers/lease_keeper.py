@@ -9,6 +9,7 @@ import asyncio
 import logging
 import secrets
 from collections.abc import Callable
+from itertools import chain
 from typing import NamedTuple, TypeVar
 
 from stampede_rt.errors import HostNotFound, LeaseExpired, NotLeader, StampedeError, Unavailable
@@ -94,6 +95,8 @@ class LeaseKeeper:
         try:
             if not status.is_leader:
                 self._resign()
+                for _ in chain(self._hosts.freeing(), self._peers.freeing()):
+                    await self._give_way()
             elif self._hosts.tenure != status.tenure:
                 await self._take_over(status)
             else:

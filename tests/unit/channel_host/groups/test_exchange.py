@@ -1,0 +1,118 @@
+"""What a host wants of other hosts follows each group alone, however many groups there are."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
+from stampede_rt_channel_host.core.group import GroupDefinition
+from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
+from stampede_rt_channel_host.groups.exchange import Exchange
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.peers import PeerHosts
+from stampede_rt_channel_host.groups.table import HostedGroups
+
+OWN, LEFT, RIGHT = b"o" * 16, b"l" * 16, b"r" * 16
+
+
+class Walked(dict[bytes, HostedGroup]):
+    """Counts how often somebody walks all of it."""
+
+    walks = 0
+
+    def __iter__(self):  # type: ignore[no-untyped-def]  # as dict has it
+        self.walks += 1
+        return super().__iter__()
+
+    def items(self):  # type: ignore[no-untyped-def]  # as dict has it
+        self.walks += 1
+        return super().items()
+
+
+class Groups:
+    """An exchange, and groups whose members belong to the named hosts."""
+
+    def __init__(self) -> None:
+        self.table = HostedGroups()
+        self.table.groups = self.walked = Walked()
+        identity: Any = SimpleNamespace(host_id=OWN, name="own")
+        channels: Any = SimpleNamespace(scheduler=PieceScheduler(), lease_held=lambda: True, now=lambda: 0)
+        dial: Any = None
+        self.exchange = Exchange(
+            identity, channels, self.table, dial, lambda: "", on_stale=lambda _: None, on_asked=lambda _: None
+        )
+
+    def adopt(self, number: int, *members: tuple[int, bytes]) -> None:
+        """The directory tells of the group: numbers of channels, and the hosts that own them."""
+        told = _told(number, *members)
+        held = self.table.groups.get(told.group.group_id)
+        if held is None:
+            begin = PieceScheduler().begin
+            self.table.enter(
+                HostedGroup(
+                    told, self.table.board, lambda: 0, on_moved=lambda _: None, on_idle=lambda _: None, begin=begin
+                )
+            )
+        else:
+            self.table.adopt(held, told)
+        self.exchange.share(told.group.group_id)
+
+    def forget(self, number: int) -> None:
+        self.table.forget(number.to_bytes(16))
+        self.exchange.share(number.to_bytes(16))
+
+    def wanted(self, host_id: bytes) -> set[int]:
+        return {int.from_bytes(one) for one in self.exchange.peers.wanted_of(host_id)}
+
+
+def _told(number: int, *members: tuple[int, bytes]) -> ResolvedGroup:
+    records = {
+        channel.to_bytes(16): RecordedChannel(
+            channel_id=channel.to_bytes(16), name=f"c{channel}", host_id=host_id, epoch=1, incarnation=1,
+            spec_version=1, policy=Policy(), message=b"",
+        )
+        for channel, host_id in members
+    }  # fmt: skip
+    definition = GroupDefinition(members=frozenset(records), incarnation=1)
+    group = RecordedGroup(group_id=number.to_bytes(16), name=f"g{number}", definition=definition, message=b"")
+    hosts = {host_id for _, host_id in members}
+    return ResolvedGroup(
+        group=group, channels=records, targets=dict.fromkeys(hosts, "h:1"), host_names=dict.fromkeys(hosts, "h")
+    )
+
+
+@pytest.fixture
+def groups(monkeypatch: pytest.MonkeyPatch) -> Groups:
+    async def keep(_: PeerHosts, _peer: object) -> None:
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(PeerHosts, "_keep", keep)
+    return Groups()
+
+
+async def test_a_host_wants_the_channels_of_all_groups_until_the_last_of_them_has_gone(groups: Groups) -> None:
+    groups.adopt(1, (1, LEFT), (2, RIGHT), (3, OWN))
+    groups.adopt(2, (2, RIGHT), (4, RIGHT))
+    assert (groups.wanted(LEFT), groups.wanted(RIGHT), groups.wanted(OWN)) == ({1}, {2, 4}, set())
+    assert groups.exchange.name_of_host(LEFT) == "h"
+    groups.adopt(1, (1, RIGHT), (3, OWN))
+    assert (groups.wanted(LEFT), groups.wanted(RIGHT)) == (set(), {1, 2, 4})
+    assert groups.exchange.name_of_host(LEFT) == ""
+    groups.forget(1)
+    assert groups.wanted(RIGHT) == {2, 4}
+    groups.forget(2)
+    assert groups.wanted(RIGHT) == set()
+    groups.adopt(3, (7, LEFT))
+    assert groups.wanted(LEFT) == {7}
+
+
+async def test_a_group_that_is_learnt_makes_the_host_look_at_no_other_group(groups: Groups) -> None:
+    for number in range(100):
+        groups.adopt(number, (number, LEFT), (number + 1, RIGHT))
+    assert groups.walked.walks == 0
+    assert groups.wanted(LEFT) == {*range(100)}
