@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import tracemalloc
+import weakref
 from dataclasses import replace
 from itertools import pairwise
 
@@ -140,6 +141,19 @@ async def test_gets_for_what_is_still_to_come_cost_a_put_nothing() -> None:
     assert blocked.channel.polls == 3
     run_to_end(blocked.gets.ending(Unavailable("gone")))
     assert blocked.released == list(range(10_000))
+
+
+async def test_gets_that_end_together_are_freed_a_few_at_a_time() -> None:
+    blocked, count = Blocked(), 20 * GETS_PER_PIECE
+    kept = weakref.WeakSet(
+        blocked.block(number, Query(interval=parse_interval(START + S, START + 2 * S)))._on_outcome
+        for number in range(count)
+    )
+    left = [count]
+    for _ in blocked.gets.ending(Unavailable("gone")):
+        left.append(len(kept))
+    assert max(before - after for before, after in pairwise([*left, len(kept)])) <= GETS_PER_PIECE
+    assert not kept
 
 
 @pytest.mark.parametrize("match", [Match.START, Match.SPAN])
