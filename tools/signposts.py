@@ -26,6 +26,7 @@ MODULE = re.compile(r"`(stampede_rt\w*(?:\.\w+)*)`")
 ENTRY_POINTS = {"stampede_rt.verbs"}
 PATH = re.compile(r"`([\w./-]+(?:\.(?:py|proto|toml|md)|/))`")
 INDEX_LINE = re.compile(r"^\| \[(\d{4})\]\((.+?)\) \|", re.MULTILINE)
+MERGE_MARK = re.compile(r"^(?:<{7}|>{7}) ", re.MULTILINE)
 
 
 def unknown_names(page: str, files: Iterable[str]) -> list[str]:
@@ -92,6 +93,12 @@ def index_complaints(index: str, records: Mapping[str, str]) -> list[str]:
     return lines
 
 
+def merge_complaints(pages: Mapping[str, str]) -> list[str]:
+    """The pages in which git left the marks of a conflict, from the text of each page by its file name."""
+    marked = [page for page, text in pages.items() if MERGE_MARK.search(text)]
+    return [f"{page} has the marks of a merge conflict; resolve it" for page in marked]
+
+
 def complaints() -> list[str]:
     """Return everything that is wrong on the present pages."""
     files = subprocess.run(
@@ -107,6 +114,7 @@ def complaints() -> list[str]:
     page = (ROOT / PICTURE_PAGE).read_text()
     if with_layers(page, layers(_contracts())) != page:
         lines.append(f"the layers in {PICTURE_PAGE} are not those of pyproject.toml; run: make stubs")
+    lines += merge_complaints({file: (ROOT / file).read_text() for file in there if file.endswith(".md")})
     folder = ROOT / DECISIONS
     records = {path.name: path.read_text() for path in folder.glob("[0-9]*.md")}
     return lines + index_complaints((folder / "README.md").read_text(), records)

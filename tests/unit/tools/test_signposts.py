@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tools import signposts
-from tools.signposts import BEGIN, END, ROOT, index_complaints, layers, unknown_names, with_layers
+from tools.signposts import BEGIN, END, ROOT, index_complaints, layers, merge_complaints, unknown_names, with_layers
 
 FILES = ["client/src/stampede_rt/wire/runs.py", "docs/wire.md", "services/host/src/stampede_rt_host/core/__init__.py"]
 LAYERED = {"name": "Down", "type": "layers", "layers": ["pkg.top", "pkg.a : pkg.b", "pkg.low"]}
@@ -68,6 +68,12 @@ def test_a_new_picture_takes_the_place_of_the_old_one() -> None:
 def test_an_index_that_is_not_complete_and_in_order_is_told(index: str, told: str) -> None:
     (line,) = index_complaints(index, {"0001-a.md": "", "0002-b.md": ""})
     assert told in line
+
+
+def test_a_page_with_the_marks_of_a_merge_conflict_is_told() -> None:
+    conflict = "| a |\n<<<<<<< HEAD\n| b |\n=======\n| c |\n>>>>>>> 1234567 (Say more)\n"
+    (line,) = merge_complaints({"docs/a.md": conflict, "docs/b.md": "a < b, and <<<<<<< in a sentence\n=======\n"})
+    assert "docs/a.md" in line
 
 
 def test_all_signposts_are_true() -> None:
