@@ -11,7 +11,7 @@ PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_dir
 	peers/test_peers_properties.py test_lease_safety.py)
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench clean
+.PHONY: help setup demo test explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench bench-docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -81,6 +81,13 @@ images: setup  ## build the images of deploy/ and prove the compose file, withou
 
 bench: setup  ## items per second and latency beside bare gRPC
 	$(RUN)/python -m tests.benchmarks.hot_path
+
+bench-docs: setup  ## `stampede bench` into docs/benchmarks.md: some hours on a quiet machine; BENCH='--rounds 3' for less
+	mkdir -p out/bench
+	$(RUN)/stampede bench paper --out out/bench $(PAPER) > out/bench/paper.txt
+	-$(RUN)/stampede bench limits --out out/bench $(BENCH)
+	-$(RUN)/stampede bench peers --out out/bench $(BENCH)
+	$(RUN)/python tools/benchmark_docs.py out/bench
 
 clean:  ## forget everything that was made
 	rm -rf .venv .tools .make out

@@ -44,8 +44,8 @@ class Report:
         times = [] if work.kind == "stream" else ["p50, us", "p99, us", "p99.9, us"]
         columns = [work.title, *times, "items/s", "CPU us/item"]
         columns += [] if work.is_operation else ["lost, %"]
-        columns += [f"{self.ours} is so many times as fast"] if self.ours else []
-        columns += ["share of the limit"] if self.limits else []
+        columns += ["ours, times as fast"] if self.ours else []
+        columns += [f"of {limit}" for limit in self.limits]
         table = Table(columns)
         for system in results.runs.get(work, {}):
             table.rows.append(self._row(results, work, system))
@@ -67,14 +67,10 @@ class Report:
         if self.ours:
             same = self.ours not in measured or system == self.ours
             cells.append("" if same else f"{results.speed(work, self.ours, system):.2g}")
-        if self.limits:
-            cells.append(self._share_of_limit(results, work, system))
+        for limit in self.limits:
+            compared = limit in measured and system not in self.limits
+            cells.append(f"{results.speed(work, system, limit):.2g}" if compared else "")
         return cells
-
-    def _share_of_limit(self, results: Results, work: Work, system: str) -> str:
-        """`0.42 of bare gRPC, 0.10 of ...`: of each limit that was measured."""
-        measured = [] if system in self.limits else [limit for limit in self.limits if limit in results.runs[work]]
-        return ", ".join(f"{results.speed(work, system, limit):.2g} of {limit}" for limit in measured)
 
     def readers(self, results: Results) -> list[tuple[str, Table]]:
         """For each size of frames, how many readers each system serves with under 1 % lost."""
@@ -108,10 +104,13 @@ class Report:
 
     def _conditions(self) -> str:
         machine = "; ".join(f"{key}: {value}" for key, value in self.machine.items())
+        ratios = '"Of" a limit: the speed of the row as a share of the limit.' if self.limits else ""
+        if self.ours:
+            ratios = f'"Ours, times as fast": {self.ours} against the system of the row. {ratios}'
         return (
             f"{self.rounds} runs of {self.seconds:g} s in steady state, the systems in turn, each with a fresh server. "
-            f"Medians, with the least and the most in parentheses. CPU time is that of all processes together.\n\n"
-            f"Measured on: {machine}."
+            f"Medians, with the least and the most in parentheses. CPU time is that of all processes together. "
+            f"{ratios}\n\nMeasured on: {machine}."
         )
 
     def values(self, results: Results) -> dict[str, object]:

@@ -71,6 +71,6 @@ def test_a_report_gives_ratios_to_ours_and_to_the_limits(tmp_path: Path) -> None
     report.write(found, tmp_path)
     text = (tmp_path / "r.md").read_text()
     peer = next(line for line in text.splitlines() if line.startswith("| peer"))
-    assert peer.endswith("| 2 | 0.25 of bare |")
+    assert peer.endswith("| 2 | 0.25 |")
     assert "| ours | 8 of 8 tried |" in text
     assert {path.suffix for path in tmp_path.iterdir()} == {".md", ".json", ".png"}

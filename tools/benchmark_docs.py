@@ -1,0 +1,64 @@
+"""Put reports of `stampede bench` into docs/benchmarks.md, between their markers, and their charts into docs/images.
+
+`python tools/benchmark_docs.py FOLDER`: of `paper.txt`, `limits.md` and `peers.md` those that are in the folder.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+PAGE = DOCS / "benchmarks.md"
+BEGIN, END = "<!-- {}: filled by `make bench-docs` -->\n", "<!-- /{} -->"
+PAPER_CHARTS = ("get", "interval", "contention", "visibility", "skew", "memory")
+
+
+def filled(page: str, name: str, report: str, charts: list[str]) -> str:
+    """The page with that report and its charts between the markers of the name. Raises ValueError without markers."""
+    before, begin, rest = page.partition(BEGIN.format(name))
+    _, end, after = rest.partition(END.format(name))
+    if not begin or not end:
+        raise ValueError(f"{PAGE.name} has no markers for {name}: {BEGIN.format(name).strip()} and {END.format(name)}")
+    images = "".join(f"![{Path(chart).stem}](images/bench-{chart})\n" for chart in charts)
+    return f"{before}{begin}{report.strip()}\n\n{images}{end}{after}"
+
+
+def report_of(folder: Path, name: str) -> str | None:
+    """What was measured, without its title; None if it was not."""
+    file = folder / (f"{name}.txt" if name == "paper" else f"{name}.md")
+    if not file.exists():
+        return None
+    text = file.read_text()
+    if name == "paper":
+        return f"```\n{text.strip()}\n```"
+    return text.partition("\n")[2]
+
+
+def charts_of(folder: Path, name: str) -> list[str]:
+    """The names of its charts."""
+    if name == "paper":
+        return [f"{chart}.png" for chart in PAPER_CHARTS if (folder / f"{chart}.png").exists()]
+    return sorted(path.name for path in folder.glob(f"{name}-*.png"))
+
+
+def main() -> int:
+    """0, or 2 if the folder has no report."""
+    folder, page, found = Path(sys.argv[1]), PAGE.read_text(), False
+    for name in ("paper", "limits", "peers"):
+        report = report_of(folder, name)
+        if report is None:
+            print(f"{name}: no report in {folder}; its section stays as it is")
+            continue
+        found = True
+        charts = charts_of(folder, name)
+        page = filled(page, name, report, charts)
+        for chart in charts:
+            shutil.copyfile(folder / chart, DOCS / "images" / f"bench-{chart}")
+    PAGE.write_text(page)
+    return 0 if found else 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
