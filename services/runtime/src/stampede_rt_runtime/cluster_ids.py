@@ -26,7 +26,7 @@ def listed_cluster_id(members: Mapping[str, str]) -> str:
 
 
 def cluster_id_of(log_cluster_id: str) -> str:
-    """The cluster's public id, from the id that its members use among each other; empty if the latter is made from a
-    list.
+    """The cluster's public id, from the id that its members use among each other; empty if the members' id is made from
+    a list.
     """
     return "" if log_cluster_id.startswith(LISTED) else log_cluster_id

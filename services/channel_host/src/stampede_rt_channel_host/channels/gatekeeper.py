@@ -30,7 +30,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self._store = store
         self._identity = identity
         self._access = access
-        # the address for data; known once the server listens, and the host has no lease before that
+        # the address of the data services; set once the server listens, before the host gets a lease
         self.target = ""
 
     async def Ping(  # noqa: N802

@@ -10,7 +10,7 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.core.channel import Pieces, batched, run_to_end
 
 OBSERVERS_PER_PIECE = 16
-"""Each observer may have a message to send in the loop's next turn."""
+"""The observers that one piece of work wakes or ends. Each may send a message in the loop's next turn."""
 
 Thing = TypeVar("Thing")
 
@@ -69,7 +69,9 @@ class Backlog(Generic[Thing]):
 
 
 class Observers:
-    """The observers of one channel. An observer that is not yet woken for a change hears of later changes with it."""
+    """The observers of one channel. If further changes come before an observer is woken, the observer is woken once for
+    all of them.
+    """
 
     def __init__(self, begin: Callable[[Pieces[None]], None] = run_to_end) -> None:
         """`begin`: see `Backlog`."""

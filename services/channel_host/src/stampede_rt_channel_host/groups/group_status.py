@@ -41,7 +41,7 @@ def _member(member: CutMember, group: HostedGroup, groups: GroupStore, now: int)
 
 
 def _is_too_short(member: CutMember, group: HostedGroup, lead: int | None) -> bool:
-    """Whether a channel keeps less than its lead. Of a channel at another host only its stated age is known."""
+    """Whether a channel at another host keeps items for less than its lead. Only its stated max_age is known here."""
     record = group.channels.get(member.channel_id)
     if record is None or lead is None or record.policy.max_age_nanos is None:
         return False

@@ -1,7 +1,7 @@
 """Gets and subscriptions of channels that name a group (paper, section 3.3).
 
-Each host computes the cut itself, so a read costs no further round trip. Only if a reader has seen a later cut does the
-host wait for the other hosts.
+Each host computes the cut itself, so a read costs no further round trip. The host waits for the other hosts only if a
+reader has seen a later cut.
 """
 
 from __future__ import annotations

@@ -50,9 +50,10 @@ class Tables:
         self.changes = ChangeRing(index)
         self.hosts: dict[bytes, HostRecord] = {host.host_id: host for host in hosts}
         self.channels: dict[bytes, ChannelRecord] = {channel.channel_id: channel for channel in channels}
-        # By name; exactly the channels. Built at once, because name by name takes twenty times as long.
+        # The channel's id by its name, for all channels. Built at once, because name by name takes twenty times as
+        # long.
         self.channel_ids: SortedDict[str, bytes] = SortedDict({one.name: key for key, one in self.channels.items()})
-        self.host_ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the live hosts
+        self.host_ids: SortedDict[str, bytes] = SortedDict()  # the host's id by its name, for all live hosts
         self.lost: set[bytes] = {host.host_id for host in self.hosts.values() if host.is_lost}
         self._channel_ids_at: dict[bytes, set[bytes]] = {host_id: set() for host_id in self.hosts}
         for host in self.hosts.values():

@@ -73,7 +73,7 @@ async def volunteer(
 
 
 def seconds_before_asking(refusals: int) -> float:
-    """How long a supernode with so many refusals waits before it asks again."""
+    """The seconds that a supernode with this number of refusals waits before it asks again."""
     return float(min(2 ** min(refusals - 1, 30), REFUSED_SECONDS_MAX)) if refusals else 0.0
 
 

@@ -26,8 +26,8 @@ class HeldItems:
     `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time collected for
     age, count or bytes. `collected_end`: the latest span end among those items, and `collected_by` the cause.
     `newest_consumed`: the latest time collected by consumption. `last_cause`: the cause of the latest collection.
-    `overlap_nanos`: for so long a later item does not end the span of an item with a duration. `freed_entries`: the
-    number of entries freed so far.
+    `overlap_nanos`: a later item within this time does not end the span of an item with a duration. `freed_entries`:
+    the number of entries freed so far.
     """
 
     __slots__ = (

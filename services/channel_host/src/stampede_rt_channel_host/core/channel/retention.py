@@ -25,7 +25,7 @@ ENTRIES_PER_LOOK = 8
 SLICES_AGED_MAX = 256
 """The most slices that one call checks for items that a consumer has still to consume, if age depends on that."""
 CONSUMERS_ASKED_MAX = 512
-"""After so many looks at single consumers, one call takes no further slice."""
+"""After this number of looks at single consumers, one call takes no further slice."""
 
 
 class Retention:
@@ -258,7 +258,7 @@ class Retention:
             held.outdate(held.front_of_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
 
     def has_room(self, items: int, payload_bytes: int) -> bool:
-        """Whether so many more items fit in without the collection of others."""
+        """Whether `items` more items fit in without the collection of others."""
         held, limits = self._held, self.limits
         within_items = limits.max_items is None or held.items + items <= limits.max_items
         return within_items and held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES <= limits.max_bytes

@@ -19,8 +19,8 @@ class GroupDefinition:
     """The set-up of a group. `reference` None: the group's cut is the smallest cut of all members ("oldest").
 
     `by_end`: a channel's cut is the latest end by duration in its newest bucket, at most `max_lead_nanos` after the
-    bucket's time. `idle_after_nanos`: "oldest" leaves out a member that is silent for so long. `incarnation`: two cuts
-    compare only within one incarnation.
+    bucket's time. `idle_after_nanos`: "oldest" leaves out a member that is silent for this time. `incarnation`: two
+    cuts compare only within one incarnation.
     """
 
     members: frozenset[bytes]

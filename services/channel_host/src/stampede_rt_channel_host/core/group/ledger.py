@@ -17,7 +17,7 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ItemKey
 
 LOOKED_AT_MAX = 4096
-"""A search for the lowest seq still to give looks at so many items or slices at the most."""
+"""The most items or slices at which a search for the lowest seq still to give looks."""
 
 
 class Ledger:

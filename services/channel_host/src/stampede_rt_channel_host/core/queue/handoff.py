@@ -35,8 +35,8 @@ class ItemState(NamedTuple):
     """A message with a history.
 
     `deliveries` has one entry for each copy that was delivered and not acknowledged: first for the leased copies, in
-    the order of `leases`, then for the others. `delay_nanos`: the message is held back for so long. `is_leaving`: it is
-    on its way to the dead-letter queue. `last`: its last failed delivery.
+    the order of `leases`, then for the others. `delay_nanos`: the queue holds the message back for this time.
+    `is_leaving`: it is on its way to the dead-letter queue. `last`: its last failed delivery.
     """
 
     seq: int

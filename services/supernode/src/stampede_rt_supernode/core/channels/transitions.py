@@ -69,7 +69,7 @@ def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
 def open_unchanged(tables: Tables, operation: OpenChannel) -> ChannelOpened | None:
     """The answer to `operation` if it changes nothing, else None.
 
-    Raises the errors of `open_channel` that are certain.
+    Raises the errors of `open_channel`, except those about a lack of room or of a host.
     """
     check_open(operation)
     channel = tables.channel_named(operation.name)

@@ -18,15 +18,15 @@ GroupWithWitnesses = tuple[GroupRecord, tuple[bytes, ...]]
 class GroupTable:
     """The groups. `note` is called with every change.
 
-    A witness is a host of members that still knows the cut of the present incarnation, because it has not restarted
-    since that cut.
+    A witness is a host that owns members and still knows the cut of the present incarnation, because the host has not
+    restarted since.
     """
 
     def __init__(self, entries: Iterable[GroupWithWitnesses], note: Note) -> None:
         self._note = note
         self.by_id: dict[bytes, GroupRecord] = {}
-        self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the groups
-        self._entries: dict[bytes, GroupWithWitnesses] = {}  # by id; host ids ascending, at least one
+        self.ids: SortedDict[str, bytes] = SortedDict()  # the group's id by its name, for all groups
+        self._entries: dict[bytes, GroupWithWitnesses] = {}  # by group id; the witnesses ascend, at least one each
         self._ids_with: dict[bytes, set[bytes]] = {}  # by channel id; only channels that are in a group
         for group, witnesses in entries:
             self._link(group, witnesses)

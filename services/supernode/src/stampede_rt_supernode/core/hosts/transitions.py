@@ -1,7 +1,7 @@
 """Registers, deregisters and expires hosts in the tables, and checks who may do so. Pure.
 
 A lease belongs to one registration. Its end is a log entry that names the boot incarnation, the registration and the
-leader's tenure. If one of them has changed since, the entry has no effect.
+leader's tenure. If any of these has changed since, the entry has no effect.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class PeerTable:
     def __init__(self, peers: Iterable[PeerRecord], index: int) -> None:
         self.changes = ChangeRing(index)
         self.by_id: dict[bytes, PeerRecord] = {}
-        self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the live peers with a name
+        self.ids: SortedDict[str, bytes] = SortedDict()  # the peer's id by its name, for all live peers with a name
         self.keys: SortedSet[PeerKey] = SortedSet()  # all peers, in the order of listings
         # ids, in the order in which the leases ended; those that ended together by id
         self._dead: dict[bytes, None] = {}

@@ -21,7 +21,7 @@ class QueueTable:
     def __init__(self, queues: Iterable[QueueRecord], note: Note) -> None:
         self._note = note
         self.by_id: dict[bytes, QueueRecord] = {}
-        self.ids: SortedDict[str, bytes] = SortedDict()  # by name; exactly the queues that are no mailboxes
+        self.ids: SortedDict[str, bytes] = SortedDict()  # the queue's id by its name, for all queues except mailboxes
         self._ids_at: dict[bytes, set[bytes]] = {}  # by host id; only hosts that own a queue
         self._feeding: dict[bytes, set[bytes]] = {}  # by the id of a dead-letter queue: the queues that use it
         self.creators = Creators()

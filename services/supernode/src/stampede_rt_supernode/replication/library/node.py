@@ -248,7 +248,7 @@ class LibraryNode:
         return self.state_machine.apply(log_index, command)
 
     def _applyCommand(self, command: bytes, callback: Any, commandType: int | None = None) -> None:
-        # a command of this member, or one forwarded to it; only the latter has a byte for its kind
+        # a command of this member, or a command forwarded to it; only a forwarded command has a byte for its kind
         if self.state_machine.takes(command if commandType is not None else command[1:]):
             super()._applyCommand(command, callback, commandType)  # type: ignore[misc]
         else:

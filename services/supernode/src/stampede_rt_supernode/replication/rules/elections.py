@@ -32,7 +32,7 @@ from stampede_rt_supernode.replication.wire.messages import (
 # than this many are not believable: at one election a second they would take twelve days.
 TERMS_AHEAD_MAX = 1 << 20
 # No term may be more than this ahead of the own term, either. Elections go on from the term that a member has reached.
-# A hostile member that raises the term by so much with each message needs a hundred thousand years to use up the
+# A hostile member that raises the term by this number with each message needs a hundred thousand years to use up the
 # numbers.
 TERMS_STEP_MAX = 1000
 # A stored term above this leaves too few terms for further elections.
