@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from tests.benchmarks.attacks import memory, neighbours, without_credential
+from tests.benchmarks.attacks import memory, neighbours, quotas, without_credential
 from tests.benchmarks.attacks.ground import Attack
 
 Part = Literal["host", "supernode"]
@@ -47,4 +47,9 @@ CASES: dict[str, Case] = {
     "large-gets": Case(neighbours.large_gets),
     "many-subscriptions": Case(neighbours.many_subscriptions),
     "new-channels": Case(neighbours.new_channels, "supernode"),
+    "many-streams": Case(quotas.many_streams),
+    "blocked-gets": Case(quotas.blocked_gets),
+    "busy-puts": Case(quotas.busy_puts),
+    "single-calls": Case(quotas.single_calls),
+    "held-bytes": Case(quotas.held_bytes),
 }

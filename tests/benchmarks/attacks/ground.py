@@ -28,7 +28,7 @@ CHANNELS: list[grpc.aio.Channel] = []  # one that nobody holds is closed
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """The addresses of a cluster with one host and one supernode, and its secret."""
+    """The addresses of a cluster with one host and one supernode, and the attacker's token or secret."""
 
     frontend: str
     supernode: str

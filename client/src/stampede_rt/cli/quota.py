@@ -16,7 +16,7 @@ from stampede_rt.escaping import escaped
 
 QUOTAS = (
     "streams", "subscriptions", "waiting-calls", "bytes-in-flight", "channels", "queues", "changes-per-second",
-    "bytes-held",
+    "bytes-held", "cpu-percent",
 )  # fmt: skip
 IN_BYTES = frozenset({"bytes-in-flight", "bytes-held"})
 DEFAULT = "(default)"

@@ -14,7 +14,7 @@ from grpc.aio import AbortError
 
 from stampede_rt.errors import Overloaded
 from stampede_rt.status import abort, error_in
-from stampede_rt_runtime.access.control import current_account
+from stampede_rt_runtime.access.control import current_account, current_work
 from stampede_rt_runtime.handlers import guarded, is_stream
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.overload import RefusedCalls
@@ -102,7 +102,8 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
 
         @contextlib.asynccontextmanager
         async def slot(context: Context) -> AsyncIterator[None]:
-            account = current_account()
+            account, work = current_account(), current_work()
+            work.count_call()
             try:
                 for quota in quotas:
                     account.check(quota)
@@ -112,6 +113,8 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
                 await abort(context, error)
             account.take(quotas)
             try:
+                if work.must_wait:
+                    await work.turn()
                 yield
             except AbortError:
                 if method not in COUNTED_BY_ITEMS:

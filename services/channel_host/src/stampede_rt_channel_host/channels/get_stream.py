@@ -33,6 +33,7 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.limits import Quota
+from stampede_rt_runtime.quotas.working import CallerWork
 from stampede_rt_runtime.rpc import Context
 
 CALLS_MAX = 1024
@@ -81,6 +82,7 @@ class GetStream:
         self._context = context
         self._stream = stream
         self._account = current_account()
+        self._work = CallerWork(self._account)
         self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: its answer is being sent
         self._plans = GetPlans()
         self._idle = asyncio.Event()
@@ -95,7 +97,11 @@ class GetStream:
         """
         try:
             while (raw := await self._context.read()) is not EOF:
+                if self._work.must_wait:
+                    await self._work.turn()
+                self._work.begin()
                 self._take(self._plans.read(raw))
+                self._work.end()
                 await self._outbox.flush()
             while self._calls:
                 self._idle.clear()

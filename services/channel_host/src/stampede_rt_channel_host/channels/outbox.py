@@ -12,6 +12,7 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.channel import Pieces, Slice, emptying, run_to_end
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import Quota
+from stampede_rt_runtime.quotas.working import WRITE_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context
 
 ANSWERS_QUEUED_MAX = 256
@@ -57,6 +58,7 @@ class Outbox:
         """
         self._context = context
         self._in_flight = (account or unlimited()).hold(Quota.BYTES_IN_FLIGHT)
+        self._work = CallerWork(account or unlimited())
         self._stream = stream
         self.queued_bytes = 0
         self._on_end = on_end
@@ -134,13 +136,18 @@ class Outbox:
     async def _write_all(self) -> None:
         try:
             while self._answers:
-                await self._write_one()
+                if self._work.must_wait:
+                    await self._work.turn()
+                if self._answers:  # a cancellation may have dropped them meanwhile
+                    await self._write_one()
         finally:
             self._writing = False
 
     async def _write_one(self) -> None:
         answer = self._answers.popleft()
+        self._work.begin()
         message = next(answer.messages)
+        self._work.end(WRITE_NANOS)
         if not message.is_last:
             self._answers.append(answer)  # after the other answers
         await self._context.write(message.encoded)

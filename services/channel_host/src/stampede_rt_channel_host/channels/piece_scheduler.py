@@ -6,6 +6,9 @@ import asyncio
 from typing import TypeVar
 
 from stampede_rt_channel_host.core.channel import Pieces, Unfinished, abandoning, first_of
+from stampede_rt_runtime.access.control import current_work
+from stampede_rt_runtime.quotas.accounts import unlimited
+from stampede_rt_runtime.quotas.working import CallerWork
 
 Result = TypeVar("Result")
 
@@ -30,22 +33,30 @@ class PieceScheduler:
         """Perform the first piece at once, and the others in turn. Does not wait for them."""
         found = first_of(pieces)
         if isinstance(found, Unfinished):
-            task = asyncio.create_task(self.finish(found.rest), name="long work")
+            task = asyncio.create_task(self._finish(found.rest, CallerWork(unlimited())), name="long work")
             self._begun.add(task)
             task.add_done_callback(self._begun.discard)
 
     async def finish(self, pieces: Pieces[Result]) -> Result:
-        """Perform the remaining pieces, and return the result.
+        """Perform the remaining pieces, each when it is the caller's turn, and return the result.
 
         Raises the errors of the pieces. A cancellation drops the rest.
         """
+        return await self._finish(pieces, current_work())
+
+    async def _finish(self, pieces: Pieces[Result], work: CallerWork) -> Result:
         try:
             while True:  # ends with the last piece
+                if work.must_wait:
+                    await work.turn()
                 async with self._turn:
+                    work.begin()
                     try:
                         next(pieces)
                     except StopIteration as end:
                         return end.value  # type: ignore[no-any-return]
+                    finally:
+                        work.end(0)
                     await asyncio.sleep(0)
         except asyncio.CancelledError:
             self.begin(abandoning(pieces))

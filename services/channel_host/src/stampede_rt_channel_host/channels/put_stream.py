@@ -22,6 +22,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_runtime.quotas.working import CallerWork
 from stampede_rt_runtime.rpc import Context
 
 # also the most acks in one message, which stays below its size limit even with 256 refused items in each
@@ -61,6 +62,7 @@ class PutStream:
         self._news = asyncio.Event()
         self._room = asyncio.Event()
         self._account = current_account()
+        self._work = CallerWork(self._account)
         self._requests = ReadAhead(context.read, store.memory, self._account)
 
     async def run(self) -> None:
@@ -98,6 +100,9 @@ class PutStream:
         return _Came(puts, came_s, too_much)
 
     async def _take(self, came: _Came) -> None:
+        if self._work.must_wait:
+            await self._work.turn()
+        self._work.begin()
         while came.puts:
             put = came.puts.popleft()
             ack = _refuse_size(put, self._store.now()) if came.too_much else await self._put(put, came.came_s)
@@ -105,9 +110,12 @@ class PutStream:
             while len(self._acks) >= ACKS_QUEUED_MAX:
                 self._news.set()
                 self._room.clear()
+                self._work.end()
                 await self._room.wait()
+                self._work.begin()
             self._acks.append(ack)  # two statements, because the writer takes the list during the await
         self._news.set()
+        self._work.end()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _put(self, put: _Put, came_s: float) -> pb.PutAck:
@@ -136,10 +144,12 @@ class PutStream:
         try:
             with self._account.waiting(run.charged_bytes):
                 self._requests.go_on()
+                self._work.end()
                 return await run.wait(hosted.puts.give_up)
         except Overloaded as error:
             return hosted.puts.refuse(run, error)
         finally:
+            self._work.begin()
             hosted.puts.withdraw(run)
 
     def _read(self, put: _Put, came_s: float) -> IncomingRun:

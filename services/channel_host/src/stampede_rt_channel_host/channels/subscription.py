@@ -12,7 +12,7 @@ from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
-from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX
+from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, EncodedMessage
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest, parse, saved_to
@@ -27,6 +27,8 @@ from stampede_rt_channel_host.core.channel import (
     SavedCursor,
     SubscriptionBatch,
 )
+from stampede_rt_runtime.access.control import current_work
+from stampede_rt_runtime.quotas.working import WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
 PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
@@ -93,6 +95,7 @@ class Subscription:
         self._told_advance: int | None = None
         self._told_cursor: SavedCursor | None = None
         self._told_skipped = 0
+        self._work = current_work()
         self._owes_cursor = False
         self._credit = Credit(self._look)
         self._silent_at_s = 0.0  # loop time at which the next sign of life is due, whatever wakes the stream before
@@ -163,16 +166,14 @@ class Subscription:
         if self._credit.left <= 0:
             await self._wait_for_news(None)
             return
+        if self._work.must_wait:
+            await self._work.turn()
+        self._work.begin()
         now = self._store.now()
         part = cursor.take(now, min(self._credit.left, MESSAGE_BYTES_MAX))
-        if not part.is_empty:
-            self._credit.spend(sum(one.slice.charge_bytes for one in part.slices))
-            message = self._hosted.messages.encode(
-                part.slices,
-                self._about(part, cursor, now),
-                without_payloads=without_payloads,
-                readers=len(self._hosted.listeners),
-            )
+        message = None if part.is_empty else self._message_of(part, cursor, now, without_payloads=without_payloads)
+        self._work.end(0 if message is None else WRITE_NANOS)
+        if message is not None:
             await self._write(message.encoded)
             self._hosted.count_delivered(message.payload_bytes)
         elif part.more:
@@ -184,6 +185,17 @@ class Subscription:
             self._told_advance = self._hosted.channel.advanced_to  # every item accepted before the advance is sent
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
             await self._write(progress.SerializeToString() + self._standing(cursor))
+
+    def _message_of(
+        self, part: SubscriptionBatch, cursor: Cursor, now: int, *, without_payloads: bool
+    ) -> EncodedMessage:
+        self._credit.spend(sum(one.slice.charge_bytes for one in part.slices))
+        return self._hosted.messages.encode(
+            part.slices,
+            self._about(part, cursor, now),
+            without_payloads=without_payloads,
+            readers=len(self._hosted.listeners),
+        )
 
     def _about(self, part: SubscriptionBatch, cursor: Cursor, now: int) -> bytes:
         """The encoded fields before a message's runs: changed counters, and the cursor."""

@@ -29,6 +29,7 @@ from stampede_rt_channel_host.queues.requests import check_queue_id
 from stampede_rt_runtime.access.control import check_not_judged, current_account
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
+from stampede_rt_runtime.quotas.working import CallerWork
 from stampede_rt_runtime.rpc import Context
 
 # also the most acks in one message, which stays below its size limit even with 256 refused messages in each
@@ -53,6 +54,7 @@ class EnqueueStream:
         self._news = asyncio.Event()
         self._room = asyncio.Event()
         self._account = current_account()
+        self._work = CallerWork(self._account)
         self._requests = ReadAhead(context.read, store.memory, self._account)
 
     async def run(self) -> None:
@@ -96,10 +98,14 @@ class EnqueueStream:
         return deque(map(EnqueueRun.of, request.runs)), came_s
 
     async def _take(self, runs: deque[EnqueueRun], came_s: float) -> None:
+        if self._work.must_wait:
+            await self._work.turn()
         failure = await self._failure_to_find()
+        self._work.begin()
         while runs:
             await self._add(await self._enqueue(runs.popleft(), came_s, failure))
         self._news.set()
+        self._work.end()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _failure_to_find(self) -> StampedeError | None:
@@ -143,13 +149,19 @@ class EnqueueStream:
         self._news.set()
         with self._account.waiting(run.charged_bytes):
             self._requests.go_on()
-            yield
+            self._work.end()
+            try:
+                yield
+            finally:
+                self._work.begin()
 
     async def _add(self, ack: channel_service_pb2.PutAck) -> None:
         while len(self._acks) >= ACKS_QUEUED_MAX:
             self._news.set()
             self._room.clear()
+            self._work.end()
             await self._room.wait()
+            self._work.begin()
         self._acks.append(ack)
 
     async def _write_acks(self) -> None:

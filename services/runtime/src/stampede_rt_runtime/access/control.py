@@ -21,6 +21,7 @@ from stampede_rt_runtime.access.tokens import TokenClaims, check_not_over, is_to
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
 from stampede_rt_runtime.quotas.subjects import creator_of, subject_of
+from stampede_rt_runtime.quotas.working import CallerWork, loop_turns
 
 logger = logging.getLogger(__name__)
 
@@ -53,7 +54,7 @@ class AccessControl:
         self._judging: asyncio.Task[None] | None = None
         self._sweep: asyncio.TimerHandle | None = None
         self.audit = AuditLog()
-        self.accounts = Accounts(clock_s=time.monotonic)
+        self.accounts = Accounts(clock_s=time.monotonic, turns=loop_turns())
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
         """From now on get the state from `source`."""
@@ -250,6 +251,11 @@ def current_caller() -> Caller | None:
     """The caller of the present call; None outside a server, as in tests of single methods."""
     call = _CURRENT.get()
     return None if call is None else call.caller
+
+
+def current_work() -> CallerWork:
+    """The work of the call that is being served; of a task beside it, or of a stream of its own."""
+    return CallerWork(current_account())
 
 
 def creation_limit(quota: Quota) -> int | None:

@@ -10,6 +10,7 @@ from weakref import WeakValueDictionary
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, NO_SETTINGS, Quota, QuotaTable
+from stampede_rt_runtime.quotas.turns import Turn, Turns
 
 RECENT_MAX = 1024
 BURST_SECONDS = 10
@@ -43,10 +44,27 @@ class QuotaUse:
 class Account:
     """The use of one caller. It lives as long as there is a reference to it."""
 
-    __slots__ = ("__weakref__", "_changes", "_changes_at_s", "_clock_s", "_limits", "_refused", "_used", "subject")
+    __slots__ = (
+        "__weakref__",
+        "_changes",
+        "_changes_at_s",
+        "_clock_s",
+        "_limits",
+        "_refused",
+        "_used",
+        "subject",
+        "turn",
+    )
 
-    def __init__(self, subject: str, limits: Mapping[Quota, int], clock_s: Callable[[], float] = lambda: 0.0) -> None:
-        """`clock_s`: seconds of a clock that never goes back."""
+    def __init__(
+        self,
+        subject: str,
+        limits: Mapping[Quota, int],
+        clock_s: Callable[[], float] = lambda: 0.0,
+        turns: Turns | None = None,
+    ) -> None:
+        """`clock_s`: seconds of a clock that never goes back. `turns` None: its work never waits."""
+        self.turn = None if turns is None else Turn(turns, limits[Quota.CPU_PERCENT])
         self.subject = subject
         self._clock_s = clock_s
         self._limits = limits
@@ -58,6 +76,8 @@ class Account:
     def tell(self, limits: Mapping[Quota, int]) -> None:
         """Set the limits. Present use stays, even beyond them."""
         self._limits = limits
+        if self.turn is not None:
+            self.turn.percent = limits[Quota.CPU_PERCENT]
 
     def has_room(self, quota: Quota, more: int = 1) -> bool:
         """Whether the caller may use `more` of the quota."""
@@ -123,6 +143,8 @@ class Account:
     def uses(self) -> Iterator[QuotaUse]:
         """The use of each quota."""
         self._changes_now()
+        if self.turn is not None:
+            self._used[Quota.CPU_PERCENT] = self.turn.used_percent()
         for quota, used in self._used.items():
             yield QuotaUse(
                 subject=self.subject,
@@ -176,7 +198,14 @@ def unlimited() -> Account:
 class Accounts:
     """The accounts of one port: those with a reference, and the last RECENT_MAX others."""
 
-    def __init__(self, defaults: Mapping[Quota, int] = DEFAULTS, clock_s: Callable[[], float] = lambda: 0.0) -> None:
+    def __init__(
+        self,
+        defaults: Mapping[Quota, int] = DEFAULTS,
+        clock_s: Callable[[], float] = lambda: 0.0,
+        turns: Turns | None = None,
+    ) -> None:
+        """`clock_s`, `turns`: as those of an account."""
+        self._turns = turns
         self._defaults = dict(defaults)
         self._clock_s = clock_s
         self._table = NO_SETTINGS
@@ -204,7 +233,7 @@ class Accounts:
         account = self._accounts.get(subject)
         if account is None:
             limits = self._table.limits_of(subject, self._defaults)
-            account = self._accounts[subject] = Account(subject, limits, self._clock_s)
+            account = self._accounts[subject] = Account(subject, limits, self._clock_s, self._turns)
         self._recent[subject] = account
         self._recent.move_to_end(subject)
         if len(self._recent) > RECENT_MAX:

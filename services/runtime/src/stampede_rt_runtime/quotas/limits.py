@@ -27,6 +27,7 @@ class Quota(StrEnum):
     QUEUES = "queues"
     CHANGES_PER_SECOND = "changes-per-second"
     BYTES_HELD = "bytes-held"
+    CPU_PERCENT = "cpu-percent"
 
 
 DEFAULTS: Mapping[Quota, int] = {
@@ -38,6 +39,7 @@ DEFAULTS: Mapping[Quota, int] = {
     Quota.QUEUES: 150_000,
     Quota.CHANGES_PER_SECOND: 1000,
     Quota.BYTES_HELD: LIMIT_MAX,  # a host sets its own limit
+    Quota.CPU_PERCENT: 50,
 }
 OF_MAKERS = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.BYTES_HELD})
 """These quotas count the things that a caller has created, wherever it calls from.

@@ -1,0 +1,134 @@
+"""The turns of callers at one event loop, so that much work of one of them does not hold up the others. Pure.
+
+A caller may take its percentage of the loop's time while others have work, too. What it takes beyond that waits in a
+line of its own, in order, until its time has come. A caller alone never waits.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+BURST_NANOS = 1_000_000
+"""So far a caller may be ahead of its percentage: a few messages at once."""
+CONTENDED_NANOS = 100_000_000
+"""For so long after another caller's work a caller is not alone."""
+PAUSE_SECONDS_MIN = 0.0005
+_SECOND_NANOS = 10**9
+
+Schedule = Callable[[float, Callable[[], None]], object]
+"""Has something called after so many seconds; 0: in the next turn of the event loop."""
+
+
+class Turns:
+    """All callers of one loop. `now`: nanoseconds of a clock that never goes back."""
+
+    def __init__(self, now: Callable[[], int], schedule: Schedule) -> None:
+        self.now = now
+        self._schedule = schedule
+        self._last: Turn | None = None
+        self._contended_until = 0
+        self._waiting: dict[Turn, None] = {}
+        self._ticking = False
+
+    def works(self, turn: Turn, now: int) -> bool:
+        """A caller has worked; whether it is not alone."""
+        if turn is not self._last:
+            if self._last is not None:
+                self._contended_until = now + CONTENDED_NANOS
+            self._last = turn
+        return now < self._contended_until
+
+    def is_contended(self, now: int) -> bool:
+        """Whether several callers have work."""
+        return now < self._contended_until
+
+    def wait(self, turn: Turn) -> None:
+        """Somebody stands in the line of that caller."""
+        self._waiting[turn] = None
+        self._tick_later(self.now())
+
+    def _tick(self) -> None:
+        self._ticking, now = False, self.now()
+        contended = self.is_contended(now)
+        for turn in [*self._waiting]:
+            turn.wake(now, contended=contended)
+            if not turn.has_line:
+                del self._waiting[turn]
+        if self._waiting:
+            self._tick_later(now)
+
+    def _tick_later(self, now: int) -> None:
+        if not self._ticking:
+            self._ticking = True
+            soonest = min(turn.held_for(now) for turn in self._waiting) if self.is_contended(now) else 0
+            self._schedule(max(soonest / 1e9, PAUSE_SECONDS_MIN) if soonest > 0 else 0.0, self._tick)
+
+
+class Turn:
+    """One caller's. `percent`: of the loop's time while others have work; 100 and more: all that they leave."""
+
+    __slots__ = (
+        "_before_nanos", "_busy_until", "_line", "_second", "_step_nanos", "_turns", "_used_nanos", "percent",
+    )  # fmt: skip
+
+    def __init__(self, turns: Turns, percent: int) -> None:
+        self.percent = percent
+        self._turns = turns
+        self._line: deque[Callable[[], None]] = deque()
+        self._busy_until = 0  # as if the caller had its percentage of the loop's time, and no more
+        self._step_nanos = BURST_NANOS  # of a step, about
+        self._second = 0
+        self._used_nanos = self._before_nanos = 0  # in this second, and in the one before
+
+    @property
+    def has_line(self) -> bool:
+        """Whether a step of the caller waits."""
+        return bool(self._line)
+
+    @property
+    def must_wait(self) -> bool:
+        """Whether the caller's next step must `stand` in line first."""
+        if self._line:
+            return True
+        now = self._turns.now()
+        return self._busy_until - now > BURST_NANOS and self._turns.is_contended(now)
+
+    def stand(self, wake: Callable[[], None]) -> None:
+        """Have `wake` called when it is the caller's turn."""
+        self._line.append(wake)
+        self._turns.wait(self)
+
+    def spend(self, nanos: int) -> None:
+        """A step of the caller took so long."""
+        now = self._turns.now()
+        self._count(nanos, now)
+        self._step_nanos += (nanos - self._step_nanos) // 8
+        if self._turns.works(self, now):
+            self._busy_until = max(self._busy_until, now) + nanos * 100 // max(1, self.percent)
+
+    def held_for(self, now: int) -> int:
+        """How long the line still waits; 0 or less: not at all."""
+        return self._busy_until - BURST_NANOS - now
+
+    def wake(self, now: int, *, contended: bool) -> None:
+        """Wake those in line for whom there is time: at least one, unless the line must still wait."""
+        allowed = -self.held_for(now) * self.percent // 100 if contended else BURST_NANOS
+        if allowed < 0:
+            return
+        for _ in range(1 + allowed // max(1, self._step_nanos)):
+            if not self._line:
+                return
+            self._line.popleft()()
+
+    def used_percent(self) -> int:
+        """The caller's share of the loop's time in the last whole second."""
+        self._count(0, self._turns.now())
+        return round(100 * self._before_nanos / _SECOND_NANOS)
+
+    def _count(self, nanos: int, now: int) -> None:
+        second = now // _SECOND_NANOS
+        if second != self._second:
+            self._before_nanos = self._used_nanos if second == self._second + 1 else 0
+            self._second, self._used_nanos = second, 0
+        self._used_nanos += nanos

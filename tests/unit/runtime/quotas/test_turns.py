@@ -1,0 +1,137 @@
+"""The turns of callers at one event loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stampede_rt_runtime.quotas.turns import BURST_NANOS, CONTENDED_NANOS, Turn, Turns
+
+MS = 1_000_000
+
+
+class Loop:
+    """An event loop whose time is set by hand: steps take what they say, and timers fire in order."""
+
+    def __init__(self) -> None:
+        self.now = 10**9
+        self._timers: list[tuple[int, Callable[[], None]]] = []
+        self.turns = Turns(
+            lambda: self.now, lambda delay_s, call: self._timers.append((self.now + round(delay_s * 1e9), call))
+        )
+
+    def caller(self, percent: int = 50) -> Turn:
+        return Turn(self.turns, percent)
+
+    def works(self, turn: Turn, nanos: int) -> None:
+        self.now += nanos
+        turn.spend(nanos)
+
+    def run_until(self, end: int) -> None:
+        """Fire the timers that are due by then."""
+        while due := [one for one in self._timers if one[0] <= end]:
+            timer = min(due, key=lambda one: one[0])
+            self._timers.remove(timer)
+            self.now = max(self.now, timer[0])
+            timer[1]()
+        self.now = max(self.now, end)
+
+    @property
+    def is_quiet(self) -> bool:
+        return not self._timers
+
+
+def test_a_caller_alone_never_waits_and_nothing_is_scheduled_for_it() -> None:
+    loop = Loop()
+    alone = loop.caller()
+    for _ in range(100):
+        loop.works(alone, 5 * MS)
+        assert not alone.must_wait
+    assert loop.is_quiet
+
+
+def test_beside_another_one_a_caller_waits_once_it_is_ahead_of_its_share_and_the_other_does_not() -> None:
+    loop = Loop()
+    heavy, light = loop.caller(), loop.caller()
+    loop.works(heavy, MS)
+    loop.works(light, MS // 10)
+    loop.works(heavy, 4 * MS)
+    assert heavy.must_wait
+    assert not light.must_wait
+
+
+def test_a_caller_beyond_its_share_gets_its_percentage_of_the_time_in_order() -> None:
+    loop = Loop()
+    heavy, light = loop.caller(percent=25), loop.caller()
+    loop.works(light, MS // 10)
+    loop.works(heavy, 4 * MS)
+    served: list[int] = []
+
+    def step(number: int) -> Callable[[], None]:
+        def woken() -> None:
+            served.append(number)
+            loop.works(heavy, MS)
+
+        return woken
+
+    for number in range(1000):
+        heavy.stand(step(number))
+    end = loop.now + 1000 * MS
+    while loop.now < end:
+        loop.works(light, MS // 10)
+        loop.run_until(loop.now + 10 * MS)
+    assert served == list(range(len(served)))
+    assert 190 <= len(served) <= 260  # 25 % of a second, in steps of 1 ms
+
+
+def test_once_the_other_one_has_gone_the_line_goes_on_without_waiting() -> None:
+    loop = Loop()
+    heavy, light = loop.caller(), loop.caller()
+    loop.works(light, MS)
+    loop.works(heavy, 50 * MS)
+    served: list[int] = []
+    for number in range(20):
+        heavy.stand(lambda number=number: served.append(number))  # type: ignore[misc]
+    loop.now += CONTENDED_NANOS
+    loop.run_until(loop.now)
+    loop.run_until(loop.now + 50 * MS)
+    assert served == list(range(20))
+    assert not heavy.has_line
+    assert loop.is_quiet
+
+
+def test_who_comes_behind_a_line_waits_even_if_there_is_time() -> None:
+    loop = Loop()
+    heavy, light = loop.caller(), loop.caller()
+    loop.works(light, MS)
+    loop.works(heavy, 20 * MS)
+    heavy.stand(lambda: None)
+    loop.now += 2 * CONTENDED_NANOS
+    assert heavy.must_wait
+
+
+def test_a_few_messages_at_once_are_no_reason_to_wait() -> None:
+    loop = Loop()
+    one, other = loop.caller(), loop.caller()
+    loop.works(other, MS)
+    loop.works(one, BURST_NANOS // 4)
+    assert not one.must_wait
+
+
+def test_a_share_without_limit_never_waits() -> None:
+    loop = Loop()
+    one, other = loop.caller(percent=2**62), loop.caller()
+    for _ in range(10):
+        loop.works(other, MS)
+        loop.works(one, 50 * MS)
+        assert not one.must_wait
+
+
+def test_it_tells_how_much_of_the_last_second_a_caller_had() -> None:
+    loop = Loop()
+    one = loop.caller()
+    loop.works(one, 300 * MS)
+    assert one.used_percent() == 0  # the second is not over
+    loop.now += 10**9
+    assert one.used_percent() == 30
+    loop.now += 10**9
+    assert one.used_percent() == 0
