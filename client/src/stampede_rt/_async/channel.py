@@ -62,10 +62,10 @@ class Channel(Reader):
 
         `payload` is bytes, or a value if the handle has a codec. `time` is an instant; without it the host takes its
         own clock at the acceptance. `duration` is a duration, such as "33ms" or nanoseconds. `timeout` in seconds is
-        the longest wait for room on a full channel with on_full="block"; None waits without a limit.
-        The client tries again after a broken connection, and the host never stores an item twice. Puts that are under
-        way at the same time may arrive in any order. If their order matters, let one end before the next.
-        Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
+        the longest wait for room on a full channel with on_full="block"; None waits without a limit. The client tries
+        again after a broken connection, and the host never stores an item twice. Puts that are under way at the same
+        time may arrive in any order. If their order matters, wait for the end of each put before you begin the next
+        one. Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type)
         renew_s = RENEW_S if self.info.policy.on_full == "block" else FIRST_WAIT_S

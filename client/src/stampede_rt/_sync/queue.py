@@ -89,9 +89,9 @@ class MessageTaking:
     def get(self, timeout: float | None = None) -> Message | None:
         """Return the next message, or None after `timeout`. The message is leased to this handle.
 
-        `timeout` in seconds: 0 takes only a message that is there, None waits without a limit. The host serves the
-        taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached for 10 s;
-        InvalidArgument if this handle is closed.
+        `timeout` in seconds: 0 takes only a message that the host can deliver at once, None waits without a limit. The
+        host serves the taker that has waited longest. Raises QueueNotFound; Unavailable if the host cannot be reached
+        for 10 s; InvalidArgument if this handle is closed.
         """
         return self._taker.get(Wait.parse(timeout))
 
@@ -193,10 +193,10 @@ class Queue(MessageTaking, Reference):
         full queue with on_full="block" (the default); None waits without a limit. The client tries again after a broken
         connection, and the host never stores a message twice. With a `message_id` (1 to 128 bytes) the host also
         recognises a second put of the same id by any program. The second put returns the seq of the first one, and its
-        `duplicate` is True. The host remembers an id for 10 minutes, but it forgets the id earlier if later ids need
-        its place in 16 MiB, or if the host ends. Puts that are under way at the same time may arrive in any order. If
-        their order matters, let one end before the next. Raises QueueFull, ItemTooLarge, CodecError, QueueNotFound;
-        Unavailable if the host cannot be reached.
+        `duplicate` is True. The host remembers an id for 10 minutes. It forgets an id earlier if the ids of the queue
+        take more than 16 MiB, or if the host ends. Puts that are under way at the same time may arrive in any order. If
+        their order matters, wait for the end of each put before you begin the next one. Raises QueueFull, ItemTooLarge,
+        CodecError, QueueNotFound; Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, None, None, attributes, content_type, message_id)
         return enqueued(self._puts.put(self._numbers, item, Wait.parse(timeout)))
@@ -302,7 +302,7 @@ def dead_letter_id(session: Session, queue: Queue | str | None, of: str) -> byte
         return None
     if of and of == (queue.info.name if isinstance(queue, Queue) else queue):
         raise InvalidArgument(
-            f"dead_letter is queue {of!r} itself, which a dead letter would then never leave; name another queue"
+            f"dead_letter is queue {of!r} itself, so its dead letters would come back to it; name another queue"
         )
     if isinstance(queue, Queue):
         return queue.info.queue_id

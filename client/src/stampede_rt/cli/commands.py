@@ -47,7 +47,7 @@ def run(arguments: Sequence[str]) -> int:
             return INTERRUPTED
         print(f"stampede: {escaped(error.message)}", file=sys.stderr)
         return MISUSED if isinstance(error, InvalidArgument) else FAILED
-    except BrokenPipeError:  # the reader of the output has ended
+    except BrokenPipeError:  # the program that reads the output has ended
         _drop_output()
         return 0
     except Exception as error:

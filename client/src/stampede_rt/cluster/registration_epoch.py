@@ -22,9 +22,9 @@ class RegistrationEpoch:
         self._was_registered = True
 
     def may_overtake(self, refusal: StaleRegistration) -> bool:
-        """Whether to register again at once. If so, raises `value` above the number that the directory has.
+        """Whether to register again at once. If so, makes `value` larger than the number in the refusal.
 
-        False: another process has registered after this one, lives, and has replaced it.
+        False: this process was registered, and a newer process has replaced it and lives.
         """
         if self._was_registered and refusal.metadata.get("alive") != "false":
             return False

@@ -110,7 +110,7 @@ class ServerEndpoint(Stubs):
         on_response: Callable[[channel_pb.PutResponse], Awaitable[None]],
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> PutDuplex:
-        """Open a stream for puts that does not wait for acks. It passes each ack to `on_response`."""
+        """Open a stream whose puts do not wait for their acks. The stream passes each ack to `on_response`."""
         return PutDuplex(self._begin(self._put), self.target, self._tasks, on_response, on_end)
 
     def _begin(self, method: Callable[..., Any], *request: Any) -> Any:

@@ -124,7 +124,7 @@ class ServerEndpoint(Stubs):
     def duplex(
         self, on_response: Callable[[channel_pb.PutResponse], None], on_end: Callable[[StampedeError], None]
     ) -> PutDuplex:
-        """Open a stream for puts that does not wait for acks. It passes each ack to `on_response`."""
+        """Open a stream whose puts do not wait for their acks. The stream passes each ack to `on_response`."""
         return PutDuplex(self, self._put, on_response, on_end)
 
     def close(self) -> None:
@@ -141,7 +141,7 @@ class ServerEndpoint(Stubs):
             exchange.end()
 
     def opened(self, exchange: _Exchange) -> None:
-        """Keep `exchange` weakly, and end it when this endpoint closes."""
+        """Keep a weak reference to `exchange`, and end it when this endpoint closes."""
         with self._mutex:
             self._exchanges.add(exchange)
             over = self._closed
@@ -162,7 +162,7 @@ class _Exchange:
         self.broken = False
         self._forks = forking.forks()
         endpoint.opened(self)
-        # Its thread has ended, so nobody uses it any more.
+        # The thread that opened this stream has ended. No other thread may use the stream, so it is closed.
         when_dropped(self, partial(_give_up, self._requests, self._call))
 
     def _error(self, error: BaseException) -> StampedeError:
