@@ -1,4 +1,5 @@
-"""The stereo demo, whole: two cameras at two hosts, pairs, mailboxes, and a consumer that joins in the middle."""
+"""The stereo demo, whole: two cameras at two hosts, pairs, mailboxes, and a consumer that joins in the middle; each
+role with a token and rules of its own."""
 
 from __future__ import annotations
 
@@ -7,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.staging.rights import Right
+from stampede_rt_demos.stereo import orchestrator
 from stampede_rt_demos.stereo.orchestrator import Outcome, conduct
 from stampede_rt_demos.stereo.picture import draw
 from stampede_rt_demos.stereo.programme import Side
@@ -45,3 +49,9 @@ def test_the_run_is_told_in_words_and_drawn(outcome: Outcome, tmp_path: Path) ->
     assert "exactly these" in render(outcome.report)
     draw(outcome.report, outcome.frames, 40_000_000, tmp_path / "stereo.png")
     assert (tmp_path / "stereo.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_roles_may_do_what_their_rights_say_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(orchestrator.RIGHTS, "left camera", (Right(("read",), "channel", Side.LEFT.value),))
+    with pytest.raises(DemoFailed, match="client left-camera may not put channel stereo/left"):
+        conduct(SECONDS, Progress(io.StringIO()))

@@ -246,9 +246,12 @@ def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
 
 
 @contextmanager
-def reached(frontend: str | None, member: str | None) -> Iterator[Cluster]:
-    """Yield the cluster behind front-ends or supernodes. Raises StampedeError."""
-    target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=None, zone=None)
+def reached(frontend: str | None, member: str | None, *, secret: str | None = None) -> Iterator[Cluster]:
+    """Yield the cluster behind front-ends or supernodes. Raises StampedeError.
+
+    `secret` None: the one in the user's file.
+    """
+    target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=secret, zone=None)
     endpoints = EndpointPool(target.credentials)
     try:
         if member:

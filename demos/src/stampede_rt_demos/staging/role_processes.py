@@ -60,15 +60,15 @@ class RoleProcesses:
         """The roles' process ids, by name."""
         return {name: role.process.pid for name, role in self._roles.items()}
 
-    def start(self, name: str, command: Sequence[str]) -> None:
-        """Start a role. Raises DemoFailed if the program cannot be run."""
+    def start(self, name: str, command: Sequence[str], environment: Mapping[str, str] | None = None) -> None:
+        """Start a role, with `environment` on top of the one that all have. Raises DemoFailed if it cannot be run."""
         try:
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                env=self._environment,
+                env={**self._environment, **(environment or {})},
                 text=True,
                 encoding="utf-8",
                 errors="replace",

@@ -13,9 +13,19 @@ from stampede_rt_demos.staging.clip import decode_clock
 from stampede_rt_demos.staging.film import locate_film
 from stampede_rt_demos.staging.messages import Message
 from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.staging.rights import Right, hand_out
 from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
 from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND, LoopedClock
-from stampede_rt_demos.stereo.programme import DEPTH_CHANNEL, GROUP, STREAM_MAX_AGE, Side, sent, without_partner
+from stampede_rt_demos.stereo.programme import (
+    DEPTH_CHANNEL,
+    GROUP,
+    MAPPER,
+    PLANNER,
+    STREAM_MAX_AGE,
+    Side,
+    sent,
+    without_partner,
+)
 from stampede_rt_demos.stereo.report import StereoReport
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed
@@ -31,6 +41,15 @@ ROLES = {
     "latecomer": "latecomer",
     "planner": "planner",
     "mapper": "mapper",
+}
+_PAIRS = (*(Right(("read",), "channel", side.value) for side in Side), Right(("read",), "group", GROUP))
+RIGHTS = {
+    "left camera": (Right(("put", "advance"), "channel", Side.LEFT.value),),
+    "right camera": (Right(("put", "advance"), "channel", Side.RIGHT.value),),
+    "depth": (*_PAIRS, Right(("put", "advance"), "channel", DEPTH_CHANNEL)),
+    "latecomer": _PAIRS,
+    "planner": (Right(("read",), "channel", DEPTH_CHANNEL), Right(("send",), "peer", MAPPER)),
+    "mapper": (Right(("read",), "channel", DEPTH_CHANNEL), Right(("send",), "peer", PLANNER)),
 }
 
 
@@ -62,9 +81,10 @@ def conduct(seconds: int, progress: Progress) -> Outcome:
 def _run(cluster: LocalCluster, seconds: int, progress: Progress) -> tuple[Mapping[str, Message], Sequence[bytes]]:
     with st.connect(cluster.address, secret=cluster.secret.text) as rt:
         _set_up(rt)
-        with RoleProcesses({"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}) as roles:
+        environments = hand_out(cluster, RIGHTS)
+        with RoleProcesses() as roles:
             for name, module in ROLES.items():
-                roles.start(name, role_command("stereo", module, cluster.address, seconds))
+                roles.start(name, role_command("stereo", module, cluster.address, seconds), environments[name])
             progress.say(f"Starting {len(ROLES)} processes: {', '.join(ROLES)} ...")
             _wait_ready(roles)
             return _play(roles, seconds, progress)

@@ -15,6 +15,7 @@ from stampede_rt_demos.failures import DemoFailed, one_sentence
 from stampede_rt_demos.staging import messages
 from stampede_rt_demos.staging.film import locate_film
 from stampede_rt_demos.staging.progress import Progress
+from stampede_rt_demos.staging.rights import Right, hand_out
 from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
 from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
 from stampede_rt_demos.tv_watcher import steps
@@ -24,6 +25,8 @@ from stampede_rt_demos.tv_watcher.programme import (
     CAPTION_NANOS,
     CAPTIONS,
     GROUP,
+    LOUDNESS,
+    MOTION,
     SOURCE_OF_FEATURE,
     STREAM_MAX_AGE,
     STREAMS,
@@ -45,6 +48,15 @@ PRODUCERS = {
     "caption producer": ("caption_producer", CAPTIONS.name),
 }
 READERS = {"motion analyser": "motion_analyser", "loudness analyser": "loudness_analyser", "viewer": "viewer"}
+_PUT = ("put", "advance")
+RIGHTS = {
+    "video producer": (Right(_PUT, "channel", VIDEO.channel),),
+    "audio producer": (Right(_PUT, "channel", AUDIO.channel),),
+    "caption producer": (Right(_PUT, "channel", CAPTIONS.channel),),
+    "motion analyser": (Right(("read",), "channel", VIDEO.channel), Right(_PUT, "channel", MOTION.channel)),
+    "loudness analyser": (Right(("read",), "channel", AUDIO.channel), Right(_PUT, "channel", LOUDNESS.channel)),
+    "viewer": (*(Right(("read",), "channel", one.channel) for one in STREAMS), Right(("read",), "group", GROUP)),
+}
 MODULES = {name: module for name, (module, _) in PRODUCERS.items()} | READERS
 
 
@@ -104,9 +116,10 @@ def _run_programme(
     """Run the roles in the running cluster. Returns their reports, the accepted items and the host of each stream."""
     with st.connect(cluster.address, name="orchestrator", secret=cluster.secret.text) as rt:
         channels = _create_channels(rt)
-        with RoleProcesses({"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}) as roles:
+        environments = hand_out(cluster, RIGHTS)
+        with RoleProcesses() as roles:
             for name, module in MODULES.items():
-                roles.start(name, role_command("tv_watcher", module, cluster.address, seconds))
+                roles.start(name, role_command("tv_watcher", module, cluster.address, seconds), environments[name])
             progress.say(f"Starting {len(MODULES)} processes: {', '.join(MODULES)} ...")
             _wait_ready(roles)
             collected = _play(roles, seconds, progress)

@@ -1,0 +1,66 @@
+"""Gives each role a client token of its own, and the rules of access that allow it what it does, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from stampede_rt.administration.running_cluster import Cluster, reached
+from stampede_rt.v1 import access_pb2
+from stampede_rt.v1 import access_service_pb2 as pb
+from stampede_rt_demos.failures import DemoFailed
+from stampede_rt_local.cluster import LocalCluster
+
+VALID_NANOS = 3600 * 10**9
+
+
+class Right(NamedTuple):
+    """What a role may do. `verbs` and `kind` are those of `stampede acl add`; `names` may be a pattern."""
+
+    verbs: Sequence[str]
+    kind: str
+    names: str
+
+
+def caller_name(role: str) -> str:
+    """The name in a role's token, and of its peer."""
+    return role.replace(" ", "-")
+
+
+def hand_out(cluster: LocalCluster, rights: Mapping[str, Sequence[Right]]) -> dict[str, dict[str, str]]:
+    """Make the rules and the tokens, and return each role's environment. The rules are in force on return.
+
+    Each role may also register the peer of its own name. Raises DemoFailed, StampedeError.
+    """
+    environments = {}
+    with reached(cluster.address, None, secret=cluster.secret.text) as supernodes:
+        version = 0
+        for role, theirs in rights.items():
+            name = caller_name(role)
+            version = max(_allow(supernodes, name, one) for one in (*theirs, Right(("register",), "peer", name)))
+            token = supernodes.issue_client_token(name, ["client"], valid_nanos=VALID_NANOS).token
+            assert cluster.folder is not None, "a cluster with a data folder"
+            environments[role] = {"STAMPEDE_SECRET_FILE": str(_write(cluster.folder / f"{name}.token", token))}
+        if behind := supernodes.parts_behind(version, of_rules=True):
+            raise DemoFailed(f"the rules of access did not come to {', '.join(behind)}")
+    return environments
+
+
+def _allow(supernodes: Cluster, who: str, right: Right) -> int:
+    rule = access_pb2.AccessRule(
+        who=who,
+        verbs=[getattr(access_pb2, f"ACCESS_VERB_{verb.upper()}") for verb in right.verbs],
+        kind=getattr(access_pb2, f"ACCESS_KIND_{right.kind.upper()}"),
+        names=right.names,
+    )
+    request = pb.AddAccessRuleRequest(request_id=secrets.token_bytes(16), rule=rule)
+    return int(supernodes.ask_access("AddAccessRule", request).version)
+
+
+def _write(path: Path, token: str) -> Path:
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(token + "\n")
+    return path
