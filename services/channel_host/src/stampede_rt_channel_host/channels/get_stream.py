@@ -59,12 +59,14 @@ class _Begun:
         return first_of(self.hosted.channel.polling(self.pending, now))
 
     def released(self) -> None:
-        """Note that an earlier state of the channel released the get, so that its finding counts as out of date."""
+        """Note that an earlier state of the channel released the get, so that the result of its last poll is out of
+        date.
+        """
         self._polled_at = None
 
     @property
     def is_outdated(self) -> bool:
-        """Whether the channel has changed since the last poll, so that its finding may be out of date."""
+        """Whether the channel has changed since the last poll, so that the result of that poll may be out of date."""
         return self._polled_at != self.hosted.changes
 
     def wait_nanos(self, now: int) -> int:

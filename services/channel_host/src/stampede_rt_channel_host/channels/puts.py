@@ -347,7 +347,7 @@ class ChannelPuts:
 
 
 def check_number(producer_id: int, first_number: int) -> None:
-    """Raises InvalidArgument if a producer has an id, so that its retries are recognised, and no number."""
+    """Raises InvalidArgument for a producer with an id, but without a number: its retries could not be recognised."""
     if producer_id and not first_number:
         raise InvalidArgument("first_number is 0; a producer with an id numbers its items from 1, or leaves its id out")
 

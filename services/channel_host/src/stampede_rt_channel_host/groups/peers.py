@@ -47,7 +47,7 @@ class PeerHost:
 class PeerHosts:
     """Keeps a link to each other host. `lease_held` says whether this host may speak for its channels.
 
-    `knowledge` gives the links what they tell, and receives what they hear.
+    The links get the facts that they send from `knowledge`, and pass the facts that they receive to it.
     """
 
     def __init__(
@@ -64,9 +64,10 @@ class PeerHosts:
     def share(
         self, host_id: bytes, target: str | None, wanted: Collection[bytes], group_id: bytes, *, shares: bool
     ) -> None:
-        """Take in whether the other host shares a group with this one now. A host that shares none is dropped.
+        """Note whether the host `host_id` shares the group with this one now. Drops a host that shares no group.
 
-        `target` is its address, None: as before; `wanted`: all channels that this host wants to hear about from it.
+        `target`: the address of that host; None: unchanged. `wanted`: all channels about which this host wants to hear
+        from that host; empty: it shares no group.
         """
         peer = self._peers.get(host_id)
         if not wanted:
@@ -185,7 +186,7 @@ class PeerHosts:
                     await (self._open(peer) if opens else self._knock(peer))
                 except StampedeError as error:
                     logger.debug("no link to a host", extra={"host": peer.host_id.hex(), "why": str(error)})
-            if peer.link is not None:  # the peer has opened it, or has just had it broken
+            if peer.link is not None:  # the peer has opened the stream
                 pause_s = PAUSE_SECONDS_MIN
                 await peer.unlinked.wait()
             await asyncio.sleep(pause_s * (0.5 + random.random() / 2))

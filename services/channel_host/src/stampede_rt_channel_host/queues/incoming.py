@@ -23,7 +23,7 @@ ORIGIN_BYTES_MAX = 4096
 class EnqueueRun(NamedTuple):
     """One run of a request. `wait_nanos` None: without limit.
 
-    It refers only to its own bytes, so that a waiting run does not keep the whole request.
+    It refers only to its own bytes, so that a waiting run does not keep the whole request in memory.
     """
 
     first_number: int
@@ -91,7 +91,7 @@ def _origin_of(message: EnqueueRun, items: int) -> bytes:
 
 
 def check_forwards(caller: Identity | None) -> None:
-    """Raises PermissionDenied for a caller that is no host. None: there are no certificates, so every caller may."""
+    """Raises PermissionDenied for a caller that is no host. `caller` None: without certificates every caller may."""
     if caller is not None and caller.role is not Role.HOST:
         raise PermissionDenied(
             f"{caller.role} {caller.name} may not set the origin of a run, which says where a dead letter comes from: "
@@ -100,7 +100,7 @@ def check_forwards(caller: Identity | None) -> None:
 
 
 def check_number(producer_id: int, first_number: int) -> None:
-    """Raises InvalidArgument if a producer has an id, so that its retries are recognised, and no number."""
+    """Raises InvalidArgument for a producer with an id, but without a number: its retries could not be recognised."""
     if producer_id and not first_number:
         raise InvalidArgument(
             "first_number is 0; a producer with an id numbers its messages from 1, or leaves its id out"

@@ -5,7 +5,7 @@ of its own clock. Every replica forgets the operations before the last MARKS_KEP
 
 A forgotten operation is not done again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago or
 earlier (calls.py). And a command is refused if its supernode received it before the last mark but one
-(`check_in_time`). From the forgotten operations to that mark, 40 s have passed, which is 10 s more than the greatest
+(`check_in_time`). At least 40 s lie between a forgotten operation and that mark, which is 10 s more than the greatest
 age of a request.
 """
 
@@ -27,8 +27,8 @@ MARKS_KEPT = 6
 BYTES_MAX = 64 << 20
 ANSWER_BYTES = 512
 MEMBER_BYTES = 64
-FORGOTTEN_AT_ONCE = 64  # by each command, and by each mark
-FORGOTTEN_BY_MARK = 4096
+FORGOTTEN_AT_ONCE = 64  # by each command
+FORGOTTEN_BY_MARK = 4096  # by each mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Answered:
 
     def __init__(self, answers: Iterable[Answer] = (), marks: Iterable[int] = ()) -> None:
         self.marks = tuple(marks)  # the log positions of the last marks, ascending
-        self._answers: dict[bytes, Answer] = {}  # by log position
+        self._answers: dict[bytes, Answer] = {}  # by operation id, in the order of log positions
         self._size_bytes = 0
         for answer in answers:
             self.remember(answer)
@@ -65,7 +65,7 @@ class Answered:
         return len(self._answers)
 
     def newest_first(self) -> Iterator[Answer]:
-        """In descending order of log positions."""
+        """The answers, in descending order of log positions."""
         return reversed(self._answers.values())
 
     @property

@@ -60,7 +60,7 @@ class Leasing:
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
         self.leases: Blocks[Lease] = Blocks()  # by delivery id
-        # takers that let a lease end and sent nothing, until the caller of this class takes them
+        # The takers that let a lease end and have sent nothing since. The caller of this class empties the list.
         self.silent: list[TakerState] = []
         self.next_delivery_id = first_delivery_id
         self.acknowledged = AcknowledgedDeliveries()

@@ -61,7 +61,7 @@ class ExpirePeers(Operation):
 class PeerRegistered(Success):
     """The peer is registered.
 
-    `mailbox` and its host are None if it has no name. `mailbox_kept`: with its former messages.
+    `mailbox` and its host are None if it has no name. `mailbox_kept`: the mailbox has kept its former messages.
     """
 
     peer: PeerRecord
