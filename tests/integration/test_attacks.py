@@ -41,6 +41,13 @@ async def test_what_is_no_request_leaves_nothing_in_the_logs() -> None:
 
 
 @pytest.mark.parametrize(
+    "name", rare("busy-puts", "large-gets", "many-subscriptions", "blocked-gets", "many-streams", "held-bytes")
+)
+async def test_a_client_that_takes_all_of_a_quota_costs_others_no_call_and_no_lease(name: str) -> None:
+    await attacked(name)
+
+
+@pytest.mark.parametrize(
     "name",
     [
         "waiting-puts",

@@ -188,6 +188,13 @@ def test_denials_are_counted_and_call_for_nothing() -> None:
     assert (finding.state, finding.advice) == ("3 calls denied, the last one 5 s ago, at host h1 (3)", "")
 
 
+def test_calls_beyond_quotas_are_counted_and_lately_refused_ones_lead_to_those_who_made_them() -> None:
+    finding = found(changed("h1", quota_refusals=3, quota_refused_ago_nanos=5000 * MS), "quotas")
+    assert finding.state == "3 calls refused, the last one 5 s ago, at host h1 (3)"
+    assert "`stampede quota use`" in finding.advice
+    assert found(changed("h1", quota_refusals=3, quota_refused_ago_nanos=3600_000 * MS), "quotas").advice == ""
+
+
 def test_lost_channels_and_queues_are_told_by_name_and_host() -> None:
     lost = [(f"cam/{number}", "host h7") for number in range(7)]
     held = [Inventory(kind="channel", count=9, lost=lost), Inventory(kind="queue", count=4)]

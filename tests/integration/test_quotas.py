@@ -32,11 +32,11 @@ class Operator:
         self.address, self._folder, self.capsys = cluster.address, folder, capsys
         self._set: set[str] = set()
 
-    def says(self, *words: str, status: int = 0) -> str:
+    def says(self, *words: str, status: int = 0, out: bool | None = None) -> str:
         self.capsys.readouterr()
         assert run([*words, "--url", self.address]) == status
         captured = self.capsys.readouterr()
-        return captured.out if status == 0 else captured.err
+        return captured.out if out or status == 0 else captured.err
 
     def set(self, who: str, *limits: str) -> str:
         self._set.add(who)
@@ -104,6 +104,7 @@ def test_who_uses_how_much_and_who_was_refused_is_told_for_each_part(operator: O
     assert host["bytes-in-flight"]["limit"] == 0
     assert host["streams"]["who"] == CLIENT
     assert operator.rows("use", "team/unheard-of") == []
+    assert "calls refused, the last one" in operator.says("doctor", status=1, out=True)
 
 
 def test_members_and_others_are_not_bound_by_the_quota_of_one(

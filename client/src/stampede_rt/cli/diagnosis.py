@@ -25,6 +25,7 @@ def diagnose(
         *_hosts(seen),
         *map(_holdings, held),
         *_denials(seen),
+        *_quotas(seen),
         *clock_findings(seen),
     ]
     return [*parts, *of_all, *_versions(seen, own_version), *_levels(seen)]
@@ -187,6 +188,21 @@ def _holdings(held: Inventory) -> CheckResult:
         f"another host: the next put into a {held.kind} does that"
     )
     return CheckResult(f"{held.kind}s", "-", f"{len(held.lost)} of {held.count} lost", advice)
+
+
+def _quotas(seen: Sequence[Observation]) -> Iterator[CheckResult]:
+    """Report the calls beyond a quota, with advice if the last one was lately. Yields nothing if there were none."""
+    refusing = [one for one in seen if one.quota_refusals]
+    if not refusing:
+        return
+    count, last = sum(one.quota_refusals for one in refusing), min(one.quota_refused_ago_nanos or 0 for one in refusing)
+    where = joined([f"{one.part} ({one.quota_refusals})" for one in refusing])
+    advice = (
+        "`stampede quota use` tells which callers are beyond which quota, and `stampede quota set` raises one"
+        if last <= REFUSED_LATELY_NANOS
+        else ""
+    )
+    yield CheckResult("quotas", "-", f"{count} calls refused, the last one {roughly(last)} ago, at {where}", advice)
 
 
 def _denials(seen: Sequence[Observation]) -> Iterator[CheckResult]:

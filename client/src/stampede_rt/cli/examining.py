@@ -177,6 +177,8 @@ class Examination:
                 **(_levels(response) if part.kind == SUPERNODE else {}),
                 denials=response.access.denials,
                 denied_ago_nanos=_optional(response.access, "denied_ago_nanos"),
+                quota_refusals=response.access.quota_refusals,
+                quota_refused_ago_nanos=_optional(response.access, "quota_refused_ago_nanos"),
                 round_trip_nanos=round_trip,
                 clock_offset_nanos=response.time_unix_nano - (sent + round_trip // 2),
                 version=response.version,

@@ -22,6 +22,8 @@ class Observation:
       `refused_call_ago_nanos` ago.
     - `denials`: the number of calls that it denied since its start, for the caller's proof or role or by the rules of
       access, the last one `denied_ago_nanos` ago.
+    - `quota_refusals`: the number of calls that it refused since its start because their callers were beyond a quota,
+      the last one `quota_refused_ago_nanos` ago.
     - `is_member`: whether the other supernodes list this one.
     - `refuses_caller`: the part runs, but the caller's secret or certificate, or the part's own one, does not fit.
     - `refused_because`: why other supernodes refuse its store.
@@ -46,6 +48,8 @@ class Observation:
     refused_call_ago_nanos: int | None = None
     denials: int = 0
     denied_ago_nanos: int | None = None
+    quota_refusals: int = 0
+    quota_refused_ago_nanos: int | None = None
     held_bytes: int = 0
     memory_bytes_max: int = 0
     refuses_caller: bool = False

@@ -129,6 +129,17 @@ def test_what_callers_without_a_name_have_made_has_no_limit_unless_one_is_set() 
     assert accounts.of("@clients").limit(Quota.BYTES_HELD) == 7
 
 
+def test_all_refusals_of_a_port_are_counted_and_when_the_last_one_was() -> None:
+    now_s = 5.0
+    accounts = Accounts({**DEFAULTS, Quota.STREAMS: 0}, lambda: now_s)
+    assert (accounts.refusals, accounts.refused_ago_nanos()) == (0, None)
+    for name in ("cam", "other"):
+        with pytest.raises(Overloaded):
+            accounts.of(name).check(Quota.STREAMS)
+    now_s += 2.0
+    assert (accounts.refusals, accounts.refused_ago_nanos()) == (2, 2 * 10**9)
+
+
 def test_it_tells_who_uses_how_much_and_who_was_refused() -> None:
     accounts = Accounts()
     one = accounts.of("cam")

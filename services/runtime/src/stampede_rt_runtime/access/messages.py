@@ -82,5 +82,9 @@ def state_from(message: access_service_pb2.GetAccessStateResponse) -> AccessStat
 def status_message(control: AccessControl) -> pb.AccessStatus:
     """The access status of a port."""
     return pb.AccessStatus(
-        version=control.version, denials=control.audit.denials, denied_ago_nanos=control.audit.denied_ago_nanos()
+        version=control.version,
+        denials=control.audit.denials,
+        denied_ago_nanos=control.audit.denied_ago_nanos(),
+        quota_refusals=control.accounts.refusals,
+        quota_refused_ago_nanos=control.accounts.refused_ago_nanos(),
     )

@@ -45,16 +45,9 @@ class Account:
     """The use of one caller. It lives as long as there is a reference to it."""
 
     __slots__ = (
-        "__weakref__",
-        "_changes",
-        "_changes_at_s",
-        "_clock_s",
-        "_limits",
-        "_refused",
-        "_used",
-        "subject",
-        "turn",
-    )
+        "__weakref__", "_changes", "_changes_at_s", "_clock_s", "_limits", "_on_refused", "_refused", "_used",
+        "subject", "turn",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -62,11 +55,13 @@ class Account:
         limits: Mapping[Quota, int],
         clock_s: Callable[[], float] = lambda: 0.0,
         turns: Turns | None = None,
+        on_refused: Callable[[], None] = lambda: None,
     ) -> None:
         """`clock_s`: seconds of a clock that never goes back. `turns` None: its work never waits."""
         self.turn = None if turns is None else Turn(turns, limits[Quota.CPU_PERCENT])
         self.subject = subject
         self._clock_s = clock_s
+        self._on_refused = on_refused
         self._limits = limits
         self._used = dict.fromkeys(Quota, 0)
         self._refused = dict.fromkeys(Quota, 0)
@@ -157,6 +152,7 @@ class Account:
     def exceeded(self, quota: Quota, more: int) -> Overloaded:
         """Count a refusal, and return its error."""
         self._refused[quota] += 1
+        self._on_refused()
         used, limit = self._used[quota], self._limits[quota]
         what, way_out = _TEXTS[quota]
         wanted = f" and wants {more} more" if more > 1 else ""
@@ -211,6 +207,8 @@ class Accounts:
         self._table = NO_SETTINGS
         self._accounts: WeakValueDictionary[str, Account] = WeakValueDictionary()
         self._recent: OrderedDict[str, Account] = OrderedDict()
+        self.refusals = 0
+        self._refused_at_s = 0.0
 
     def __len__(self) -> int:
         return len(self._accounts)
@@ -233,12 +231,20 @@ class Accounts:
         account = self._accounts.get(subject)
         if account is None:
             limits = self._table.limits_of(subject, self._defaults)
-            account = self._accounts[subject] = Account(subject, limits, self._clock_s, self._turns)
+            account = self._accounts[subject] = Account(subject, limits, self._clock_s, self._turns, self._note_refusal)
         self._recent[subject] = account
         self._recent.move_to_end(subject)
         if len(self._recent) > RECENT_MAX:
             self._recent.popitem(last=False)
         return account
+
+    def refused_ago_nanos(self) -> int | None:
+        """The time since a caller was last refused something; None: nobody was."""
+        return None if not self.refusals else round((self._clock_s() - self._refused_at_s) * 1e9)
+
+    def _note_refusal(self) -> None:
+        self.refusals += 1
+        self._refused_at_s = self._clock_s()
 
     def uses(self) -> list[QuotaUse]:
         """The use of all callers that use quotas or were refused."""
