@@ -17,6 +17,8 @@ from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import contention, get_cost, interval_cost, memory_cost, skew, visibility
 from stampede_rt_bench.tables import Table
 from stampede_rt_bench.works.catalogue import READERS, works
+from stampede_rt_bench.works.processes import ServerFailed
+from stampede_rt_bench.works.run import RunFailed
 
 EXIT_FAILED, EXIT_INTERRUPTED = 1, 130
 ITEMS_MAX = 10_000_000
@@ -47,6 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with unwinding(signal.SIGINT, signal.SIGTERM):
             return run(arguments)
+    except (RunFailed, ServerFailed) as error:
+        print(f"stampede bench: {error}", file=sys.stderr)
+        return EXIT_FAILED
     except OSError as error:
         if error.filename is None or "out" not in arguments:
             raise

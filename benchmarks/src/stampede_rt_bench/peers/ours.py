@@ -9,8 +9,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import stampede_rt as st
+from stampede_rt_bench.clusters import SECRET_VARIABLE
 from stampede_rt_bench.works.interface import Receiver, Room, Served, Step
+from stampede_rt_bench.works.processes import ServerFailed
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.process import ServiceFailed
 
 NAME = "bench/items"
 LOOK_SECONDS = 0.05
@@ -34,10 +37,17 @@ class StampedeRt:
     @contextmanager
     def served(self, room: Room) -> Iterator[Served]:
         """A cluster of one supernode and one host."""
-        with LocalCluster(hosts=1, supernodes=1, durable=False) as cluster:
-            secret = {"STAMPEDE_SECRET_FILE": str(cluster.secret_file)}
+        cluster = LocalCluster(hosts=1, supernodes=1, durable=False)
+        try:
+            cluster.start()
+        except ServiceFailed as error:
+            raise ServerFailed(str(error)) from error
+        try:
+            secret = {SECRET_VARIABLE: str(cluster.secret_file)}
             pids = [process.pid for process in cluster.processes()]
             yield Served(address=cluster.address, pids=pids, environment=secret)
+        finally:
+            cluster.stop()
 
     def connect(self, served: Served, room: Room) -> StampedeClient:
         """A connection."""

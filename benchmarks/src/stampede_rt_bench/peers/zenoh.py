@@ -25,6 +25,7 @@ from stampede_rt_local.ports import free_ports
 
 LOOK_SECONDS, MEET_SECONDS, SETTLE_SECONDS = 0.05, 20.0, 0.2
 STORED_SECONDS = 5.0
+SHARED_BYTES_MIN = 3072  # the default of Zenoh's transport_optimization/message_size_threshold
 NO_SERVER = "there is no server that keeps items"
 
 
@@ -98,7 +99,7 @@ class ZenohClient:
         with self._open(listens=self._way != "router") as session:
             publisher = session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.BLOCK)
             self._meet(session, publisher)
-            send = self._send_shared(publisher) if self._way == "shared memory" else publisher.put
+            send = self._sender(publisher)
             for step in steps:
                 if isinstance(step, float):
                     time.sleep(step)
@@ -161,8 +162,11 @@ class ZenohClient:
                 raise TimeoutError(f"no item was stored within {STORED_SECONDS:g} s")
         time.sleep(SETTLE_SECONDS)
 
-    def _send_shared(self, publisher: Any) -> Callable[[bytes], None]:
-        """Copy each payload into a buffer of the shared memory, and publish that."""
+    def _sender(self, publisher: Any) -> Callable[[bytes], None]:
+        """`put`; with shared memory a copy into a buffer of it first, for items from Zenoh's own threshold on."""
+        if self._way != "shared memory" or self._room.item_bytes < SHARED_BYTES_MIN:
+            put: Callable[[bytes], None] = publisher.put
+            return put
         from zenoh.shm import BlockOn, Defragment, GarbageCollect, ShmProvider
 
         provider = ShmProvider.default_backend(SHARED_MEMORY_BYTES)

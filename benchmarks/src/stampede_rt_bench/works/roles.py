@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
+import threading
 import time
 import traceback
 from array import array
@@ -42,6 +44,7 @@ Role = Callable[[Assignment, int, Client], "array[int]"]
 def play(role: Role, assignment: Assignment, number: int, results: Connection) -> None:
     """Run a process: connect, do the work, report the outcome."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C the first process ends this one
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.update(assignment.served.environment)
     try:
         client = assignment.system.connect(assignment.served, assignment.room)
@@ -50,6 +53,13 @@ def play(role: Role, assignment: Assignment, number: int, results: Connection) -
         client.close()
     except BaseException:  # noqa: BLE001 - the first process shows it
         results.send(WorkerOutcome(array("Q"), traceback.format_exc()))
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def operate(assignment: Assignment, number: int, client: Client) -> array[int]:
