@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 PROBE_DEADLINE_SECONDS = 1.0
 PROBE_PERIOD_SECONDS = 1.0
 WOKEN_PER_TURN = 16
-"""So many waiting callers go on in one turn of the event loop."""
+"""The most waiting callers that go on in one turn of the event loop."""
 _RETRY_SECONDS_MIN = 0.05  # for a supernode that is just starting; the pause doubles up to the period
 
 

@@ -79,7 +79,7 @@ class PacedContext:
             await self._writes.turn()
 
     def __getattr__(self, name: str) -> Any:
-        """All else that a context can do."""
+        """Every other attribute of the context."""
         return getattr(self._context, name)
 
 

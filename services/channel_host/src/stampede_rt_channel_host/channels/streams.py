@@ -18,7 +18,7 @@ from stampede_rt_runtime.rpc import Context
 logger = logging.getLogger(__name__)
 
 STREAMS_PER_TURN = 16
-"""So many streams are ended in one turn of the event loop when all are."""
+"""The most streams that end in one turn of the event loop when all streams end."""
 
 
 class OpenStream:

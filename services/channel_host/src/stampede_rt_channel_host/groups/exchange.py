@@ -49,8 +49,9 @@ class Exchange:
         self._on_stale = on_stale
         self._on_asked = on_asked
         self._names: dict[bytes, str] = {}  # of the hosts of the groups known here, from the directory
-        # What this host wants of others: by group and host, and for each host in how many groups each channel is.
+        # The channels of other hosts that this host wants: by group and host.
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
+        # By host: for each channel that this host wants, the number of its groups.
         self._wanted: dict[bytes, Counter[bytes]] = {}
         self._told_all: set[bytes] = set()  # hosts that have told all their times on the present link
         # Floors of groups that this host has still to look up: by group, then by host.
@@ -58,9 +59,9 @@ class Exchange:
         self._waiting_floors: Counter[bytes] = Counter()  # the number of floors in `_floors` of each host
 
     def share(self, group_id: bytes) -> None:
-        """Tell the links of the hosts concerned what this host wants of them, after a change of a group or its owners.
+        """Tell the links which channels this host wants of the other hosts, after a change of a group or its owners.
 
-        Costs the hosts and channels of this group, however many other groups there are.
+        The time grows with the hosts and channels of this group, not with the number of groups.
         """
         group = self._table.groups.get(group_id)
         former, members = self._members.pop(group_id, {}), _by_host(group, self._identity.host_id)
@@ -176,7 +177,7 @@ class Exchange:
 
 
 def _by_host(group: HostedGroup | None, own_id: bytes) -> dict[bytes, list[bytes]]:
-    """The members of a group that other hosts own, by host. No group has none."""
+    """The members of a group that other hosts own, by host; empty for None."""
     members: dict[bytes, list[bytes]] = {}
     for channel_id, host_id in group.owners.items() if group is not None else ():
         if host_id != own_id:

@@ -254,7 +254,7 @@ def current_caller() -> Caller | None:
 
 
 def current_work() -> CallerWork:
-    """The work of the call that is being served; of a task beside it, or of a stream of its own."""
+    """A new CallerWork for the present call's caller: for the call, for a task beside it, or for one stream."""
     return CallerWork(current_account())
 
 

@@ -57,7 +57,7 @@ class Account:
         turns: Turns | None = None,
         on_refused: Callable[[], None] = lambda: None,
     ) -> None:
-        """`clock_s`: seconds of a clock that never goes back. `turns` None: its work never waits."""
+        """`clock_s`: seconds of a clock that never goes back. `turns` None: the caller's work never waits."""
         self.turn = None if turns is None else Turn(turns, limits[Quota.CPU_PERCENT])
         self.subject = subject
         self._clock_s = clock_s
@@ -200,7 +200,7 @@ class Accounts:
         clock_s: Callable[[], float] = lambda: 0.0,
         turns: Turns | None = None,
     ) -> None:
-        """`clock_s`, `turns`: as those of an account."""
+        """`clock_s`, `turns`: see `Account`."""
         self._turns = turns
         self._defaults = dict(defaults)
         self._clock_s = clock_s

@@ -1,7 +1,7 @@
-"""The turns of callers at one event loop, so that much work of one of them does not hold up the others. Pure.
+"""Shares the time of one event loop among callers, so that one caller with much work does not delay the others. Pure.
 
-A caller may take its percentage of the loop's time while others have work, too. What it takes beyond that waits in a
-line of its own, in order, until its time has come. A caller alone never waits.
+While several callers have work, each caller may use its percentage of the loop's time. If a caller has used more, its
+next steps wait in a line of their own, in order. While only one caller has work, it never waits.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from collections import deque
 from collections.abc import Callable
 
 BURST_NANOS = 1_000_000
-"""So far a caller may be ahead of its percentage: a few messages at once."""
+"""The time that a caller may use beyond its percentage before it must wait: enough for a few messages."""
 CONTENDED_NANOS = 100_000_000
-"""For so long after another caller's work a caller is not alone."""
+"""The callers count as several for this time after a change from one working caller to another."""
 PAUSE_SECONDS_MIN = 0.0005
 _SECOND_NANOS = 10**9
 
 Schedule = Callable[[float, Callable[[], None]], object]
-"""Has something called after so many seconds; 0: in the next turn of the event loop."""
+"""Calls a function after a delay in seconds; 0: in the next turn of the event loop."""
 
 
 class Turns:
-    """All callers of one loop. `now`: nanoseconds of a clock that never goes back."""
+    """The callers of one loop. `now` returns nanoseconds of a clock that never goes back."""
 
     def __init__(self, now: Callable[[], int], schedule: Schedule) -> None:
         self.now = now
@@ -32,7 +32,7 @@ class Turns:
         self._ticking = False
 
     def works(self, turn: Turn, now: int) -> bool:
-        """A caller has worked; whether it is not alone."""
+        """Note that a caller has worked. Returns whether several callers have work."""
         if turn is not self._last:
             if self._last is not None:
                 self._contended_until = now + CONTENDED_NANOS
@@ -44,7 +44,7 @@ class Turns:
         return now < self._contended_until
 
     def wait(self, turn: Turn) -> None:
-        """Somebody stands in the line of that caller."""
+        """Note that a step waits in the line of that caller."""
         self._waiting[turn] = None
         self._tick_later(self.now())
 
@@ -66,7 +66,10 @@ class Turns:
 
 
 class Turn:
-    """One caller's. `percent`: of the loop's time while others have work; 100 and more: all that they leave."""
+    """The line and the used time of one caller.
+
+    `percent`: the caller's share of the loop's time while others have work; 100 and more: all time that they leave.
+    """
 
     __slots__ = (
         "_before_nanos", "_busy_until", "_line", "_second", "_step_nanos", "_turns", "_used_nanos", "percent",
@@ -76,10 +79,10 @@ class Turn:
         self.percent = percent
         self._turns = turns
         self._line: deque[Callable[[], None]] = deque()
-        self._busy_until = 0  # as if the caller had its percentage of the loop's time, and no more
-        self._step_nanos = BURST_NANOS  # of a step, about
+        self._busy_until = 0  # when its past work would end at its percentage of the loop's time
+        self._step_nanos = BURST_NANOS  # the approximate time of one step
         self._second = 0
-        self._used_nanos = self._before_nanos = 0  # in this second, and in the one before
+        self._used_nanos = self._before_nanos = 0  # the time used in this second, and in the second before
 
     @property
     def has_line(self) -> bool:
@@ -95,12 +98,12 @@ class Turn:
         return self._busy_until - now > BURST_NANOS and self._turns.is_contended(now)
 
     def stand(self, wake: Callable[[], None]) -> None:
-        """Have `wake` called when it is the caller's turn."""
+        """Wait in line: call `wake` when it is the caller's turn."""
         self._line.append(wake)
         self._turns.wait(self)
 
     def spend(self, nanos: int) -> None:
-        """A step of the caller took so long."""
+        """Note the time that a step of the caller took."""
         now = self._turns.now()
         self._count(nanos, now)
         self._step_nanos += (nanos - self._step_nanos) // 8
@@ -108,11 +111,11 @@ class Turn:
             self._busy_until = max(self._busy_until, now) + nanos * 100 // max(1, self.percent)
 
     def held_for(self, now: int) -> int:
-        """How long the line still waits; 0 or less: not at all."""
+        """The nanoseconds for which the line still waits; 0 or less: it need not wait."""
         return self._busy_until - BURST_NANOS - now
 
     def wake(self, now: int, *, contended: bool) -> None:
-        """Wake those in line for whom there is time: at least one, unless the line must still wait."""
+        """Wake the steps in line for which there is time. Wakes at least one, unless the line must still wait."""
         allowed = -self.held_for(now) * self.percent // 100 if contended else BURST_NANOS
         if allowed < 0:
             return

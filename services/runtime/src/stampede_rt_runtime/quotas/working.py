@@ -1,4 +1,4 @@
-"""The work of a stream or call at its event loop, step by step, each when it is the turn of its caller."""
+"""The work of a stream or call on its event loop. Each step of it runs when it is the turn of its caller."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from stampede_rt_runtime.quotas.turns import Turns
 READ_NANOS = 40_000
 WRITE_NANOS = 150_000
 CALL_NANOS = 400_000
-"""gRPC takes about so much for reading a message, for writing one, and for a call, beside the steps that are
-measured."""
+"""The approximate time that gRPC takes to read a message, to write a message, and for a call. The measured steps do not
+contain this time.
+"""
 
 
 def loop_turns() -> Turns:
-    """The turns of the running event loop's callers."""
+    """The turns of the callers of the running event loop."""
     return Turns(time.monotonic_ns, _schedule)
 
 
@@ -28,9 +29,10 @@ def _schedule(delay_s: float, call: Callable[[], None]) -> object:
 
 
 class CallerWork:
-    """Of one stream. Before a step: `if work.must_wait: await work.turn()`; then `begin`, and `end` before it awaits.
+    """The work of one stream or call.
 
-    That costs a put about half a microsecond while its caller is alone.
+    Before a step: `if work.must_wait: await work.turn()`. Then call `begin`, and call `end` before the step awaits
+    anything. This costs a put about half a microsecond while only its caller has work.
     """
 
     __slots__ = ("_began_at", "_turn")
@@ -41,32 +43,32 @@ class CallerWork:
 
     @property
     def must_wait(self) -> bool:
-        """Whether the next step is not its caller's turn yet."""
+        """Whether the next step must wait for its caller's turn."""
         return self._turn is not None and self._turn.must_wait
 
     async def turn(self) -> None:
-        """Wait for it."""
-        assert self._turn is not None, "only who has turns waits for them"
+        """Wait for the caller's turn."""
+        assert self._turn is not None, "an account without turns never waits"
         came: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._turn.stand(partial(_set_unless_done, came))
         await came
 
     def begin(self) -> None:
-        """A step begins."""
+        """Note that a step begins."""
         self._began_at = time.monotonic_ns()
 
     def end(self, more_nanos: int = READ_NANOS) -> None:
-        """The step has ended, or awaits something. `more_nanos`: taken by gRPC."""
+        """Note that the step has ended or will await something. `more_nanos`: the time that gRPC takes for it."""
         if self._turn is not None:
             self._turn.spend(time.monotonic_ns() - self._began_at + more_nanos)
 
     def count_call(self) -> None:
-        """A call has come."""
+        """Note that a call has come, and count the time that gRPC takes for it."""
         if self._turn is not None:
             self._turn.spend(CALL_NANOS)
 
 
 def _set_unless_done(came: asyncio.Future[None]) -> None:
-    """Who waited may have been cancelled."""
+    """Wake the waiting step, unless it was cancelled."""
     if not came.done():
         came.set_result(None)
