@@ -171,7 +171,7 @@ def test_certificates_that_end_soon_or_have_ended_are_told_with_whose_they_are(
 ) -> None:
     certificates = secured.certificates
     assert certificates is not None
-    soon = certificates.issue(Role.CLIENT, "soon", lifetime=3 * DAY)
+    soon = certificates.issue(Role.CLIENT, "soon", begins=datetime.now(UTC) - 27 * DAY, lifetime=30 * DAY)
     use(soon, monkeypatch)
     code, said = doctor("--url", secured.address)
     assert (code, f"this caller {soon.certificate}: its certificate ends in 3.0 days; issue it anew" in said) == (

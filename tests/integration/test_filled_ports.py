@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import secrets
 import signal
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -13,9 +14,11 @@ import grpc
 import pytest
 
 from stampede_rt.v1 import directory_service_pb2 as pb
-from stampede_rt.v1 import directory_service_pb2_grpc
+from stampede_rt.v1 import directory_service_pb2_grpc, quota_pb2, quota_service_pb2_grpc
+from stampede_rt.v1 import quota_service_pb2 as quotas
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.quotas.limits import LIMIT_MAX
 from tests.support.supernode.processes import (
     Supernode,
     called,
@@ -29,6 +32,18 @@ from tests.support.supernode.processes import (
 pytestmark = pytest.mark.timeout(240)
 
 AT_ONCE = 128
+
+
+async def without_quotas(*supernodes: Supernode) -> None:
+    """One caller may fill ports, as many callers do together."""
+    kinds = (quota_pb2.QUOTA_KIND_STREAMS, quota_pb2.QUOTA_KIND_SUBSCRIPTIONS)
+    settings = [quota_pb2.QuotaSetting(who="*", kind=kind, limit=LIMIT_MAX) for kind in kinds]
+    request = quotas.SetQuotasRequest(request_id=secrets.token_bytes(16), settings=settings)
+    async with dial(supernodes[0].address, secret=None) as channel:
+        stub: Any = quota_service_pb2_grpc.QuotaServiceStub(channel)
+        await called(stub.SetQuotas(request, timeout=20), supernodes[0])
+    for one in supernodes:  # a confirmed read there: from then on it counts by the new limits
+        await called(one.stub.ListHosts(pb.ListHostsRequest(), timeout=20), one)
 
 
 @contextlib.asynccontextmanager
@@ -60,6 +75,7 @@ async def test_watches_that_fill_the_ports_of_two_members_do_not_keep_a_third_fr
         third, other = cluster.others(leader)
         await register(leader, 1)
         await open_channel(leader, "cam/before")
+        await without_quotas(leader, other)
         async with filled(leader) as first, filled(other) as second:
             await third.end(signal.SIGKILL)
             await open_channel(leader, "cam/meanwhile")
