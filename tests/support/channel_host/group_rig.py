@@ -27,13 +27,12 @@ from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
-from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.host import ChannelHost
 from stampede_rt_runtime.clock import HostClock, SystemClock
-from stampede_rt_runtime.dial import dial, dial_from_any_loop
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.channel_host.fake_directory import FakeDirectory
+from tests.support.channel_host.in_process_host import started_host
 from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between, payloads_of, run_of
 
 WAIT_SECONDS = 15.0
@@ -305,22 +304,10 @@ class Cluster:
 
     async def start(self, name: str, host_id: bytes, *, boot: int = 7, listen: str = "localhost:0") -> Host:
         """Start a host, and return it when it has registered. The same id with another boot is a restarted host."""
-        host = ChannelHost(
-            HostIdentity(host_id=host_id, name=name, boot_incarnation=boot),
-            frontends=[self.directory.target],
-            dial=lambda target: dial(target, secret=None),
-            dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
-            clock=self.clock,
-            memory_bytes_max=2**30,
-            on_serving=lambda serving: None,
-            on_defect=_fail,
+        started = await started_host(
+            self.directory.target, host_id=host_id, name=name, boot=boot, clock=self.clock, listen=listen
         )
-        server = ServiceServer(secret=None)
-        server.bind(listen)
-        host.add_to(server.grpc)
-        await server.start()
-        await host.enter(server.address)
-        made = Host(self.directory, host, server)
+        made = Host(self.directory, started.host, started.server)
         self.hosts.append(made)
         return made
 
@@ -338,7 +325,3 @@ async def running_cluster(clock: HostClock | None = None) -> AsyncIterator[Clust
         finally:
             for host in reversed(cluster.hosts):
                 await host.stop()
-
-
-def _fail(failure: BaseException) -> None:
-    raise AssertionError("a task of the host died") from failure

@@ -13,33 +13,24 @@ import grpc
 from stampede_rt.v1 import channel_service_pb2, item_pb2, queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
-from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.host import ChannelHost
-from stampede_rt_runtime.clock import HostClock, SystemClock
-from stampede_rt_runtime.dial import dial, dial_from_any_loop
-from stampede_rt_runtime.limits import Limits
-from stampede_rt_runtime.quotas.accounts import Accounts
-from stampede_rt_runtime.server import ServiceServer, serving
+from stampede_rt_runtime.server import serving
 from tests.support.channel_host.fake_queue_directory import FakeQueueDirectory
+from tests.support.channel_host.in_process_host import WAIT_SECONDS_MAX, InProcessHost, started_host, until_status
 from tests.support.channel_host.rig import payloads_of
 
-HOST_ID = b"the-host-id-here"
 MS, S = 10**6, 10**9
-WAIT_SECONDS_MAX = 20.0
 
 
 class QueueRig:
     """One host, its directory, and a connection to it."""
 
-    def __init__(self, directory: FakeQueueDirectory, host: ChannelHost, target: str) -> None:
+    def __init__(self, directory: FakeQueueDirectory, started: InProcessHost) -> None:
         self.directory = directory
-        self.host = host
-        self.target = target
-        # An unread stream must fill its window soon, with any default of the machine.
-        options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
-        self.connection = grpc.aio.insecure_channel(target, options=options)
+        self.host = started.host
+        self.target = started.target
+        self.connection = started.connect()
         self.stub = QueueServiceStub(self.connection)
-        self.accounts = Accounts()  # those of its port
+        self.accounts = started.server.access.accounts
 
     def open(self, name: str = "q", **spec: Any) -> OpenedQueue:
         """Return a queue whose owner in the directory is this host."""
@@ -86,11 +77,7 @@ class OpenedQueue:
         return (await self.rig.stub.GetQueueStatus(request)).status
 
     async def until(self, condition: Callable[[queue_pb2.QueueStatus], bool]) -> queue_pb2.QueueStatus:
-        """Ask for the status again and again, until `condition` holds."""
-        async with asyncio.timeout(WAIT_SECONDS_MAX):
-            while not condition(status := await self.status()):
-                pass
-        return status
+        return await until_status(self.status, condition)
 
 
 class Delivered:
@@ -218,37 +205,15 @@ async def queue_directory(lease_ttl_nanos: int = 600 * S) -> AsyncIterator[FakeQ
 
 
 @asynccontextmanager
-async def host_of(
-    directory: FakeQueueDirectory,
-    *,
-    host_id: bytes = HOST_ID,
-    name: str = "h1",
-    clock: HostClock | None = None,
-    memory_bytes_max: int = 2**30,
-) -> AsyncIterator[QueueRig]:
-    """Yield a host that has registered. It leaves at the end of the block."""
-    server = ServiceServer(secret=None)
-    host = ChannelHost(
-        HostIdentity(host_id=host_id, name=name, boot_incarnation=7),
-        frontends=[directory.target],
-        dial=lambda target: dial(target, secret=None),
-        dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
-        clock=clock or SystemClock(),
-        memory_bytes_max=memory_bytes_max,
-        on_serving=lambda serving: None,
-        on_defect=_fail,
-        access=server.access,
-    )
-    rig = QueueRig(directory, host, server.bind("localhost:0"))
-    rig.accounts = server.access.accounts
-    host.add_to(server.grpc)
-    await server.start()
-    await host.enter(rig.target)
+async def host_of(directory: FakeQueueDirectory, **settings: Any) -> AsyncIterator[QueueRig]:
+    """Yield a host that has registered, see `started_host`. It leaves at the end of the block."""
+    started = await started_host(directory.target, **settings)
+    rig = QueueRig(directory, started)
     try:
         yield rig
     finally:
         await rig.connection.close(None)
-        await server.stop(host.leave)
+        await started.stop()
 
 
 @asynccontextmanager
@@ -256,7 +221,3 @@ async def running_queue_host(**settings: Any) -> AsyncIterator[QueueRig]:
     """Yield a host and its directory."""
     async with queue_directory() as directory, host_of(directory, **settings) as rig:
         yield rig
-
-
-def _fail(failure: BaseException) -> None:
-    raise AssertionError("a task of the host died") from failure

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
-
-import grpc
 
 from stampede_rt.v1 import channel_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
-from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.host import ChannelHost
-from stampede_rt_runtime.clock import HostClock, SystemClock
-from stampede_rt_runtime.dial import dial, dial_from_any_loop
-from stampede_rt_runtime.limits import Limits
-from stampede_rt_runtime.quotas.accounts import Accounts
-from stampede_rt_runtime.server import ServiceServer, serving
+from stampede_rt_runtime.clock import HostClock
+from stampede_rt_runtime.server import serving
 from tests.support.channel_host.fake_directory import FakeDirectory
+from tests.support.channel_host.in_process_host import HOST_ID, InProcessHost, started_host, until_status
 
-HOST_ID = b"the-host-id-here"
 MIN_INSTANT, MAX_INSTANT = -(2**63), 2**63 - 1
 MS, S = 10**6, 10**9
 FOREVER = -1
@@ -32,16 +24,14 @@ FOREVER = -1
 class Rig:
     """The host under test, its directory, and the generated stubs."""
 
-    def __init__(self, directory: FakeDirectory, host: ChannelHost, target: str) -> None:
+    def __init__(self, directory: FakeDirectory, started: InProcessHost) -> None:
         self.directory = directory
-        self.host = host
-        self.target = target
-        # An unread stream must fill its window soon, with any default of the machine.
-        options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
-        self.connection = grpc.aio.insecure_channel(target, options=options)
+        self.host = started.host
+        self.target = started.target
+        self.connection = started.connect()
         self.channels = ChannelServiceStub(self.connection)
         self.gate = GatekeeperServiceStub(self.connection)
-        self.accounts = Accounts()  # those of its port
+        self.accounts = started.server.access.accounts
 
     def now(self) -> int:
         return self.host.store.now()
@@ -108,11 +98,7 @@ class Opened:
         return (await self.rig.channels.GetChannelStatus(request)).status
 
     async def until(self, condition: Callable[[channel_pb2.ChannelStatus], bool]) -> channel_pb2.ChannelStatus:
-        """Ask for the status again and again, until `condition` holds."""
-        async with asyncio.timeout(10):
-            while not condition(status := await self.status()):
-                pass
-        return status
+        return await until_status(self.status, condition)
 
 
 class Got:
@@ -173,30 +159,10 @@ async def running_host(
     directory = FakeDirectory(lease_ttl_nanos=lease_ttl_nanos)
     async with serving(directory.register) as supernode:
         directory.target = supernode.address
-        server = ServiceServer(secret=None)
-        host = ChannelHost(
-            HostIdentity(host_id=HOST_ID, name="h1", boot_incarnation=7),
-            frontends=[directory.target],
-            dial=lambda target: dial(target, secret=None),
-            dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
-            clock=clock or SystemClock(),
-            memory_bytes_max=memory_bytes_max,
-            on_serving=lambda serving: None,
-            on_defect=_fail,
-            refused_calls=server.refused_calls,
-            access=server.access,
-        )
-        rig = Rig(directory, host, server.bind("localhost:0"))
-        rig.accounts = server.access.accounts
-        host.add_to(server.grpc)
-        await server.start()
-        await host.enter(rig.target)
+        started = await started_host(directory.target, clock=clock, memory_bytes_max=memory_bytes_max)
+        rig = Rig(directory, started)
         try:
             yield rig
         finally:
             await rig.connection.close(None)
-            await server.stop(host.leave)
-
-
-def _fail(failure: BaseException) -> None:
-    raise AssertionError("a task of the host died") from failure
+            await started.stop()

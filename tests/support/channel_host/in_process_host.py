@@ -1,0 +1,83 @@
+"""A channel host on the test's event loop behind real gRPC, registered at a directory: what all rigs begin with."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import NamedTuple, TypeVar
+
+import grpc
+
+from stampede_rt_channel_host.cluster.identity import HostIdentity
+from stampede_rt_channel_host.host import ChannelHost
+from stampede_rt_runtime.clock import HostClock, SystemClock
+from stampede_rt_runtime.dial import dial, dial_from_any_loop
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.server import ServiceServer
+
+HOST_ID = b"the-host-id-here"
+WAIT_SECONDS_MAX = 20.0
+
+Status = TypeVar("Status")
+
+
+class InProcessHost(NamedTuple):
+    """A host and its port."""
+
+    host: ChannelHost
+    server: ServiceServer
+
+    @property
+    def target(self) -> str:
+        return self.server.address
+
+    def connect(self) -> grpc.aio.Channel:
+        """A connection to it, whose streams fill their windows soon if nobody reads, on every machine."""
+        options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
+        return grpc.aio.insecure_channel(self.target, options=options)
+
+    async def stop(self) -> None:
+        await self.server.stop(self.host.leave)
+
+
+async def started_host(
+    frontend: str,
+    *,
+    host_id: bytes = HOST_ID,
+    name: str = "h1",
+    boot: int = 7,
+    clock: HostClock | None = None,
+    memory_bytes_max: int = 2**30,
+    listen: str = "localhost:0",
+) -> InProcessHost:
+    """Return a host once it has registered. The same id with another `boot` is a restarted host."""
+    server = ServiceServer(secret=None)
+    host = ChannelHost(
+        HostIdentity(host_id=host_id, name=name, boot_incarnation=boot),
+        frontends=[frontend],
+        dial=lambda target: dial(target, secret=None),
+        dial_for_lease=lambda target: dial_from_any_loop(target, secret=None),
+        clock=clock or SystemClock(),
+        memory_bytes_max=memory_bytes_max,
+        on_serving=lambda serving: None,
+        on_defect=_fail,
+        refused_calls=server.refused_calls,
+        access=server.access,
+    )
+    server.bind(listen)
+    host.add_to(server.grpc)
+    await server.start()
+    await host.enter(server.address)
+    return InProcessHost(host, server)
+
+
+async def until_status(ask: Callable[[], Awaitable[Status]], condition: Callable[[Status], bool]) -> Status:
+    """Ask for the status again and again, until `condition` holds."""
+    async with asyncio.timeout(WAIT_SECONDS_MAX):
+        while not condition(status := await ask()):
+            pass  # each question is a round trip
+    return status
+
+
+def _fail(failure: BaseException) -> None:
+    raise AssertionError("a task of the host died") from failure
