@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import tempfile
 
 from hypothesis import settings
 
@@ -15,3 +17,10 @@ settings.load_profile("suite")
 # child would then wait for ever. A handler of one's own is not inherited: children begin with the default again.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Clients and services read a secret from the user's folder of settings, and `stampede dev` writes one there. The suite
+# uses an empty folder of its own. So it neither reads nor changes the secret of the user who runs it.
+_settings_folder = tempfile.TemporaryDirectory(prefix="stampede-tests-")
+os.environ["XDG_CONFIG_HOME"] = _settings_folder.name
+for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL"):
+    os.environ.pop(variable, None)
