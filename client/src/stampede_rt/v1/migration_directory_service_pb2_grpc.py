@@ -26,9 +26,10 @@ if _version_not_supported:
 
 
 class MigrationDirectoryServiceStub(object):
-    """Moves in the replicated directory, served by every supernode on the port of DirectoryService and with its promises.
-    Only hosts call the updates. For one move the first of Commit and Abort in the log wins; the other is answered with
-    the winner's record. A move id is never used again. A server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
+    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
+    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
+    yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel):
@@ -65,16 +66,17 @@ class MigrationDirectoryServiceStub(object):
 
 
 class MigrationDirectoryServiceServicer(object):
-    """Moves in the replicated directory, served by every supernode on the port of DirectoryService and with its promises.
-    Only hosts call the updates. For one move the first of Commit and Abort in the log wins; the other is answered with
-    the winner's record. A move id is never used again. A server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
+    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
+    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
+    yet answers UNIMPLEMENTED.
     """
 
     def PrepareMove(self, request, context):
-        """The destination says that it holds everything up to the source's last seq, while the source holds new puts. From
-        here on the end of the source's lease makes the destination the owner. Idempotent by move id. Errors: WRONG_EPOCH,
+        """The destination says that it holds every item up to the source's last seq. Meanwhile the source lets new puts wait.
+        If the source's lease ends after this call, the destination becomes the owner. Idempotent by move id. Errors: WRONG_EPOCH,
         CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of the destination),
-        INVALID_ARGUMENT (another move of the same subject is prepared). An aborted move stays aborted, and is answered so.
+        INVALID_ARGUMENT (another move of the same subject is prepared). The answer for an aborted move has state ABORTED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -89,16 +91,17 @@ class MigrationDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def AbortMove(self, request, context):
-        """The source stays the owner. Either side may say so, also of a move that the directory does not know, which then can
-        no longer be prepared. Idempotent. Only after its answer does the source open again. Errors: INVALID_ARGUMENT.
+        """The source stays the owner. Source and destination may call this, even before the directory knows the move. An
+        aborted move cannot be prepared. The source accepts puts again only after the answer. Idempotent. Errors:
+        INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetMove(self, request, context):
-        """How a move stands. Changes nothing. Not local: the answer sees every acknowledged update. Errors: INVALID_ARGUMENT
-        (an unknown move; its record is kept for 10 minutes).
+        """The state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT (an
+        unknown move: the directory keeps the record for 10 minutes).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -148,9 +151,10 @@ def add_MigrationDirectoryServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class MigrationDirectoryService(object):
-    """Moves in the replicated directory, served by every supernode on the port of DirectoryService and with its promises.
-    Only hosts call the updates. For one move the first of Commit and Abort in the log wins; the other is answered with
-    the winner's record. A move id is never used again. A server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
+    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
+    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
+    yet answers UNIMPLEMENTED.
     """
 
     @staticmethod

@@ -27,9 +27,10 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class MigrationDirectoryServiceStub:
-    """Moves in the replicated directory, served by every supernode on the port of DirectoryService and with its promises.
-    Only hosts call the updates. For one move the first of Commit and Abort in the log wins; the other is answered with
-    the winner's record. A move id is never used again. A server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
+    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
+    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
+    yet answers UNIMPLEMENTED.
     """
 
     @_typing.overload
@@ -37,59 +38,63 @@ class MigrationDirectoryServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> MigrationDirectoryServiceAsyncStub: ...
     PrepareMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.PrepareMoveRequest, _migration_directory_service_pb2.PrepareMoveResponse]
-    """The destination says that it holds everything up to the source's last seq, while the source holds new puts. From
-    here on the end of the source's lease makes the destination the owner. Idempotent by move id. Errors: WRONG_EPOCH,
+    """The destination says that it holds every item up to the source's last seq. Meanwhile the source lets new puts wait.
+    If the source's lease ends after this call, the destination becomes the owner. Idempotent by move id. Errors: WRONG_EPOCH,
     CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of the destination),
-    INVALID_ARGUMENT (another move of the same subject is prepared). An aborted move stays aborted, and is answered so.
+    INVALID_ARGUMENT (another move of the same subject is prepared). The answer for an aborted move has state ABORTED.
     """
     CommitMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMoveRequest, _migration_directory_service_pb2.CommitMoveResponse]
     """The destination becomes the owner, with the next epoch and the same incarnation. Idempotent. Errors:
     INVALID_ARGUMENT (the move was not prepared), LEASE_EXPIRED.
     """
     AbortMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.AbortMoveRequest, _migration_directory_service_pb2.AbortMoveResponse]
-    """The source stays the owner. Either side may say so, also of a move that the directory does not know, which then can
-    no longer be prepared. Idempotent. Only after its answer does the source open again. Errors: INVALID_ARGUMENT.
+    """The source stays the owner. Source and destination may call this, even before the directory knows the move. An
+    aborted move cannot be prepared. The source accepts puts again only after the answer. Idempotent. Errors:
+    INVALID_ARGUMENT.
     """
     GetMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.GetMoveRequest, _migration_directory_service_pb2.GetMoveResponse]
-    """How a move stands. Changes nothing. Not local: the answer sees every acknowledged update. Errors: INVALID_ARGUMENT
-    (an unknown move; its record is kept for 10 minutes).
+    """The state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT (an
+    unknown move: the directory keeps the record for 10 minutes).
     """
     ListMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListMovesRequest, _migration_directory_service_pb2.ListMovesResponse]
     """List moves by time, the newest first, page by page. Changes nothing. Errors: INVALID_ARGUMENT."""
 
 @_typing.type_check_only
 class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
-    """Moves in the replicated directory, served by every supernode on the port of DirectoryService and with its promises.
-    Only hosts call the updates. For one move the first of Commit and Abort in the log wins; the other is answered with
-    the winner's record. A move id is never used again. A server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
+    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
+    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
+    yet answers UNIMPLEMENTED.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     PrepareMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.PrepareMoveRequest, _migration_directory_service_pb2.PrepareMoveResponse]  # type: ignore[assignment]
-    """The destination says that it holds everything up to the source's last seq, while the source holds new puts. From
-    here on the end of the source's lease makes the destination the owner. Idempotent by move id. Errors: WRONG_EPOCH,
+    """The destination says that it holds every item up to the source's last seq. Meanwhile the source lets new puts wait.
+    If the source's lease ends after this call, the destination becomes the owner. Idempotent by move id. Errors: WRONG_EPOCH,
     CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of the destination),
-    INVALID_ARGUMENT (another move of the same subject is prepared). An aborted move stays aborted, and is answered so.
+    INVALID_ARGUMENT (another move of the same subject is prepared). The answer for an aborted move has state ABORTED.
     """
     CommitMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.CommitMoveRequest, _migration_directory_service_pb2.CommitMoveResponse]  # type: ignore[assignment]
     """The destination becomes the owner, with the next epoch and the same incarnation. Idempotent. Errors:
     INVALID_ARGUMENT (the move was not prepared), LEASE_EXPIRED.
     """
     AbortMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.AbortMoveRequest, _migration_directory_service_pb2.AbortMoveResponse]  # type: ignore[assignment]
-    """The source stays the owner. Either side may say so, also of a move that the directory does not know, which then can
-    no longer be prepared. Idempotent. Only after its answer does the source open again. Errors: INVALID_ARGUMENT.
+    """The source stays the owner. Source and destination may call this, even before the directory knows the move. An
+    aborted move cannot be prepared. The source accepts puts again only after the answer. Idempotent. Errors:
+    INVALID_ARGUMENT.
     """
     GetMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.GetMoveRequest, _migration_directory_service_pb2.GetMoveResponse]  # type: ignore[assignment]
-    """How a move stands. Changes nothing. Not local: the answer sees every acknowledged update. Errors: INVALID_ARGUMENT
-    (an unknown move; its record is kept for 10 minutes).
+    """The state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT (an
+    unknown move: the directory keeps the record for 10 minutes).
     """
     ListMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListMovesRequest, _migration_directory_service_pb2.ListMovesResponse]  # type: ignore[assignment]
     """List moves by time, the newest first, page by page. Changes nothing. Errors: INVALID_ARGUMENT."""
 
 class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Moves in the replicated directory, served by every supernode on the port of DirectoryService and with its promises.
-    Only hosts call the updates. For one move the first of Commit and Abort in the log wins; the other is answered with
-    the winner's record. A move id is never used again. A server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves in the replicated directory. Every supernode serves them on the port of DirectoryService, with the same promises.
+    Only hosts call the methods that change something. If the log has both a CommitMove and an AbortMove of one move, the
+    first one decides, and both get the record that it made. No move id is used twice. A server that does not serve moves
+    yet answers UNIMPLEMENTED.
     """
 
     @_abc_1.abstractmethod
@@ -98,10 +103,10 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_directory_service_pb2.PrepareMoveRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.PrepareMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.PrepareMoveResponse]]:
-        """The destination says that it holds everything up to the source's last seq, while the source holds new puts. From
-        here on the end of the source's lease makes the destination the owner. Idempotent by move id. Errors: WRONG_EPOCH,
+        """The destination says that it holds every item up to the source's last seq. Meanwhile the source lets new puts wait.
+        If the source's lease ends after this call, the destination becomes the owner. Idempotent by move id. Errors: WRONG_EPOCH,
         CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND, LEASE_EXPIRED (another boot of the destination),
-        INVALID_ARGUMENT (another move of the same subject is prepared). An aborted move stays aborted, and is answered so.
+        INVALID_ARGUMENT (another move of the same subject is prepared). The answer for an aborted move has state ABORTED.
         """
 
     @_abc_1.abstractmethod
@@ -120,8 +125,9 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_directory_service_pb2.AbortMoveRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.AbortMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.AbortMoveResponse]]:
-        """The source stays the owner. Either side may say so, also of a move that the directory does not know, which then can
-        no longer be prepared. Idempotent. Only after its answer does the source open again. Errors: INVALID_ARGUMENT.
+        """The source stays the owner. Source and destination may call this, even before the directory knows the move. An
+        aborted move cannot be prepared. The source accepts puts again only after the answer. Idempotent. Errors:
+        INVALID_ARGUMENT.
         """
 
     @_abc_1.abstractmethod
@@ -130,8 +136,8 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_directory_service_pb2.GetMoveRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.GetMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.GetMoveResponse]]:
-        """How a move stands. Changes nothing. Not local: the answer sees every acknowledged update. Errors: INVALID_ARGUMENT
-        (an unknown move; its record is kept for 10 minutes).
+        """The state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT (an
+        unknown move: the directory keeps the record for 10 minutes).
         """
 
     @_abc_1.abstractmethod

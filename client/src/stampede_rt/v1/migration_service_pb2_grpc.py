@@ -26,11 +26,12 @@ if _version_not_supported:
 
 
 class MigrationServiceStub(object):
-    """Moves on the hosts, on the gatekeeper's port. The steps of a move, all driven by the destination: feed from the
-    oldest item on (ReplicaService.Feed, with REPLICA_KIND_MOVE); HoldSubject at the source; the rest of the items;
-    MigrationDirectoryService.PrepareMove, then CommitMove; open; ReleaseSubject at the source. Until the directory has
-    an owner the source answers for nothing that it has not acknowledged, and opens again only after a committed abort. A
-    server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
+    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
+    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
+    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
+    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
+    UNIMPLEMENTED.
     """
 
     def __init__(self, channel):
@@ -62,43 +63,46 @@ class MigrationServiceStub(object):
 
 
 class MigrationServiceServicer(object):
-    """Moves on the hosts, on the gatekeeper's port. The steps of a move, all driven by the destination: feed from the
-    oldest item on (ReplicaService.Feed, with REPLICA_KIND_MOVE); HoldSubject at the source; the rest of the items;
-    MigrationDirectoryService.PrepareMove, then CommitMove; open; ReleaseSubject at the source. Until the directory has
-    an owner the source answers for nothing that it has not acknowledged, and opens again only after a committed abort. A
-    server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
+    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
+    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
+    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
+    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
+    UNIMPLEMENTED.
     """
 
     def MoveHere(self, request, context):
-        """Have this host take a channel or queue over; answers once it owns it. Idempotent by request id. Errors: NOT_HERE
-        (this host owns it already), WRONG_EPOCH, CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, OVERLOADED, AMBIGUOUS (see GetMove),
-        DEADLINE_EXCEEDED (it goes on).
+        """Make this host the owner of a channel or queue. The host answers when it is the owner. Idempotent by request id.
+        Errors: NOT_HERE (this host is the owner already), WRONG_EPOCH, CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, OVERLOADED,
+        AMBIGUOUS (see GetMove), DEADLINE_EXCEEDED (the move continues).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def OfferSubjects(self, request, context):
-        """Between hosts only: a host that is about to leave asks this one what it would take. The offer binds nobody; what is
-        taken is then moved by this host. Idempotent. Errors: SHUTTING_DOWN (this host leaves, too).
+        """Between hosts only: a host that is about to leave asks this host what it would take over. The answer obliges neither
+        host. This host then moves what it takes. Idempotent. Errors: SHUTTING_DOWN (this host leaves, too).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def HoldSubject(self, request, context):
-        """Between hosts only: the source stops accepting and hands over what it knows. Puts wait, 5 s and 64 MiB at most,
-        then they are refused with OVERLOADED. Reads go on. Repeated with the same move id it sends the same record. If the
-        destination prepares nothing within 10 s the source aborts. Errors: NOT_HERE, WRONG_EPOCH, OVERLOADED (another move
-        holds it), INVALID_ARGUMENT (an aborted move).
+        """Between hosts only: the source stops accepting puts, and sends its handoff record. Puts wait for 5 s at most, with 64
+        MiB at most in all; then the source refuses them with OVERLOADED. The source still answers reads. A repeated call
+        with the same move id gets the same record. If the destination does not prepare the move within 10 s, the source
+        aborts it. Errors: NOT_HERE, WRONG_EPOCH, OVERLOADED (another move is under way), INVALID_ARGUMENT (an aborted
+        move).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ReleaseSubject(self, request, context):
-        """Between hosts only: the destination is open. The source answers MOVED, for puts that waited as for new calls, for
-        60 s, and lets its copy go. Idempotent. Errors: INVALID_ARGUMENT (the directory has not committed the move).
+        """Between hosts only: the destination serves the channel or queue. The source answers waiting puts and, for 60 s, new
+        calls with MOVED, and drops its copy. Idempotent. Errors: INVALID_ARGUMENT (the directory has not committed the
+        move).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -136,11 +140,12 @@ def add_MigrationServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class MigrationService(object):
-    """Moves on the hosts, on the gatekeeper's port. The steps of a move, all driven by the destination: feed from the
-    oldest item on (ReplicaService.Feed, with REPLICA_KIND_MOVE); HoldSubject at the source; the rest of the items;
-    MigrationDirectoryService.PrepareMove, then CommitMove; open; ReleaseSubject at the source. Until the directory has
-    an owner the source answers for nothing that it has not acknowledged, and opens again only after a committed abort. A
-    server that does not serve moves yet answers UNIMPLEMENTED.
+    """Moves on the hosts, on the gatekeeper's port. The destination takes these steps: it receives the items from the oldest
+    one on (ReplicaService.Feed, with REPLICA_KIND_MOVE); it calls HoldSubject at the source; it receives the rest of the
+    items; it calls MigrationDirectoryService.PrepareMove, then CommitMove; it begins to serve the channel or queue; it
+    calls ReleaseSubject at the source. Until the directory has committed or aborted the move, the source acknowledges no
+    further puts. It accepts puts again only after an abort in the log. A server that does not serve moves yet answers
+    UNIMPLEMENTED.
     """
 
     @staticmethod

@@ -26,13 +26,14 @@ if _version_not_supported:
 
 
 class ReplicaDirectoryServiceStub(object):
-    """Proxies and warm replicas in the replicated directory, served by every supernode on the port of DirectoryService and
-    with its promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which
-    repeats the answer; reads see every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the hosts
-    of proxies and warm replicas; their particulars are here. Copies go with the channel, and with the registration of
-    their host: when its lease ends, it leaves, or it registers another boot. When the owner's registration ends in one of
-    these ways, a live warm replica that is in sync becomes the owner at once, with the next epoch and a new incarnation;
-    the other copies are then fed by it and not in sync.
+    """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
+    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
+    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
+    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
+    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
+    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
+    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
+    sync.
     """
 
     def __init__(self, channel):
@@ -69,28 +70,29 @@ class ReplicaDirectoryServiceStub(object):
 
 
 class ReplicaDirectoryServiceServicer(object):
-    """Proxies and warm replicas in the replicated directory, served by every supernode on the port of DirectoryService and
-    with its promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which
-    repeats the answer; reads see every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the hosts
-    of proxies and warm replicas; their particulars are here. Copies go with the channel, and with the registration of
-    their host: when its lease ends, it leaves, or it registers another boot. When the owner's registration ends in one of
-    these ways, a live warm replica that is in sync becomes the owner at once, with the next epoch and a new incarnation;
-    the other copies are then fed by it and not in sync.
+    """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
+    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
+    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
+    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
+    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
+    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
+    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
+    sync.
     """
 
     def AddReplica(self, request, context):
-        """Put a copy of a channel or queue at a host. The host learns of it by its own ReplicaService.StartReplica, which
-        callers should prefer, or by its next registration. One copy of a subject at a host: repeated with the same kind it
-        answers the same record. Idempotent by request id. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND, HOST_NOT_FOUND,
-        WRONG_EPOCH, CHANNEL_EXISTS (the host is the owner, or holds a copy of another kind), INVALID_ARGUMENT (the source
-        holds no copy; 16 copies are there; a proxy of a queue).
+        """Add a copy of a channel or queue at a host. Callers should prefer ReplicaService.StartReplica of that host: with
+        AddReplica the host learns of the copy only at its next registration. A host holds at most one copy of a channel or
+        queue: a second call with the same kind gets the same record. Idempotent by request id. Errors: CHANNEL_NOT_FOUND,
+        QUEUE_NOT_FOUND, HOST_NOT_FOUND, WRONG_EPOCH, CHANNEL_EXISTS (the host is the owner, or holds a copy of another
+        kind), INVALID_ARGUMENT (the source holds no copy; there are 16 copies already; a proxy of a queue).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RemoveReplica(self, request, context):
-        """Take a copy away; its readers are sent back to the owner with MOVED. Idempotent: an absent one is no error.
+        """Remove a copy. Its readers get MOVED, and go to the owner. Idempotent: if there is no such copy, the call succeeds.
         Errors: CHANNEL_NOT_FOUND.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -98,7 +100,7 @@ class ReplicaDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def SetReplicaInSync(self, request, context):
-        """Between hosts and supernodes only: the owner says that a warm replica is or is no longer in sync. Compare-and-set
+        """Between hosts and supernodes only: the owner says whether a warm replica is in sync. Compare-and-set
         by epoch and host boot. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or
         another boot).
         """
@@ -107,16 +109,16 @@ class ReplicaDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ReportReplicaLoads(self, request, context):
-        """Between hosts and supernodes only: how busy copies are, sent about every 2 s. Goes to the leader and into no log;
-        not acknowledged as durable. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED.
+        """Between hosts and supernodes only: a host tells the load of its copies, about every 2 s. The leader keeps it in
+        memory and not in the log. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListReplicas(self, request, context):
-        """Where a channel can be read: its owner and its copies with what they carry, the least loaded first. Changes
-        nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
+        """The hosts that can serve readers of a channel: its owner and its copies with their loads, the least loaded first.
+        Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -159,13 +161,14 @@ def add_ReplicaDirectoryServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class ReplicaDirectoryService(object):
-    """Proxies and warm replicas in the replicated directory, served by every supernode on the port of DirectoryService and
-    with its promises: updates are linearizable and carry a request id of 16 random bytes, the repetition of which
-    repeats the answer; reads see every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the hosts
-    of proxies and warm replicas; their particulars are here. Copies go with the channel, and with the registration of
-    their host: when its lease ends, it leaves, or it registers another boot. When the owner's registration ends in one of
-    these ways, a live warm replica that is in sync becomes the owner at once, with the next epoch and a new incarnation;
-    the other copies are then fed by it and not in sync.
+    """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
+    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
+    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
+    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
+    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
+    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
+    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
+    sync.
     """
 
     @staticmethod

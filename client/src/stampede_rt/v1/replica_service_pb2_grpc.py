@@ -64,33 +64,34 @@ class ReplicaServiceServicer(object):
     """
 
     def StartReplica(self, request, context):
-        """Have this host hold a copy: it enters the directory, is fed from the oldest item on, and the call answers once it
-        has all that its source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica; OVERLOADED,
-        DEADLINE_EXCEEDED (it goes on).
+        """Make this host hold a copy. The host adds the copy to the directory, and receives the items from the oldest one on.
+        It answers when it has all items that the source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica;
+        OVERLOADED, DEADLINE_EXCEEDED (the host continues).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def StopReplica(self, request, context):
-        """Drop the copy that this host holds, here and in the directory. Idempotent. Errors: NOT_HERE (this host owns it).
+        """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Feed(self, request_iterator, context):
-        """Between hosts only: feed a copy. The copy's host calls its source. The first response has `opened`; then come all
-        held items in seq order, then every later accepted item once, as at Subscribe; and with them what a later owner
-        must know. After a break the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
-        INCARNATION_LOST (drop what is held and feed from the oldest), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
+        """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`. The
+        next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They also
+        have what a later owner must know. After a broken stream the copy resumes with `after`. Errors that end the stream:
+        NOT_HERE, WRONG_EPOCH, MOVED, INCARNATION_LOST (the copy drops its items, and begins again at the oldest item),
+        OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetReplicaStatus(self, request, context):
-        """How the copy at this host is doing. Changes nothing. Errors: NOT_HERE.
+        """The status of the copy at this host. Changes nothing. Errors: NOT_HERE.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

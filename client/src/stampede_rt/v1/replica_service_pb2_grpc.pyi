@@ -36,20 +36,21 @@ class ReplicaServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> ReplicaServiceAsyncStub: ...
     StartReplica: _grpc.UnaryUnaryMultiCallable[_replica_service_pb2.StartReplicaRequest, _replica_service_pb2.StartReplicaResponse]
-    """Have this host hold a copy: it enters the directory, is fed from the oldest item on, and the call answers once it
-    has all that its source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica; OVERLOADED,
-    DEADLINE_EXCEEDED (it goes on).
+    """Make this host hold a copy. The host adds the copy to the directory, and receives the items from the oldest one on.
+    It answers when it has all items that the source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica;
+    OVERLOADED, DEADLINE_EXCEEDED (the host continues).
     """
     StopReplica: _grpc.UnaryUnaryMultiCallable[_replica_service_pb2.StopReplicaRequest, _replica_service_pb2.StopReplicaResponse]
-    """Drop the copy that this host holds, here and in the directory. Idempotent. Errors: NOT_HERE (this host owns it)."""
+    """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner)."""
     Feed: _grpc.StreamStreamMultiCallable[_replica_service_pb2.FeedRequest, _replica_service_pb2.FeedResponse]
-    """Between hosts only: feed a copy. The copy's host calls its source. The first response has `opened`; then come all
-    held items in seq order, then every later accepted item once, as at Subscribe; and with them what a later owner
-    must know. After a break the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
-    INCARNATION_LOST (drop what is held and feed from the oldest), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
+    """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`. The
+    next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They also
+    have what a later owner must know. After a broken stream the copy resumes with `after`. Errors that end the stream:
+    NOT_HERE, WRONG_EPOCH, MOVED, INCARNATION_LOST (the copy drops its items, and begins again at the oldest item),
+    OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     GetReplicaStatus: _grpc.UnaryUnaryMultiCallable[_replica_service_pb2.GetReplicaStatusRequest, _replica_service_pb2.GetReplicaStatusResponse]
-    """How the copy at this host is doing. Changes nothing. Errors: NOT_HERE."""
+    """The status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 @_typing.type_check_only
 class ReplicaServiceAsyncStub(ReplicaServiceStub):
@@ -59,20 +60,21 @@ class ReplicaServiceAsyncStub(ReplicaServiceStub):
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     StartReplica: _aio.UnaryUnaryMultiCallable[_replica_service_pb2.StartReplicaRequest, _replica_service_pb2.StartReplicaResponse]  # type: ignore[assignment]
-    """Have this host hold a copy: it enters the directory, is fed from the oldest item on, and the call answers once it
-    has all that its source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica; OVERLOADED,
-    DEADLINE_EXCEEDED (it goes on).
+    """Make this host hold a copy. The host adds the copy to the directory, and receives the items from the oldest one on.
+    It answers when it has all items that the source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica;
+    OVERLOADED, DEADLINE_EXCEEDED (the host continues).
     """
     StopReplica: _aio.UnaryUnaryMultiCallable[_replica_service_pb2.StopReplicaRequest, _replica_service_pb2.StopReplicaResponse]  # type: ignore[assignment]
-    """Drop the copy that this host holds, here and in the directory. Idempotent. Errors: NOT_HERE (this host owns it)."""
+    """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner)."""
     Feed: _aio.StreamStreamMultiCallable[_replica_service_pb2.FeedRequest, _replica_service_pb2.FeedResponse]  # type: ignore[assignment]
-    """Between hosts only: feed a copy. The copy's host calls its source. The first response has `opened`; then come all
-    held items in seq order, then every later accepted item once, as at Subscribe; and with them what a later owner
-    must know. After a break the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
-    INCARNATION_LOST (drop what is held and feed from the oldest), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
+    """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`. The
+    next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They also
+    have what a later owner must know. After a broken stream the copy resumes with `after`. Errors that end the stream:
+    NOT_HERE, WRONG_EPOCH, MOVED, INCARNATION_LOST (the copy drops its items, and begins again at the oldest item),
+    OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
     """
     GetReplicaStatus: _aio.UnaryUnaryMultiCallable[_replica_service_pb2.GetReplicaStatusRequest, _replica_service_pb2.GetReplicaStatusResponse]  # type: ignore[assignment]
-    """How the copy at this host is doing. Changes nothing. Errors: NOT_HERE."""
+    """The status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
     """Copies of channels and queues on the hosts, on the gatekeeper's port (paper, section 4.1).
@@ -85,9 +87,9 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _replica_service_pb2.StartReplicaRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_replica_service_pb2.StartReplicaResponse, _abc.Awaitable[_replica_service_pb2.StartReplicaResponse]]:
-        """Have this host hold a copy: it enters the directory, is fed from the oldest item on, and the call answers once it
-        has all that its source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica; OVERLOADED,
-        DEADLINE_EXCEEDED (it goes on).
+        """Make this host hold a copy. The host adds the copy to the directory, and receives the items from the oldest one on.
+        It answers when it has all items that the source held. Idempotent. Errors: as ReplicaDirectoryService.AddReplica;
+        OVERLOADED, DEADLINE_EXCEEDED (the host continues).
         """
 
     @_abc_1.abstractmethod
@@ -96,7 +98,7 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _replica_service_pb2.StopReplicaRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_replica_service_pb2.StopReplicaResponse, _abc.Awaitable[_replica_service_pb2.StopReplicaResponse]]:
-        """Drop the copy that this host holds, here and in the directory. Idempotent. Errors: NOT_HERE (this host owns it)."""
+        """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner)."""
 
     @_abc_1.abstractmethod
     def Feed(
@@ -104,10 +106,11 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_replica_service_pb2.FeedRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_replica_service_pb2.FeedResponse], _abc.AsyncIterator[_replica_service_pb2.FeedResponse]]:
-        """Between hosts only: feed a copy. The copy's host calls its source. The first response has `opened`; then come all
-        held items in seq order, then every later accepted item once, as at Subscribe; and with them what a later owner
-        must know. After a break the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
-        INCARNATION_LOST (drop what is held and feed from the oldest), OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
+        """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`. The
+        next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They also
+        have what a later owner must know. After a broken stream the copy resumes with `after`. Errors that end the stream:
+        NOT_HERE, WRONG_EPOCH, MOVED, INCARNATION_LOST (the copy drops its items, and begins again at the oldest item),
+        OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod
@@ -116,6 +119,6 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _replica_service_pb2.GetReplicaStatusRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_replica_service_pb2.GetReplicaStatusResponse, _abc.Awaitable[_replica_service_pb2.GetReplicaStatusResponse]]:
-        """How the copy at this host is doing. Changes nothing. Errors: NOT_HERE."""
+        """The status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 def add_ReplicaServiceServicer_to_server(servicer: ReplicaServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...
