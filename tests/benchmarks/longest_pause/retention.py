@@ -15,22 +15,26 @@ from tests.benchmarks.longest_pause.sizes import (
     PUTS_PER_TURN,
 )
 from tests.benchmarks.longest_pause.watch import PATIENCE_SECONDS, Work
-from tests.support.channel_host.rig import Rig, run_of
+from tests.support.channel_host.rig import Opened, Rig, run_of
+
+
+async def configure(rig: Rig, channel: Opened, **limits: int) -> None:
+    """Change the channel's retention."""
+    request = gate_pb.ConfigureChannelRequest(
+        request_id=b"0123456789abcdef",
+        channel_id=channel.channel_id,
+        epoch=channel.epoch,
+        spec=channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(**limits)),
+    )
+    await rig.gate.ConfigureChannel(request)
 
 
 async def smaller_limit(rig: Rig, items: int) -> tuple[str, Work]:
     channel, hosted = await opened(rig)
     in_order(hosted, rig, items)
-    retention = channel_pb2.RetentionPolicy(max_items=10)
-    request = gate_pb.ConfigureChannelRequest(
-        request_id=b"0123456789abcdef",
-        channel_id=channel.channel_id,
-        epoch=channel.epoch,
-        spec=channel_pb2.ChannelSpec(retention=retention),
-    )
 
     async def work() -> None:
-        await rig.gate.ConfigureChannel(request)
+        await configure(rig, channel, max_items=10)
         await channel.put(run_of(b"x"))
         async with asyncio.timeout(PATIENCE_SECONDS):
             while hosted.channel.look(rig.now())[0].has_backlog:
@@ -64,15 +68,7 @@ async def consumption(rig: Rig, items: int) -> tuple[str, Work]:
     async def work() -> None:
         request = pb.ConsumeRequest(channel_id=channel.channel_id, epoch=channel.epoch, consumer_id=1, seqs=[1])
         await rig.channels.Consume(request)
-        retention = channel_pb2.RetentionPolicy(max_items=10, consumers=1)
-        await rig.gate.ConfigureChannel(
-            gate_pb.ConfigureChannelRequest(
-                request_id=b"0123456789abcdef",
-                channel_id=channel.channel_id,
-                epoch=channel.epoch,
-                spec=channel_pb2.ChannelSpec(retention=retention),
-            )
-        )
+        await configure(rig, channel, max_items=10, consumers=1)
 
     return f"{items:,} items that are owed to a consumer go by count", work
 
@@ -80,16 +76,9 @@ async def consumption(rig: Rig, items: int) -> tuple[str, Work]:
 async def first_consumers(rig: Rig, items: int) -> tuple[str, Work]:
     channel, hosted = await opened(rig)
     in_order(hosted, rig, items)
-    retention = channel_pb2.RetentionPolicy(consumers=1)
-    request = gate_pb.ConfigureChannelRequest(
-        request_id=b"0123456789abcdef",
-        channel_id=channel.channel_id,
-        epoch=channel.epoch,
-        spec=channel_pb2.ChannelSpec(retention=retention),
-    )
 
     async def work() -> None:
-        await rig.gate.ConfigureChannel(request)
+        await configure(rig, channel, consumers=1)
         about = {"channel_id": channel.channel_id, "epoch": channel.epoch}
         await rig.channels.Consume(pb.ConsumeRequest(consumer_id=1, seqs=[1], **about))  # type: ignore[arg-type]
         assert (await channel.status()).consumers[0].waiting == items - 1
@@ -107,15 +96,7 @@ async def backwards(rig: Rig, items: int) -> tuple[str, Work]:
         hosted.channel.consume(consumer, range(2, 2 * CALLS, 2), now)
 
     async def work() -> None:
-        retention = channel_pb2.RetentionPolicy(max_items=items // 2, consumers=10)
-        await rig.gate.ConfigureChannel(
-            gate_pb.ConfigureChannelRequest(
-                request_id=b"0123456789abcdef",
-                channel_id=channel.channel_id,
-                epoch=channel.epoch,
-                spec=channel_pb2.ChannelSpec(retention=retention),
-            )
-        )
+        await configure(rig, channel, max_items=items // 2, consumers=10)
         await channel.status()
         page = await rig.gate.ListHostedChannels(gate_pb.ListHostedChannelsRequest())
         assert len(page.channels[0].consumers) == 10
