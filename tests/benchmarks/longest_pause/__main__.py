@@ -39,7 +39,7 @@ from tests.benchmarks.longest_pause.sizes import (
     REPLACED_ITEMS,
     SUBSCRIBERS,
 )
-from tests.benchmarks.longest_pause.waking import reach, release, subscribers
+from tests.benchmarks.longest_pause.waking import left_gets, reach, release, subscribers
 from tests.benchmarks.longest_pause.watch import Watch, Work
 from tests.support.channel_host.rig import Rig, running_host
 
@@ -59,6 +59,7 @@ CASES: dict[str, tuple[Case, int]] = {
     "backwards": (backwards, 2 * CHANNELS * 10),
     "delete": (deletion, ITEMS),
     "release": (release, BLOCKED_GETS),
+    "left-gets": (left_gets, BLOCKED_GETS),
     "list": (listing, CHANNELS),
     "batches": (batches, QUEUED_ITEMS),
     "subscribers": (subscribers, SUBSCRIBERS),

@@ -54,6 +54,23 @@ async def release(rig: Rig, gets: int) -> tuple[str, Work]:
     return f"a put that releases {len(calls) * CALLS:,} blocked gets", work
 
 
+async def left_gets(rig: Rig, gets: int) -> tuple[str, Work]:
+    """The callers go, and nobody waits for the answers."""
+    channel, _ = await opened(rig)
+    calls = [rig.channels.Get() for _ in range(max(1, gets // CALLS))]
+    for call in calls:
+        for call_id in range(1, CALLS + 1):
+            await call.write(channel.get_request(call_id, interval=channel.future(), wait_nanos=-1))
+    await channel.until(lambda status: status.waiting_gets == len(calls) * CALLS)
+
+    async def work() -> None:
+        for call in calls:
+            call.cancel()
+        await channel.until(lambda status: status.waiting_gets == 0)
+
+    return f"the callers of {len(calls) * CALLS:,} blocked gets go", work
+
+
 async def subscribers(rig: Rig, count: int) -> tuple[str, Work]:
     """Each of them has a message sent."""
     channel, hosted = await opened(rig)

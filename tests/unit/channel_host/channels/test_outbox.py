@@ -148,3 +148,12 @@ async def test_what_was_not_sent_of_a_call_that_is_dropped_or_of_a_stream_that_e
     assert [sum(1 for _ in rest) for rest in box.begun] == [5, 7]
     assert not one
     assert not other
+
+
+async def test_an_answer_that_comes_after_the_stream_has_ended_is_let_go_and_not_written() -> None:
+    box = Box()
+    box.outbox.close()
+    box.add(1)
+    box.outbox.kick()
+    await asyncio.sleep(0)
+    assert (box.context.written, box.outbox.has_room, len(box.begun)) == ([], True, 1)

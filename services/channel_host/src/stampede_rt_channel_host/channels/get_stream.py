@@ -19,7 +19,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.outbox import COUNTED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGet
+from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE, Outcome, WaitingGet
 from stampede_rt_channel_host.core.channel import (
     ITEM_OVERHEAD_BYTES,
     Pending,
@@ -112,9 +112,16 @@ class GetStream:
         finally:
             self._under_way.set(0)
             self._outbox.close()
-            for get in self._calls.values():
+            self._store.scheduler.begin(self._cancelling())
+
+    def _cancelling(self) -> Pieces[None]:
+        """Cancel the calls that are left, in pieces. Answers that come meanwhile are not sent."""
+        while self._calls:
+            for _ in range(min(GETS_PER_PIECE, len(self._calls))):
+                _, get = self._calls.popitem()
                 if get is not None:
                     get.cancel()
+            yield
 
     def _take(self, call: GetCall) -> None:
         if call.plan is not None:

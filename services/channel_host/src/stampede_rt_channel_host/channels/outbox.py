@@ -65,7 +65,7 @@ class Outbox:
         self._on_room = on_room
         self._begin = begin
         self._answers: deque[_Answer] = deque()
-        self._writing = False
+        self._writing = self._is_closed = False
         self._task: asyncio.Task[None] | None = None
         self._room = asyncio.Event()
 
@@ -78,7 +78,10 @@ class Outbox:
         self, call_id: int, messages: Iterator[EncodedMessage], on_sent: Callable[[int], None], kept_bytes: int = 0,
         slices: Sequence[Slice] = (),
     ) -> None:  # fmt: skip
-        """Queue an answer that was made of `slices`. `flush` or `kick` writes it."""
+        """Queue an answer that was made of `slices`. `flush` or `kick` writes it. After `close` nobody does."""
+        if self._is_closed:
+            self._begin(emptying(slices))
+            return
         self._answers.append(_Answer(call_id, kept_bytes, emptying(slices), messages, on_sent))
         self._count(kept_bytes)
 
@@ -126,6 +129,7 @@ class Outbox:
 
     def close(self) -> None:
         """Write no further messages, and free the queued answers."""
+        self._is_closed = True
         answers, self._answers = self._answers, deque()
         for answer in answers:
             self._begin(answer.emptying)

@@ -26,7 +26,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
 MATCHES_PER_MESSAGE_MAX = 64
-LOOKS_PER_TURN_MAX = 128
+LOOKS_PER_TURN_MAX = 64
 """This number of looks for a member's nearest item takes one or two milliseconds. Then the stream lets others run."""
 
 
