@@ -38,9 +38,11 @@ from tests.benchmarks.longest_pause.sizes import (
     QUEUED_ITEMS,
     REPLACED_ITEMS,
     SUBSCRIBERS,
+    WATCHES,
 )
 from tests.benchmarks.longest_pause.waking import left_gets, reach, release, subscribers
 from tests.benchmarks.longest_pause.watch import Watch, Work
+from tests.benchmarks.longest_pause.watches import watch, watches
 from tests.support.channel_host.rig import Rig, running_host
 
 Case = Callable[[Rig, int], Awaitable[tuple[str, Work]]]
@@ -63,6 +65,7 @@ CASES: dict[str, tuple[Case, int]] = {
     "list": (listing, CHANNELS),
     "batches": (batches, QUEUED_ITEMS),
     "subscribers": (subscribers, SUBSCRIBERS),
+    "watches": (watches, WATCHES),
     "group-readers": (group_readers, GROUP_READERS),
 }
 
@@ -89,7 +92,11 @@ def main() -> None:
     parser.add_argument("--client", nargs=4, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.client:
-        ask(*options.client)
+        target, verb, count, _ = options.client
+        if verb == "watch":
+            asyncio.run(watch(target, int(count)))
+        else:
+            ask(*options.client)
     else:
         asyncio.run(measure(options.cases or [*CASES], options.share))
 

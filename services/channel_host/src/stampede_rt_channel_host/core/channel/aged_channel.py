@@ -64,7 +64,7 @@ class AgedChannel:
         self._held.tell(None)
         self._held.outdate(self._held.front_of_items(self._held.items), COUNT, self._clock or 0)
         yield
-        while self._held.free(pieces.STEPS_PER_PIECE):
+        while self._held.free(pieces.STEPS_PER_PIECE // 2):
             yield
 
     def next_deadline(self, now: int) -> int | None:

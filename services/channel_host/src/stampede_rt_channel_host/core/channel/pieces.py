@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-STEPS_PER_PIECE = 128
+STEPS_PER_PIECE = 256
 """The slices, or the amount of work equal to them, that make one piece."""
 
 ITEMS_PER_STEP = 8

@@ -125,15 +125,24 @@ class _Ranges:
         bounds = self._bounds
         return ((bounds[at], bounds[at + 1]) for at in range(0, len(bounds), 2))
 
+    def takes(self, later: _Ranges) -> bool:
+        """Append ranges that lie behind all of these. Returns False, and appends nothing, if they do not."""
+        if later._bounds and self._bounds and later._bounds[0] < self._bounds[-1]:
+            return False
+        self._bounds.extend(later._bounds)
+        return True
+
 
 def _seq_ranges(held: Holdings, low: ItemKey) -> Pieces[list[_Ranges]]:
-    """The seqs of the items from `low` on. Each piece makes one list of ranges, in ascending order."""
+    """The seqs of the items from `low` on, as lists of ranges in ascending order. Items in order make one list."""
     found: list[_Ranges] = []
     snapshot = held.snapshot()
     try:
         while True:  # ends with the last held item
             parts = [*islice(snapshot.slices(low, LAST_KEY), pieces.STEPS_PER_PIECE)]
-            found.append(_Ranges(_joined(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one)))))
+            ranges = _Ranges(_joined(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one))))
+            if not found or not found[-1].takes(ranges):  # few lists: to begin to merge them is one step
+                found.append(ranges)
             if len(parts) < pieces.STEPS_PER_PIECE:
                 return found
             low = parts[-1].last_time, parts[-1].end_seq
