@@ -3,6 +3,7 @@ address, since the host asks for no credential."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -13,6 +14,8 @@ from stampede_rt.errors import Overloaded
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_pb2, error_pb2, gatekeeper_service_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt_runtime.access import control
 from stampede_rt_runtime.quotas.limits import Quota
 from tests.support.channel_host.queue_rig import run_of as queue_run_of
 from tests.support.channel_host.queue_rig import running_queue_host
@@ -159,3 +162,34 @@ async def test_an_enqueue_that_would_wait_beyond_the_quota_ends_its_stream() -> 
         assert (await refusal_of(call)).metadata["quota"] == "waiting-calls"
         rig.accounts.set_default(Quota.WAITING_CALLS, 10)
         assert (await queue.status()).counters.rejected_overloaded == 1
+
+
+async def test_much_work_of_one_caller_does_not_stand_before_the_puts_of_another_one(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control, "subject_of", lambda caller, peer: peer)  # each connection is a caller
+    rig.accounts.set_default(Quota.CPU_PERCENT, 10)
+    channel = await rig.open()
+    request = pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=[run_of(b"x")] * 16)
+    answered = 0
+
+    async def put_again_and_again(call: Any) -> None:
+        nonlocal answered
+        while True:
+            await call.write(request)
+            acked = 0
+            while acked < len(request.puts):
+                acked += len((await call.read()).acks)
+            answered += 1
+
+    await channel.put(run_of(b"x"))
+    async with grpc.aio.insecure_channel(rig.target) as connection:
+        stub: Any = ChannelServiceStub(connection)
+        busy = [asyncio.create_task(put_again_and_again(stub.Put())) for _ in range(20)]
+        for number in range(20):
+            (ack,) = await channel.put(run_of(b"good", number=number + 1))
+            assert ack.first_seq > 0
+        assert answered < 20 * 20  # without turns at least as many, one on each stream for each good put
+        for task in busy:
+            task.cancel()
+        await asyncio.gather(*busy, return_exceptions=True)

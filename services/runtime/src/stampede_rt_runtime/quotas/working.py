@@ -11,7 +11,7 @@ from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.turns import Turns
 
 READ_NANOS = 40_000
-WRITE_NANOS = 150_000
+WRITE_NANOS = 250_000
 CALL_NANOS = 400_000
 """The approximate time that gRPC takes to read a message, to write a message, and for a call. The measured steps do not
 contain this time.
