@@ -15,17 +15,20 @@ from stampede_rt.v1 import (
     directory_pb2,
     error_pb2,
     group_pb2,
+    item_pb2,
     peer_pb2,
     queue_pb2,
     rpc_status_pb2,
 )
 from stampede_rt.wire import groups, peers, queues, reads, records
+from stampede_rt.wire.runs import ItemDecoder
 from tests.robustness.fuzz import hostile_values
 from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.messages import KnownValues, damaged, drawn_message
 from tests.robustness.fuzz.parsers.target import Target
 
 KNOWN = KnownValues()
+_DECODER = ItemDecoder(incarnation=1, content_type="", payloads=True)
 READERS: tuple[tuple[Callable[[Any], Any], type[Message]], ...] = (
     (records.policy_from_spec, channel_pb2.ChannelSpec),
     (records.host_info, directory_pb2.HostRecord),
@@ -42,6 +45,9 @@ READERS: tuple[tuple[Callable[[Any], Any], type[Message]], ...] = (
     (peers.peer_info, peer_pb2.PeerRecord),
     (peers.peer_change, peer_pb2.PeerChange),
     (reads.summary_reason, channel_service_pb2.GetSummary),
+    (lambda message: _DECODER.decode([message, message]), item_pb2.DeliveredRun),
+    (lambda message: _DECODER.decode_each([message]), item_pb2.DeliveredRun),
+    (lambda message: list(queues.deliveries_of(message, "")), queue_pb2.LeasedRun),
 )
 
 
