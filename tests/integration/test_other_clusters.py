@@ -67,7 +67,7 @@ async def test_a_restored_backup_takes_no_host_of_the_former_cluster_unless_it_w
             await renewed(restored, 1, former_id)
             return
         for refused in (renewed(restored, 1, former_id), register(restored, 1, cluster_id=former_id)):
-            with pytest.raises(WrongCluster, match="which may still serve; if that one is gone for good"):
+            with pytest.raises(WrongCluster, match="the caller's cluster may still serve; if it is gone for good"):
                 await refused
         own = await cluster_id(restored)
         assert own != former_id

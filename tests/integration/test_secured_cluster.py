@@ -157,7 +157,7 @@ def test_a_certificate_that_only_the_caller_trusts_is_refused(
     mixed = st.TlsFiles(ca=bundle, certificate=stranger.certificate, key=stranger.key)
     assert refusal(connect, cluster.address, mixed) == (
         f"{cluster.address} refused the certificate {stranger.certificate}: "
-        "it trusts no authority that has issued it; use this cluster's"
+        "no authority that issued it is trusted there; use a certificate of that cluster"
     )
 
 

@@ -3,8 +3,8 @@
 Somebody may restore a backup at one of a cluster's addresses. A caller that followed any directory would then leave its
 cluster for the backup. So clients, hosts and front-ends stay with the first cluster that they met, and each of their
 calls names it. They change to another cluster in two cases. In the first case that cluster says that it replaces theirs
-(`supernode init --restore --take-over`). In the second case both clusters are in memory alone, because then the first
-one cannot come back.
+(`supernode init --restore --take-over`). In the second case both clusters keep their data only in memory: then the
+first one cannot come back.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def wrong_cluster(who: str, own: str, callers: str) -> WrongCluster:
     `who`, such as "this supernode", of cluster `own` refuses it.
     """
     return WrongCluster(
-        f"{who} is of cluster {own}, and the caller of cluster {callers[:_SHOWN_MAX]}, which may still serve; if that "
-        "one is gone for good, start a client or front-end again; stop a host, remove the file cluster-id from its "
-        "data folder, and start it again (or restore with `stampede supernode init --restore --take-over`)",
+        f"{who} is of cluster {own}, and the caller of cluster {callers[:_SHOWN_MAX]}; the caller's cluster may still "
+        "serve; if it is gone for good, start a client or front-end again; stop a host, remove the file cluster-id "
+        "from its data folder, and start it again (or restore with `stampede supernode init --restore --take-over`)",
         metadata={"cluster_id": own},
     )

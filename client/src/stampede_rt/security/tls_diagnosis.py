@@ -154,7 +154,10 @@ def _about_ours(target: str, tls: TlsReader) -> str:
         check_own_certificate(tls)
     except PermissionDenied as error:
         return f"{target} refused this caller: {error.message}"
-    return f"{target} refused the certificate {own}: it trusts no authority that has issued it; use this cluster's"
+    return (
+        f"{target} refused the certificate {own}: no authority that issued it is trusted there; "
+        "use a certificate of that cluster"
+    )
 
 
 def check_own_certificate(tls: TlsReader) -> dict[str, object]:

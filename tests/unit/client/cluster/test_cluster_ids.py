@@ -58,7 +58,7 @@ def test_a_call_names_its_callers_cluster_once_that_is_known() -> None:
 
 def test_the_refusal_names_both_clusters_and_the_way_out_and_shows_no_endless_id() -> None:
     error = wrong_cluster("this supernode", "y", "x" * 1000)
-    for part in ("of cluster y", f"of cluster {'x' * 64},", "remove the file cluster-id"):
+    for part in ("of cluster y", f"of cluster {'x' * 64};", "remove the file cluster-id"):
         assert part in error.message
     assert error.metadata == {"cluster_id": "y"}
 
