@@ -68,7 +68,7 @@ class Deadlines(Generic[T]):
         return thing
 
     def next(self) -> int | None:
-        """The next deadline."""
+        """The next deadline; None: there is none."""
         first = self._first()
         return first[0][0] if first else None
 

@@ -1,7 +1,7 @@
 """Recognises retried puts by the latest runs of each producer and their outcomes. Pure.
 
-Nearly every run is taken in whole, and takes five numbers in a column. The memory has a bound in bytes and counts
-against the host's memory.
+Nearly every run is accepted as a whole. Such a run takes up five numbers in a column. The memory has a bound in bytes
+and counts against the host's memory.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class RetryWindow:
     def __init__(self, *, producers_max: int = PRODUCERS_MAX, bytes_max: int = WINDOW_BYTES_MAX) -> None:
         self._producers_max = producers_max
         self._bytes_max = bytes_max
-        self._producers: OrderedDict[int, _Producer] = OrderedDict()  # by the latest put
+        self._producers: OrderedDict[int, _Producer] = OrderedDict()  # by id, the longest silent one first
         self.footprint_bytes = 0
 
     def __len__(self) -> int:

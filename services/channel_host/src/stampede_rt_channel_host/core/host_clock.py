@@ -12,10 +12,10 @@ A small offset slews little: a millisecond changes the rate by 33 ppm.
 """
 
 SLEW_PPM_MAX = 500_000
-"""Host time is never more than half as fast or slow again as the monotonic clock.
+"""The most by which the rate of host time differs from the monotonic clock's: it is between half and one and a half.
 
-So a window holds at least two thirds of its age. A clock that was an hour wrong is right after two hours. With NTP's
-500 ppm that would take months.
+So a retention window holds at least two thirds of its age. A clock that was an hour wrong is right after two hours.
+With NTP's 500 ppm that would take months.
 """
 
 

@@ -98,7 +98,9 @@ class Judging:
         self._refusals.append(ItemRefusal(position, error))
 
     def resume(self, known: Judged) -> bool:
-        """Continue a repeated run at its former place. Returns False if this judgement is already further."""
+        """Continue a repeated run after the items that were judged before. Returns False if more items are judged
+        already.
+        """
         if known.judged_items <= self.judged_items:
             return False
         self.judged_items = known.judged_items

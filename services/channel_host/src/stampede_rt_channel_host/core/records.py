@@ -45,7 +45,8 @@ class PolicyChange:
 class RecordedQueue:
     """One queue, with its host and set-up.
 
-    A mailbox has no name. Its owner is the caller that registered its peer, by its name in rules of access.
+    A mailbox has no name. `mailbox_owner` is the caller that registered the peer, by the caller's name in rules of
+    access.
     """
 
     queue_id: bytes
@@ -102,7 +103,9 @@ class ResolvedGroup:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedChange:
-    """A change of the directory: of the channel, queue or group in it, or of rules or keys of access."""
+    """A change of the directory. It concerns the channel, queue or group that is set, or, with `is_of_access`, the
+    rules or keys of access.
+    """
 
     removed: bool
     channel: RecordedChannel | None = None

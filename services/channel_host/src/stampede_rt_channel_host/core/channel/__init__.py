@@ -4,18 +4,19 @@ No module here reads a clock, waits, locks, or knows the wire. The code around i
 
 - It makes one `ChannelCore` for each channel from its Policy and incarnation.
 - It passes `now` from one `HostTime` to every call.
-- Puts: it calls `channel.put(Offer(...), now, seal) -> PutOutcome`. `seal` returns the stored bytes once the first seq
-  is known. If `outcome.waiting` is set, it offers `offer.rest(waiting, now)` again after each change and at
-  `outcome.retry_at`, and lets later puts wait meanwhile, or it calls `give_up_put`. It asks `RetryWindow` first, which
-  recognises retried puts.
+- Puts: it first asks `RetryWindow`, which recognises retried puts. Then it calls `channel.put(Offer(...), now, seal) ->
+  PutOutcome`. `seal` returns the bytes to store, once the first seq is known. If `outcome.waiting` is set, later puts
+  wait. It offers `offer.rest(waiting, now)` again after each change and at `outcome.retry_at`. `give_up_put` ends the
+  wait.
 - Reads: it calls `channel.read(Query(...), now) -> Answer`. A blocking get needs `begin`, `poll` and `give_up`. It
   polls at once, after each change, and at the instant of `WakeAt`.
-- Subscriptions: `subscribe_all` and `since`, `subscribe_newest` and `latest`.
-- Consumption: `consume` and `consumers`. `consumer_places` and `restore_consumers` move the places to another owner.
+- Subscriptions: it calls `subscribe_all` and then `since`, or `subscribe_newest` and then `latest`.
+- Consumption: it calls `consume` and `consumers`. `consumer_places` and `restore_consumers` move the places to another
+  owner.
 - Housekeeping: it calls `collect(now)` at `next_deadline(now)`, and again at once while `collect` returns True.
 - Long work: reads and subscriptions that begin with many items also come in pieces (`reading`, `polling`, `giving_up`,
   `subscribing_all`). Others may use the channel between two pieces. The result is as of the first piece.
-- Counts: `counters(now)`, and `reject_malformed` for items that never became an offer.
+- Counts: it calls `counters(now)`, and `reject_malformed` for items that never became an offer.
 
 "After each change" means after every put that accepted an item, every advance and every configure. Waiting puts are
 offered again after every consume, too.

@@ -1,8 +1,8 @@
 """Decides which items of an offer a channel accepts (paper, sections 3.2 and 3.4). Pure.
 
-A run means one put for each item, all at one instant. The channel judges each item after it has taken in the items
-before it, and applies retention after each item. To take in a run as a whole mostly has the same result. `Acceptance`
-does so if this is certain, and judges item by item otherwise.
+A put of a run has the result of one put for each item, all at one instant. So the channel judges each item after it has
+taken in the items before it, and applies retention after each item. If the result is certainly the same, `Acceptance`
+takes in the whole run in one step. Otherwise it judges item by item.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Acceptance:
     def put(self, offer: Offer, clock: int, seal: Seal) -> PutOutcome:
         """Accept or refuse each item.
 
-        If the run is taken in whole, it may exceed the limits, and the caller must remove the oldest items beyond them.
+        Afterwards the channel may exceed its limits. Then the caller must collect the oldest items.
         """
         stamp, times = None, offer.times
         if times is None:
@@ -54,8 +54,8 @@ class Acceptance:
         """Whether every item is accepted, and retention after the last item has the same result as retention after
         each.
 
-        No item later than the age's cutoff is outdated, and no bucket's end moves to or below the cutoff.
-        `_sheds_alike` tests the other limits.
+        If all items are later than the cutoff of max_age, none of them is outdated, and none of them moves a bucket's
+        end to or below the cutoff. `_sheds_alike` tests the other limits.
         """
         held, limits = self._held, self._retention.limits
         low, high = min(times), max(times)
@@ -220,7 +220,7 @@ class _ItemByItem:
         )
 
     def _as_if_put_at(self, time: int) -> int:
-        """The time at which an item counts as put while it waits for room. Without an own time: the start of its wait.
+        """The time at which an item counts as put while it waits for room: its own time, or else the start of its wait.
 
         An item without a time gets its stamp when it enters: at the newest item's time or later. The newest bucket
         never ages, so an item that counted there would wait for ever.

@@ -96,7 +96,7 @@ class AgedChannel:
     def moment(self, now: int) -> Moment:
         """The channel's present state, for later reads.
 
-        Close it soon: the channel frees no item that it shows before.
+        Close it soon: until then the channel frees no item that the moment shows.
         """
         held, retention = self.look(now)
         return Moment(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
@@ -153,7 +153,7 @@ class AgedChannel:
         return self._clock
 
     def _age(self) -> None:
-        """Apply the age limit as of the last call. Does nothing if that is done."""
+        """Apply the age limit as of the last call. Does nothing if the limit is applied already."""
         if self._clock is not None and (self._puts_unsettled or self._settled != self._clock):
             self._retention.apply_time(self._clock)
 

@@ -176,7 +176,8 @@ class ChannelCore(AgedChannel):
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> NewestCursor:  # fmt: skip
-        """Begin a subscription to the latest item. With `start` the present newest comes first, unless it is earlier.
+        """Begin a subscription to the latest item. With `start` the newest held item comes first, unless it is earlier
+        than `start`.
 
         Raises the errors of `subscribe_all`.
         """
@@ -208,10 +209,10 @@ class ChannelCore(AgedChannel):
         return highest
 
     def configure(self, policy: Policy, now: int) -> None:
-        """Replace the whole policy. Items that it outdates go at once. Raises InvalidArgument and changes nothing then.
+        """Replace the whole policy. Collects the items that the new policy outdates.
 
-        Walks the index once if it outdates many items. If there are fewer consumers than before, the places with the
-        earliest lease ends go.
+        Raises InvalidArgument, and then changes nothing. Walks the index once if the new policy outdates many items. If
+        it has fewer consumers than before, the places with the earliest lease ends go.
         """
         limits = ChannelLimits.of(policy)
         clock = self._settle(self._tick(now))
@@ -248,7 +249,7 @@ class ChannelCore(AgedChannel):
         check_consumption(consumer_id, seqs, self.next_seq, lease_nanos)
 
     def catching_up(self, now: int) -> Pieces[None]:
-        """Tell the consumers of all collected items, in pieces.
+        """Tell the channel's consumers which items retention has collected, in pieces.
 
         Call it before `consume` and `restore_consumers`, which otherwise do this work at once.
         """

@@ -73,10 +73,11 @@ class ConsumerStanding(NamedTuple):
 
 
 class _Place:
-    """A place that was taken. Its lease ends at `until`; `done` is None after that.
+    """A place that was taken. Its lease ends at `until`.
 
-    All seqs below `below` are known to be done. This round has looked at the place's ranges up to `tidied`. `order`
-    decides between places that are otherwise equal. `due` belongs to `Deadlines`.
+    `done`: the seqs that its consumer has consumed; None once the lease has ended. `below`: all lower seqs are in
+    `done`. The places are sorted by it. `tidied`: the seq at which `Consumers._tidy` continues. `order` decides between
+    places that are otherwise equal. `due` belongs to `Deadlines`.
     """
 
     __slots__ = ("below", "consumer_id", "done", "due", "order", "tidied", "until")
@@ -95,7 +96,7 @@ class Consumers:
     """The places of one channel. `clock` is the host's clock, which never goes back. Call `expire` before other
     methods.
 
-    `let_go` tells the places of every seq that was given out and is not held any more. Until then such a seq counts as
+    The channel calls `let_go` for every seq that it has given out and no longer holds. Until then such a seq counts as
     not consumed. `looked_at` counts looks at a place. `arrivals` counts the arrivals of consumers that may have more to
     consume than the others.
     """
@@ -136,8 +137,8 @@ class Consumers:
     ) -> Consumed:
         """Note that a consumer has consumed `seqs`, and renew its place for `lease` nanoseconds; 0 gives the place up.
 
-        `newest_seq` is the newest item's. Call `check_consumption` before, for invalid arguments. Raises ChannelFull if
-        all places are taken.
+        `newest_seq` is the newest item's seq, None without items. Call `check_consumption` first: it refuses invalid
+        arguments. Raises ChannelFull if all places are taken.
         """
         if not lease and not seqs and not self._holds_place(consumer_id):
             return Consumed(0, 0)
@@ -202,7 +203,10 @@ class Consumers:
         self._ended.add(place)
 
     def _rank(self, place: _Place, done: SeqSet) -> None:
-        """Move the place to the rank of its consumed seqs, or a part of the way if very many ranges lie between."""
+        """Sort the place anew by the seq below which its consumer has consumed all items, or all are collected.
+
+        If very many ranges lie below that seq, the place moves only a part of the way.
+        """
         left = RANGES_PER_LOOK_MAX
         while left > 0 and (end := self._gone.end_of(done.below)) > done.below:
             left -= 1 + _go_on(done, done.below, end, left)
@@ -322,7 +326,7 @@ class Consumers:
 def _go_on(done: SeqSet, first: int, end: int, ranges_max: int) -> int:
     """Add seqs from `first` on, up to `end` at most, until about `ranges_max` ranges are joined.
 
-    Returns their number.
+    Returns the number of joined ranges.
     """
     before = done.range_count
     done.add(first, done.until(first, end, ranges_max))

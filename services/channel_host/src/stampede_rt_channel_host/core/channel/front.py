@@ -27,7 +27,7 @@ Going = Callable[[Slice], int]
 
 
 def before(time: int) -> Going:
-    """Counts the items before `time`."""
+    """A `Going` that counts the items before `time`."""
 
     def going(part: Slice) -> int:
         return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
@@ -36,7 +36,7 @@ def before(time: int) -> Going:
 
 
 def oldest_items(count: int) -> Going:
-    """Counts the first `count` items."""
+    """A `Going` that counts the first `count` items."""
 
     def going(part: Slice) -> int:
         nonlocal count
@@ -48,7 +48,7 @@ def oldest_items(count: int) -> Going:
 
 
 def oldest_bytes(charged_bytes: int) -> Going:
-    """Counts items until their charged bytes reach `charged_bytes`."""
+    """A `Going` that counts items until their charged bytes reach `charged_bytes`."""
 
     def going(part: Slice) -> int:
         nonlocal charged_bytes

@@ -105,8 +105,9 @@ class HeldItems:
     def frontier(self) -> int | None:
         """The latest collected span end, but not above the oldest held item's time.
 
-        If no item is left, it is also not above the latest item time when the last item went. So the long duration of a
-        collected item does not move the frontier past times at which items may still come.
+        If no item is left, the bound is the time of the last item that went. Unless consumption took that item, the
+        bound is at least the host's clock at that moment. So the long duration of a collected item does not move the
+        frontier past times at which items may still come.
         """
         bound = self._came_up_to if self.oldest is None else self.oldest
         if self.collected_end is None or bound is None:

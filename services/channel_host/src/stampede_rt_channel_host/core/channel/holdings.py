@@ -25,8 +25,10 @@ FREED_ENTRIES_MAX = 2048
 LIVE_SHARE_MIN = 4
 COPIED_BYTES_MIN = 4096
 COPIED_PARTS_MAX = 4
-"""The rest of a run larger than COPIED_BYTES_MIN is copied out of it if the rest is a quarter or less, in this number
-of parts at most.
+"""When a channel copies the few held items of a large run, so that it can free the run's body.
+
+The body has more than COPIED_BYTES_MIN bytes. At most one item in LIVE_SHARE_MIN is left. These items lie in at most
+COPIED_PARTS_MAX parts of the run.
 """
 
 

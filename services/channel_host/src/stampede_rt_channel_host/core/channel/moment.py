@@ -1,4 +1,6 @@
-"""A channel as it was at one moment. If one put releases many blocked gets, it answers them in pieces. Pure."""
+"""A channel as it was at one moment. If one put releases many blocked gets, the host answers them from it in pieces.
+Pure.
+"""
 
 from __future__ import annotations
 

@@ -23,14 +23,14 @@ The result is as of the moment at which the work began. If the work is dropped b
 
 
 class Abandoned(Exception):
-    """Raised inside work that is dropped. The work frees its findings, in pieces, and raises this error again."""
+    """Raised inside work that its caller drops. The work frees what it has collected, in pieces, and raises again."""
 
 
 def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
-    """Drop the work, and free its findings, in pieces."""
+    """Drop the work, and free what it has collected, in pieces."""
     try:
         pieces.throw(Abandoned())
-        while True:  # ends when the findings are freed
+        while True:  # ends when the work has freed everything
             yield
             next(pieces)
     except (StopIteration, Abandoned):

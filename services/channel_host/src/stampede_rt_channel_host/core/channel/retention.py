@@ -39,8 +39,8 @@ class Retention:
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
-        # (key, count of arrived consumers). The consumers that had arrived at that count have consumed all items below
-        # the key in one bucket.
+        # A key, and `Consumers.arrivals` when the key was noted. All consumers of that moment have consumed the items
+        # that lie below the key in its bucket.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
         self._unknown_from = self._unknown_to = 1  # the consumers do not know which seqs between the two are gone
         self.consumers: Consumers | None = None

@@ -94,7 +94,7 @@ class ColumnRun(Run):
 
 
 class OneRun(Run):
-    """A run of one item, which is its own entry in the index: `run`, `lo`, `hi`, `first_time`, `last_time`."""
+    """A run of one item. It has all attributes of an index entry, so it needs no separate entry."""
 
     __slots__ = ("duration", "first_time", "length")
 

@@ -3,7 +3,7 @@
 The matching items are a stretch of the order (time, seq). Only one bucket of it needs a look at each item. With `span`
 this is the last bucket at or before the lower bound, whose items may reach in. With `whole` it is the last bucket in
 the interval, whose items may reach out. So a read costs two searches and the items that it returns. With overlap the
-read also looks at each item of one `overlap` before that bucket. An earlier item cannot reach so far.
+read also looks at each item that begins at most one `overlap` before the bound. An earlier item cannot reach so far.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class _Taking:
         self._snapshot = snapshot
         self._left = limit
         self._down = down
-        self._parts: deque[list[Slice]] = deque()  # the findings of earlier pieces
+        self._parts: deque[list[Slice]] = deque()  # the slices that earlier pieces took
         self._slices: list[Slice] = []
         self.more = False
 

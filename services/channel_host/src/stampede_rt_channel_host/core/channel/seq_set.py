@@ -67,7 +67,9 @@ class SeqSet:
         yield from self._ranges.irange((first, _LAST), (end, _LAST))
 
     def _floor(self, seq: int) -> tuple[int, int] | None:
-        """The last range that begins at or below `seq`. Searches by value, because positions cost a recount."""
+        """The last range that begins at or below `seq`. Searches by value: by position, the list would first count all
+        its elements.
+        """
         return next(self._ranges.irange(None, (seq, _LAST), reverse=True), None)
 
     def end_of(self, seq: int) -> int:
@@ -105,7 +107,9 @@ class SeqSet:
         return first, end
 
     def _meet(self, first: int, end: int) -> None:
-        """Note that an added range held seqs that were in the set already."""
+        """Called when an added range has seqs that the set has already: from `first` up to `end`. `CountedSeqs`
+        overrides it.
+        """
 
 
 BLOCK_SEQS = 1024

@@ -66,7 +66,7 @@ class AllCursor:
         """The first range still to deliver, None if there is none. All seqs below `next_seq` were given out."""
         if self._owed is None and next_seq > self._live_seq:
             self._owed, self._live_seq = (self._live_seq, next_seq), next_seq
-        # no other range lies between it and the new seqs
+        # the only range ends where the new seqs begin, so both become one range
         elif self._owed is not None and self._owed[1] == self._live_seq:
             self._owed, self._live_seq = (self._owed[0], next_seq), next_seq
         return self._owed
@@ -95,8 +95,9 @@ def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Piec
 def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
     """Continue a saved subscription.
 
-    If retention has collected items at or above its `low`, all held items count as the subscription's, and all other
-    seqs as gone. That may count too many, if items outside the subscription went, too. It never counts too few.
+    If retention has collected items at or above its `low`, nobody knows whether they belonged to the subscription. Then
+    all held items count as the subscription's, and all missing ones as collected before the reader took them. So the
+    gaps may count too many items, but never too few.
     """
     first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
     low = saved.low if first < live else None

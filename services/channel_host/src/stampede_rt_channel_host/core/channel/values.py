@@ -99,8 +99,8 @@ class SavedCursor:
     """The place from which a subscription continues later: all items below `next_seq` are done.
 
     `low`: only items at or above this key belong to the subscription. In a subscription in seq order, `low` applies
-    only to seqs below `live_seq`; all later items belong to it. `cut`: through a group, the items below it and below
-    `next_seq` are done. `incarnation` 0: not compared.
+    only to seqs below `live_seq`; all later items belong to it. `cut`: only for a subscription through a group. The
+    items that lie before the cut and have seqs below `next_seq` are done. `incarnation` 0: not compared.
     """
 
     incarnation: int
@@ -163,7 +163,7 @@ class WakeAt(NamedTuple):
 
 class DeliveredSlice(NamedTuple):
     """A slice for a subscriber, and the present time of the bucket after its last item (None: that item is in the
-    newest).
+    newest bucket).
     """
 
     slice: Slice

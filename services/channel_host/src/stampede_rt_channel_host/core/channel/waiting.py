@@ -1,7 +1,8 @@
 """The needs of blocked gets, and how far new items reach. A change looks only at the gets that it may release. Pure.
 
-An item releases a get if its time, or where spans count its span, reaches the get's interval. Any event after which no
-item can come into the interval releases it, too. At the last look no item released the get, so only a newer item can.
+An item releases a get if its time reaches the get's interval. Under the match mode `span`, the item's span decides. Any
+event after which no item can come into the interval releases the get, too. At the last look no item released the get,
+so only a newer item can.
 """
 
 from __future__ import annotations

@@ -203,8 +203,8 @@ class GroupCut:
     def _counting(self, now: int) -> Iterable[bytes]:
         """The members whose cuts make the group's cut: the reference, or all members that are not idle.
 
-        If all are idle, it is the member that became idle last. Before that it was the only one, and its cut was the
-        group's.
+        If all are idle, only the member that became idle last counts. Just before, no other member counted either, so
+        the group's cut does not change.
         """
         definition = self._definition
         if definition.reference is not None:

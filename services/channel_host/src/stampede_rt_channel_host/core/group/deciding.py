@@ -1,13 +1,13 @@
 """Decides when a cut event is due (paper, section 3.3, Figure 7; decision 0011). Pure.
 
-One host decides for a subscription. Every value of the cut asks for an event. The event is due when all members have
-reached the cut, or when the host has waited long enough for them. Cuts that are due together become one event, so that
-a slow reader gets merged events.
+One host decides for a subscription. Each new cut needs an event. The event is due when all members have reached the
+cut, or when the host has waited long enough for them. Cuts that are due together become one event, so that a slow
+reader gets merged events.
 
-A member has reached a cut when its newest item or an advance is at the cut or later. Durations do not count. So with a
-bound of "end", where the cut lies ahead of items, an event waits for the next items; a small max_wait sends it earlier.
-With a lateness the newest item must be later than the cut by this lateness. Then the event has all items that are late
-by the lateness or less. An event may reach up to the time that all members have reached.
+A member has reached a cut when its newest item or an advance is at the cut or later. Durations do not count. In a group
+with `by_end` the cut may be later than all items. Then an event waits for the next items. A small max_wait sends it
+earlier. With a lateness the newest item must be later than the cut by this lateness. Then the event has all items that
+are late by the lateness or less. An event may reach up to the time that all members have reached.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PENDING_MAX = 256
 class Boundary(NamedTuple):
     """A decided event.
 
-    It has the items that became visible before `cut`. `incomplete`: members that had not reached it.
+    It has the items that became visible before `cut`. `incomplete`: members that had not reached the cut.
     """
 
     cut: int
@@ -89,9 +89,9 @@ class EventDecider:
         return not any(self._is_behind(member, cut) and not member.is_idle for member in members)
 
     def _between(self, decided: int | None, members: list[CutMember]) -> int | None:
-        """With a lateness: the time that all members have reached, before the next cut.
+        """The end of the due event: `decided`, or a later time that all members have reached; None: no event is due.
 
-        The two may be far apart, as after a jump of the cut.
+        The later time counts only with a lateness, and while a cut waits. That cut may be far ahead of the members.
         """
         last = self._decided if decided is None else decided
         come = [self._come(one) for one in members if not one.is_idle]

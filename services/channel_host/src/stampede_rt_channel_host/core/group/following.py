@@ -23,8 +23,7 @@ from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, spli
 class Loss:
     """Due items that are gone. The reader's items with a time before `before` (exclusive) may be incomplete.
 
-    `items` of them are counted by their seqs, which lie from `first_seq` to `last_seq`. `is_exact`: there are no
-    others.
+    The host knows of `items` lost items, with seqs from `first_seq` to `last_seq`. `is_exact`: it knows of all.
     """
 
     before: int

@@ -54,8 +54,8 @@ class Matcher:
         """Begin with the items accepted from now on. With `after`: continue after that position.
 
         Items before it with `next_seq` or a later seq have come since. If the position is of another incarnation, all
-        items have. `partners`: no item of another member goes into two matches, and of each member only items after its
-        entry are matched; see `Pairing`. None: items may go into several matches.
+        items count as items that have come since. `partners`: no item of another member goes into two matches, and of
+        each member only items after its entry are matched; see `Pairing`. None: items may go into several matches.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -108,9 +108,9 @@ class Matcher:
         """Take decided matches, at most `items_max`, and only while some credit is left before each.
 
         Looks about `looks_max` times for the nearest item of a member. Keeps the partners found so far of an undecided
-        item for the next call. `has_passed(member, instant)` tells whether no item that is waited for can come up to
-        `instant`; see `ChannelTimes.has_passed`. It is also asked for OWN. A member that nobody waits for has passed
-        everything.
+        item for the next call. `has_passed(member, instant)` returns True if the member can get no more items up to
+        `instant` (see `ChannelTimes.has_passed`), or if matches do not wait for the member. `take` also calls it with
+        OWN.
         """
         held, _ = self._channel.look(now)
         taken: list[FoundMatch] = []

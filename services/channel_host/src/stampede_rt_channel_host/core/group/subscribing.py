@@ -45,8 +45,8 @@ class VisibleAll:
     ) -> None:
         """Begin a subscription.
 
-        Raises InvalidArgument for both start and after, for after without a seq, and for a cursor of no group;
-        IncarnationLost.
+        Raises InvalidArgument if both start and after are given, if after has no seq, or if the cursor comes from a
+        subscription without a group. Raises IncarnationLost if after or the cursor is of another incarnation.
         """
         self._channel = channel
         self._gap: Gap | None = None

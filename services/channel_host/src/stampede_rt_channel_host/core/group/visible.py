@@ -228,8 +228,8 @@ class VisibleChannel:
         return held.items - held.items_below(FIRST_KEY if cut is None else (cut, 0))
 
     def window_too_short(self, cut: int | None, now: int) -> bool:
-        """Whether items leave the channel before the group shows them: the channel keeps less than its lead over the
-        cut.
+        """Whether items leave the channel before the group shows them: retention keeps a shorter time than that by
+        which the channel is ahead of the cut.
         """
         held, retention = self._channel.look(now)
         return _has_lost(held, cut) or _outlives_its_age(held, retention, cut)

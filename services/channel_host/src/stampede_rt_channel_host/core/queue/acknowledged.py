@@ -14,9 +14,9 @@ KEPT_NANOS = 600_000_000_000
 _IDS_PER_CHUNK = 256
 BYTES_PER_CHUNK = 16 * _IDS_PER_CHUNK
 CHUNKS_MAX = 2**14
-"""At most 4 million deliveries are known, in 64 MiB.
+"""A queue remembers at most 4 million deliveries, in 64 MiB.
 
-With more than 7,000 a second they are known for less than 10 minutes.
+If takers acknowledge more than 7,000 a second, it remembers each for less than 10 minutes.
 """
 
 
@@ -41,7 +41,7 @@ class AcknowledgedDeliveries:
 
     def __init__(self, *, chunks_max: int = CHUNKS_MAX) -> None:
         self._chunks_max = chunks_max
-        self._chunks: OrderedDict[int, _Chunk] = OrderedDict()  # by their latest acknowledgement
+        self._chunks: OrderedDict[int, _Chunk] = OrderedDict()  # number -> chunk, the latest acknowledged last
         self._latest: dict[int, int] = {}  # chunk -> its latest time
 
     @property

@@ -13,9 +13,9 @@ from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
 BATCH_BYTES_MAX = 2**20 - 2**16
-"""The size of a batch with several messages on the wire. With its other fields it fits in 1 MiB."""
+"""The most bytes of a batch with several messages on the wire. With its other fields the batch fits in 1 MiB."""
 ITEMS_DEALT_MAX = 128
-"""The most messages of one call of the queue, in one batch or in several. Then the host serves others."""
+"""The most messages that one call of the queue gives out, in one batch or in several. Then the host serves others."""
 DELIVERY_BYTES = 16
 """The most bytes that a message's delivery id and number take on the wire."""
 VIEWS_MAX = 4096
@@ -38,8 +38,10 @@ class View:
         self.passed: list[int] = []
 
     def next_for(self, taker_id: int, queue_items: QueueItems) -> TouchedItem | None:
-        """The oldest touched message that the taker may get. If very many just came back: one of the first of them."""
-        while True:  # each round looks at returns that no earlier round has looked at
+        """The oldest touched message that the taker may get. If very many messages just came back: one of the first of
+        them.
+        """
+        while True:  # each round looks at other messages that came back
             is_behind = self._look_at_returns(taker_id, queue_items)
             while self.passed:
                 passed = queue_items.touched.get(self.passed[0])
@@ -53,7 +55,7 @@ class View:
         return ahead
 
     def _look_at_returns(self, taker_id: int, queue_items: QueueItems) -> bool:
-        """Look at some returns, each once, a bounded number. Returns True if more are left."""
+        """Look at a bounded number of messages that came back, each once. Returns True if more are left."""
         for item in islice(queue_items.returned_since(self.returns_seen), RETURNS_PER_LOOK_MAX):
             self.returns_seen = item.return_number
             if item.seq < self.cursor and item.may_go_to(taker_id):
@@ -107,7 +109,7 @@ class Dispatcher:
         self._queue_items = queue_items
         self._leasing = leasing
         self._line: OrderedDict[TakerState, None] = OrderedDict()
-        self._views: OrderedDict[int, View] = OrderedDict()  # by their last use
+        self._views: OrderedDict[int, View] = OrderedDict()  # taker id -> view, the least recently used first
         self.dealt: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
         self._left = ITEMS_DEALT_MAX  # the messages that this call of the queue may still give out
@@ -119,7 +121,7 @@ class Dispatcher:
     def wait(self, taker: TakerState, now: int) -> None:
         """Serve a taker that can take: at once if there is a message, else in its turn.
 
-        All others in line were tried before.
+        The queue has already tried to serve all other takers in line.
         """
         waits = taker.credit and not taker.is_busy and not taker.is_silent and taker not in self._line
         if waits and (self.is_paused or self.has_more or not self._serve(taker, 1, now)):

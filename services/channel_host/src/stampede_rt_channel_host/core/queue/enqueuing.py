@@ -21,11 +21,11 @@ from stampede_rt_channel_host.core.queue.values import SealRun
 
 WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
-"""One run may wait in any case, however large."""
+"""The bounds of one queue's waiting runs. One run may wait in any case, however large."""
 OFFERED_PER_CALL_MAX = 512
 """The most messages of waiting runs that one call judges. The last of these runs is judged whole."""
 DROPPED_PER_RUN_MAX = 1024
-"""The most messages that one call drops to make room for a run, beside twice as many as the run has.
+"""To make room for a run of n messages, one call drops at most this number plus 2n messages.
 
 If more have to go, the run waits a moment in line.
 """
@@ -156,8 +156,8 @@ class Enqueuing:
     def fail(self, run: Enqueue, error: StampedeError, now: int) -> None:
         """Refuse a run that is not in line, because of `error`.
 
-        If some of its messages are accepted and the producer will repeat the run, the repetition continues after them.
-        Otherwise only the other messages are refused.
+        If some messages are accepted and the producer will not repeat the run, only the other messages are refused.
+        Else the run as a whole gets the error, and a repetition continues after the accepted messages.
         """
         if run.judging.accepted_any and not (error.retryable and run.producer_id):
             self._refuse_rest(run, error, now)
@@ -168,7 +168,7 @@ class Enqueuing:
     def end_line(self, error: StampedeError, now: int, runs_max: int) -> bool:
         """Refuse the first waiting runs, because the host gives the queue up. Returns True if there are more.
 
-        The queue accepts nothing until there are none.
+        The queue accepts nothing until no run waits any more.
         """
         self._ending = error
         for run in [*islice(self._line, runs_max)]:

@@ -34,8 +34,8 @@ class LeaseState(NamedTuple):
 class ItemState(NamedTuple):
     """A message with a history.
 
-    `deliveries` has one entry for each copy that was delivered and not acknowledged: first for the leased copies, in
-    the order of `leases`, then for the others. `delay_nanos`: the queue holds the message back for this time.
+    `deliveries` says for each copy that was delivered and not acknowledged how often it was delivered. The leased
+    copies come first, in the order of `leases`. `delay_nanos`: the queue holds the message back for this time.
     `is_leaving`: it is on its way to the dead-letter queue. `last`: its last failed delivery.
     """
 
@@ -59,8 +59,8 @@ class SeqRange(NamedTuple):
 class QueueHandoff:
     """The whole queue.
 
-    Runs ascend, and each has a held message. `held` ascends. Held messages without a state have no history. The runs'
-    `accepted_at`, and the times of acknowledgements, recorded runs and message ids, are ages.
+    `runs` and `held` ascend. Each run has at least one held message. Held messages without an entry in `items` have no
+    history. The runs' `accepted_at`, and the times of acknowledgements, recorded runs and message ids, are ages.
     """
 
     next_seq: int
@@ -75,7 +75,7 @@ class QueueHandoff:
 
 
 def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> QueueHandoff:
-    """The queue as of `now`. The result shares no mutable object with it."""
+    """The queue as of `now`. The result shares no mutable object with the queue."""
     held = [item.seq for item in queue_items.touched.values()]
     fresh = [seq for run, position in queue_items.fresh() for seq in range(run.first_seq + position, run.end_seq)]
     return QueueHandoff(

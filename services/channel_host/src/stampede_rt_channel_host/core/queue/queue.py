@@ -64,7 +64,7 @@ class QueueCore:
         self._dispatcher = Dispatcher(self._queue_items, self._leasing)
         self._clock: int | None = None
         self._is_paused = False
-        self._unchecked_from: int | None = None  # check touched messages from here on against the limits
+        self._unchecked_from: int | None = None  # the seq of the next touched message to check
 
     def export(self, now: int) -> QueueHandoff:
         """The whole queue as values, without waiting runs and takers.
@@ -112,7 +112,7 @@ class QueueCore:
     def end_line(self, error: StampedeError, now: int) -> bool:
         """Refuse some of the waiting runs with `error`, because the host does not serve the queue any more.
 
-        True if more runs are left: then call it again. Until none is left, the queue accepts no run.
+        Returns True if more runs are left: then call it again. Until no run is left, the queue accepts none.
         """
         return self._enqueuing.end_line(error, self._tick(now), ENDED_PER_CALL_MAX)
 
@@ -343,7 +343,7 @@ class QueueCore:
     def _check_again(self) -> int:
         """Check some messages that were touched under other limits against the present ones.
 
-        Returns how many it took.
+        Returns the number of checked messages.
         """
         items: list[TouchedItem] = []
         if self._unchecked_from is not None:

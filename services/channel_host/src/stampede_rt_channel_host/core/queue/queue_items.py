@@ -61,7 +61,7 @@ class QueueItems:
         self._fresh_position = 0  # of the first fresh message in the first fresh run
         self._available: Any = SortedList()  # seqs of touched messages that some taker may get
         self._unleased: Any = SortedList()  # seqs of touched messages without a lease
-        self._returns: Any = SortedDict()  # number of the latest return -> seq, of available messages; only with copies
+        self._returns: Any = SortedDict()  # return number -> seq of an available message; only with copies
 
     def has_room(self, length: int) -> bool:
         """Whether one more message of `length` payload bytes stays within the limits."""

@@ -17,9 +17,9 @@ class SealRun(Protocol):
     """Makes the stored bytes of accepted messages. Must not raise."""
 
     def __call__(self, first_seq: int, positions: Sequence[int], stamped_time: int | None) -> bytes:
-        """The bytes.
+        """The bytes to store.
 
-        `positions`: those of the accepted messages in their run. `stamped_time`: set if the run had no times.
+        `positions`: the positions of the accepted messages in their run. `stamped_time`: set if the run had no times.
         """
 
 
