@@ -157,23 +157,27 @@ async def test_what_a_stream_raises_reaches_its_caller() -> None:
         await handler(None, Stream())
 
 
-async def test_streams_that_yield_their_responses_go_on_a_few_in_each_turn() -> None:
-    async def behavior(_requests: Any, _context: Any) -> AsyncIterator[int]:
-        for number in range(2):
-            yield number
+async def test_streams_that_yield_their_responses_go_on_and_end_a_few_in_each_turn() -> None:
+    ended = 0
 
-    handler, seen = await _handler(behavior), 0
+    async def behavior(_requests: Any, _context: Any) -> AsyncIterator[bytes]:
+        nonlocal ended
+        try:
+            yield b"one"
+            turns.note()
+            yield b"two"
+            await asyncio.Event().wait()
+        finally:
+            ended += 1
+            turns.note()
 
-    async def read() -> None:
-        nonlocal seen
-        async for number in handler(None, Stream()):
-            if number == 1:
-                turns.note()
-                seen += 1
-
-    turns = Turns()
-    async with asyncio.TaskGroup() as group:
-        for _ in range(STREAMS):
-            group.create_task(read())
-        await turns.until(lambda: seen == STREAMS)
+    handler, streams, turns = await _handler(behavior), [Stream() for _ in range(STREAMS)], Turns()
+    calls = [asyncio.create_task(handler(None, stream)) for stream in streams]
+    while not all(stream.written == [b"one", b"two"] for stream in streams):  # noqa: ASYNC110  (no event)
+        await asyncio.sleep(0)
+    for call in calls:
+        call.cancel()
+    await turns.until(lambda: ended == STREAMS)
+    assert turns.went_on.total() == 2 * STREAMS
     assert max(turns.went_on.values()) <= 2 * STREAMS_PER_TURN
+    await asyncio.wait(calls)

@@ -99,31 +99,34 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
         if handler is None or not is_stream(handler):
             return handler
         behavior = behavior_of(handler)
-        around = self._around_iterator if inspect.isasyncgenfunction(behavior) else self._around_call
-        return with_behavior(handler, around(behavior))
+        writing = _writing(behavior) if inspect.isasyncgenfunction(behavior) else behavior
+        return with_behavior(handler, self._paced(writing))
 
-    def _around_call(self, behavior: Callable[..., Any]) -> Callable[..., Any]:
+    def _paced(self, behavior: Callable[..., Any]) -> Callable[..., Any]:
         async def call(request: Any, context: Context) -> Any:
             paced = PacedContext(context, self._reads, self._writes)
             serving: asyncio.Task[Any] = asyncio.create_task(behavior(request, paced))
             try:
-                return await asyncio.shield(serving)
-            except asyncio.CancelledError:
-                if not serving.done():  # the caller has gone, maybe with many streams: they end a few at a time
-                    if not self._ends.admits():
-                        await self._ends.turn()
-                    serving.cancel()
+                await asyncio.wait({serving})
+            except asyncio.CancelledError:  # the caller has gone, maybe with many streams: they end a few at a time
+                if not self._ends.admits():
+                    await self._ends.turn()
+                serving.cancel()
+            try:
                 return await serving
+            finally:
+                del serving  # an error refers to this frame, and the task to the error: no circle may be left
 
         return call
 
-    def _around_iterator(self, behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., AsyncIterator[Any]]:
-        async def stream(request: Any, context: Context) -> AsyncIterator[Any]:
-            responses: Any = behavior(request, PacedContext(context, self._reads, self._writes))
-            async with aclosing(responses):
-                async for response in responses:
-                    yield response  # gRPC comes back when it has written the response
-                    if not self._writes.admits():
-                        await self._writes.turn()
 
-        return stream
+def _writing(behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., Awaitable[None]]:
+    """A method that writes its responses to its context instead of yielding them."""
+
+    async def write_all(request: Any, context: Context) -> None:
+        responses: Any = behavior(request, context)
+        async with aclosing(responses):
+            async for response in responses:
+                await context.write(response)
+
+    return write_all
