@@ -22,11 +22,11 @@ T = TypeVar("T")
 
 
 class InboxFull(RuntimeError):
-    """Too many messages of one member wait: its link must be dropped."""
+    """Too many messages of one member wait. This replica must drop the stream of that member."""
 
 
 class Arrivals:
-    """Any thread adds. Only the tick thread takes."""
+    """The waiting messages and requests. Any thread adds to them. Only the tick thread takes from them."""
 
     def __init__(self, settings: ReplicationSettings) -> None:
         self._settings = settings
@@ -70,7 +70,7 @@ class Arrivals:
         self.snapshot_requests.append(request)
 
     def take_events(self) -> Iterator[NetworkEvent]:
-        """The waiting events, in order. Later ones wait for the next call."""
+        """The waiting events, in order. Events that come during the call wait for the next call."""
         for event in taken_from(self.events):
             if isinstance(event, Received):
                 self._inbox.take(event)
@@ -86,7 +86,8 @@ def taken_from(queue: deque[T]) -> Iterator[T]:
 class _InboxShares:
     """Counts the waiting messages of each member. Each member has a share, so that none fills the share of another.
 
-    Two threads count, each its own half: the messages that came, and the messages that were taken.
+    The thread that adds counts the messages that came. The tick thread counts the messages that it has taken. So no
+    counter has two writers.
     """
 
     def __init__(self, items_max: int, bytes_max: int) -> None:

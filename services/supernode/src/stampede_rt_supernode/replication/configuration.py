@@ -1,4 +1,4 @@
-"""The members, derived from the log. Pure.
+"""The configurations of the cluster: its members as the log states them. Pure.
 
 One member is added or removed at a time. Then any majority before the change and any majority after it share a member.
 So two leaders of one term cannot both have a majority (Ongaro's dissertation, section 4.1). A configuration holds from
@@ -20,11 +20,11 @@ SPENT_MAX = 512
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """Every member, by id, and the ids of former members."""
+    """The members in the order of their ids, the ids of former members, and the used tickets."""
 
     members: tuple[Member, ...]
     retired: tuple[str, ...] = ()
-    # (ticket, member id): a ticket lets in one member
+    # (ticket, id of the member that it has let in); each ticket lets in one member
     spent: tuple[tuple[str, str], ...] = ()
 
     @classmethod
@@ -35,11 +35,11 @@ class Configuration:
         return cls(tuple(sorted(members, key=lambda member: member.member_id)), tuple(retired), tuple(spent))
 
     def spender_of(self, ticket: str) -> str | None:
-        """The member that a ticket has let in; None: it was not used."""
+        """The id of the member that a ticket has let in; None if the ticket was not used."""
         return dict(self.spent).get(ticket)
 
     def find(self, member_id: str) -> Member | None:
-        """The member with this id; None: there is none."""
+        """The member with this id; None if no member has it."""
         return next((member for member in self.members if member.member_id == member_id), None)
 
     def with_member(self, member: Member, ticket: str = "") -> Configuration:
@@ -61,14 +61,15 @@ class ConfigurationChange(NamedTuple):
 
 
 class Configurations:
-    """The configurations in the held log, and the one before it.
+    """The configurations in the entries that the log holds, after a base.
 
-    Invariant: positions grow. The first one is the base, at or before the first log entry that may still be cut off.
+    The base is the configuration that held before these entries. Its position is at or before the first entry that may
+    still be cut off. Invariant: the positions ascend.
     """
 
     def __init__(self, base: Configuration) -> None:
         self._changes = [ConfigurationChange(0, base)]
-        # grows with every possible change of the current configuration
+        # Grows whenever the list of configurations changes.
         self.version = 0
 
     @property

@@ -14,9 +14,9 @@ from typing import Protocol
 class StateMachine(Protocol):
     """The state machine that the log drives.
 
-    The log calls the methods on its own thread, unless they say otherwise. They neither raise nor block, unless they
-    say so. A release knows commands up to a highest feature level. The state has a level, up to which all members know
-    the commands.
+    The log calls a method on its own thread, unless the method's text says otherwise. No method raises or blocks unless
+    its text says so. A release knows the commands up to its highest feature level. The state has a feature level, too:
+    all members know the commands up to that level.
     """
 
     @property
@@ -28,7 +28,7 @@ class StateMachine(Protocol):
         """The state's feature level, 1 or more. It never falls. Callable on any thread."""
 
     def takes(self, command: bytes) -> bool:
-        """Whether the state's level allows the command in the log. Callable on any thread."""
+        """Whether the state's feature level allows this command in the log. Callable on any thread."""
 
     def apply(self, index: int, command: bytes) -> bytes:
         """Apply the committed command at log position `index` (grows, may skip) and return its encoded result.
@@ -40,7 +40,8 @@ class StateMachine(Protocol):
     def digest(self) -> tuple[int, bytes]:
         """The last applied position, and a digest of all results up to there. Equal states have equal digests.
 
-        Cheap, because every command and every message asks for it. Empty: unknown.
+        The digest is empty if it is unknown. The call must be cheap, because the log makes it for every command and
+        every message.
         """
 
     def adopt_digest(self, digest: bytes) -> None:
@@ -49,12 +50,12 @@ class StateMachine(Protocol):
     def begin_snapshot(self) -> Callable[[], bytes]:
         """Copy the whole state as of the last applied command. Returns a function that encodes the copy.
 
-        The log calls that function once, on another thread, while it applies further commands. The next snapshot begins
-        after it.
+        The log calls that function once, on another thread, while it applies further commands. The log begins the next
+        snapshot only when the function has returned.
         """
 
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
-        """Decode a snapshot of this or another replica. Returns a function that replaces the whole state by it.
+        """Decode a snapshot of this or another replica. Returns a function that puts it in the place of the state.
 
         May run on another thread, while the log applies further commands. May raise.
         """
@@ -73,18 +74,19 @@ class ReplicationStatus:
     """One replica's present view of the log, which may be out of date.
 
     - `tenure`: the term in which this replica leads, 0 while it does not lead.
-    - `members`: committed or not yet.
+    - `members`: the members by the newest configuration in the log, committed or not.
     - `removed`: the leader, or most of the others, say that this member was removed for good.
-    - `has_lost_store`: they say that it had another store before, or lacks one.
-    - `has_old_store`: they say that its store lacks promises that it has made.
-    - `refused_by`: the members that say one of these or `too_old`, with their words.
+    - `has_lost_store`: the leader, or most of the others, say that this member had another store before, or lacks one.
+    - `has_old_store`: the leader, or most of the others, say that this member's store is an older copy.
+    - `refused_by`: by id, the words of each member that says one of these three things or `too_old`.
     - `other_cluster`: the words of a member of another cluster.
     - `refused`: by id, the reason why this replica does not accept the latest store of another member.
-    - `diverged_at`: the position at which this replica's state was found to differ from that of most members; 0: none.
+    - `diverged_at`: the position at which this replica's state was found to differ from that of most members;
+      0 if it was not.
     - `doubts`: by id, the position at which a member's state was found to differ from the leader's, while nobody knows
-      the state of most. A follower has only itself in it, a leader the others.
+      the state of most. A follower lists only itself, a leader the others.
     - `disk_silent_seconds`: how long this replica's disk has not answered, if that is too long; 0 otherwise.
-    - `feature_level`: the state's.
+    - `feature_level`: the feature level of the state.
     - `highest_levels`: by id, the highest level of each member's release, this one included, as it reported.
     - `too_old`: the words of the leader, or of most others, that this release does not know the cluster's level.
     - `retired`: ids of former members, which are never used again.
@@ -113,7 +115,7 @@ class ReplicationStatus:
 
     @property
     def level_of_members(self) -> int:
-        """The highest feature level that all members know; 0 as long as one has not told its own."""
+        """The highest feature level that all members know; 0 as long as a member has not reported its own."""
         return min((self.highest_levels.get(member.member_id, 0) for member in self.members), default=0)
 
 
@@ -209,7 +211,7 @@ class ReplicatedLog(Protocol):
     async def hand_over(self, *, timeout: float) -> bool:
         """Have another member lead, if this one leads.
 
-        Returns whether this one leads no more. A failure loses nothing.
+        Returns True if this member does not lead afterwards. A failure loses nothing.
         """
 
     async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-# The first byte of an entry's command. The library's own member entries, which are pickles, would also be of kind 2.
-# The library is configured to ignore them.
+# The kinds of entries: the first byte of an entry's command. The library has entries of its own for changes of members,
+# which are pickles and also of kind 2. The library is configured to neither make nor read them.
 COMMAND, NO_OP, CONFIGURATION = 0, 1, 2
 
 

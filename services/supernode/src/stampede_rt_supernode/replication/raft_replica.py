@@ -28,10 +28,10 @@ from stampede_rt_supernode.replication.wire.buffered_transport import NetworkEve
 
 
 class RaftNetwork(Protocol):
-    """Sends a replica's messages."""
+    """Sends a replica's messages, and ends the streams of faulty members."""
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Send in order, at most once. Never blocks."""
+        """Send the messages in order, each at most once. Never blocks."""
 
     def has_room(self, member_id: str) -> bool:
         """Whether the queue to this member accepts another piece of a snapshot."""
@@ -76,9 +76,10 @@ class RaftReplica:
         rules: type = PreVoteElections,
         run_in_background: RunInBackground = run_inline,
     ) -> None:
-        """Load the state; blocks. `run_in_background` encodes and decodes snapshots. Tests plant faults by `rules`.
+        """Load the state from the store. Blocks.
 
-        Raises StoreDamaged, LibraryMismatch, and the errors of `restore`.
+        `run_in_background` has another thread encode and decode snapshots. Tests pass `rules` with faults. Raises
+        StoreDamaged, LibraryMismatch, and the errors of the state machine for an unreadable snapshot.
         """
         self._settings = settings
         self._network = network
@@ -95,9 +96,9 @@ class RaftReplica:
         self._snapshots = SnapshotRequests(self._node, self._log, self._completions.append)
         self._roster_version: tuple[object, ...] = ()
         self.roster = MemberRoster((), {}, frozenset())
-        # The next process that opens the store finds by this write that the store was used.
+        # By this write the next process that opens the store sees that the store was used.
         self._log.sync()
-        # (term, last log index) on stable storage, which is this member's promise to the others
+        # (term, last log index) on stable storage, as this member states them in its hellos
         self.standing = self._log.end()
         self._publish_roster()
         self._status = self._observe()
@@ -167,7 +168,7 @@ class RaftReplica:
         return bool(self._node.may_change_members()) and self._changes.is_idle and not self._arrivals.changes
 
     def promise_of(self, member_id: str) -> Promise:
-        """The promise of another member: the term and log position that the member has reported."""
+        """The promise of another member: the term and the committed entries that its store must hold."""
         return self._log.promises.get(member_id, Promise(0, 0))
 
     def status(self) -> ReplicationStatus:
@@ -217,7 +218,7 @@ class RaftReplica:
             self._at_risk(lambda event=event: self._node.transport.deliver(event))  # type: ignore[misc]
 
     def _at_risk(self, act: Callable[[], None]) -> None:
-        """Do something with a member's message. If the member breaks the protocol, refuse it for a while."""
+        """Call `act`, which uses a member's data. If the member has broken the protocol, refuse it for a while."""
         try:
             act()
         except PeerAtFault as fault:
@@ -267,7 +268,7 @@ class RaftReplica:
         self._run_completions()
 
     def _run_completions(self) -> None:
-        # In place, because Proposals appends to this list.
+        # Clears the list itself, because Proposals and others hold its `append`.
         completions = self._completions[:]
         self._completions.clear()
         for complete in completions:
@@ -281,7 +282,7 @@ class RaftReplica:
         return bool(is_self or self._node.transport.is_reachable(leader.id))
 
     def _commits_alone(self) -> bool:
-        """Whether a leader without other voters has entries to commit: no message wakes it after its own disk write."""
+        """Whether this leader has no other voters, but entries to commit. No message would cause the step for that."""
         node = self._node
         waiting = node.commit_index < self._log.last_index
         return bool(waiting and not node.other_voters and node.is_leader)

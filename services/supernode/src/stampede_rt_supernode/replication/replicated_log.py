@@ -43,7 +43,7 @@ T = TypeVar("T")
 
 
 class PySyncObjLog:
-    """A ReplicatedLog over PySyncObj, made by `open_replicated_log`. Use it only on that loop."""
+    """A ReplicatedLog over PySyncObj. Use it only on the event loop on which `open_replicated_log` made it."""
 
     def __init__(
         self,
@@ -113,7 +113,7 @@ class PySyncObjLog:
     async def confirm_read(self, *, timeout: float) -> int:
         """See ReplicatedLog.
 
-        Writes nothing. Waiting calls share a read, and a follower asks the leader once for all.
+        Adds no entry to the log. Waiting calls share one read, so a follower asks the leader once for all of them.
         """
         self._refuse_when_closed()
         index = await self._reads.confirm(timeout)
@@ -224,10 +224,11 @@ async def open_replicated_log(
 ) -> PySyncObjLog:
     """Load this replica's state, register its service with `server`, and take part in the log.
 
-    The caller binds `server` before, so that its address is known, and starts it after. The caller also stops it, after
-    `close`. `dial(address)` makes a new channel with the cluster's credentials and with CHANNEL_OPTIONS. The log closes
-    the channel. From now on the log drives `state_machine` on its own thread. `on_fatal` is called if the log cannot go
-    on. By default it ends the process. Raises StoreRefused, StoreDamaged and LibraryMismatch.
+    The caller binds `server` before this call, so that its address is known, and starts it afterwards. The caller stops
+    `server` after it has closed the log. `dial(address)` makes a new channel with the cluster's credentials and with
+    CHANNEL_OPTIONS; the log closes that channel. From now on the log drives `state_machine` on its own thread. The log
+    calls `on_fatal` if it cannot go on; by default that ends the process. Raises StoreRefused, StoreDamaged and
+    LibraryMismatch.
     """
     bridge = LoopBridge(asyncio.get_running_loop())
     links = PeerLinks(settings, dial, bridge, on_fatal)

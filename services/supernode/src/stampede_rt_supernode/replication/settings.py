@@ -1,4 +1,4 @@
-"""The settings of a replica, checked once, here."""
+"""The settings of a replica. They are checked when they are made."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ class RaftTiming:
 class ReplicationSettings:
     """One replica of the log.
 
-    `initial_members` holds every member, this one included. With `joining` it holds the present members, without this
-    one, which they will add. Once the log has a configuration, that one counts. `data_dir` is the folder of this
-    replica's store; None keeps everything in memory, for development. `create` allows a new store in a folder without
-    one. A member that lost its disk must come back under a new id, so use False if a store must exist.
+    `initial_members` holds every member, this one included. With `joining` it holds the present members without this
+    replica, which they will add. Once the log has a configuration, that configuration counts. `data_dir` is the folder
+    of this replica's store; None keeps everything in memory, for development. `create` allows a new store in a folder
+    without one. Use False if a store must exist, because a member that lost its disk must come back under a new id.
     `inbox_items_max` messages and `inbox_bytes_max` bytes of each other member may wait for this replica. A leader
     keeps `kept_log_bytes_max` of the log entries that a snapshot has replaced, for slow members.
     """

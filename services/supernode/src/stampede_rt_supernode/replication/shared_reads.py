@@ -18,7 +18,7 @@ _Waiting = tuple[float, asyncio.Future[int | None]]  # the deadline by time.mono
 
 
 class SharedReads:
-    """Used on one loop. `start` hands a read to the log's thread.
+    """The waiting reads of one event loop. `start` hands a read to the log's thread.
 
     Invariant: a caller is in `_waiting`, or in the read under way, until it is answered.
     """
@@ -48,7 +48,7 @@ class SharedReads:
             return None
 
     def close(self) -> None:
-        """Answer all waiting callers with None. No other read begins."""
+        """Answer all waiting callers with None, and begin no more reads."""
         self._closed = True
         _settle(self._waiting, None)
         self._waiting = []

@@ -1,4 +1,4 @@
-"""Builds a node of the library. Our rules stand before the library's class in the order of methods."""
+"""Builds a node of the library. Our rules come before the library's class in the method resolution order."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ class Assembly:
         keeper: SnapshotKeeper,
         transport: BufferedTransport,
     ) -> None:
-        """Run the library's constructor. Makes a follower with the contents of `log`, and no open snapshot."""
+        """Run the library's constructor. It makes the node a follower with the contents of `log` and no snapshot."""
         serializer = LibrarySerializer(keeper, log)
         conf = self._conf(settings, LibraryLog(log), serializer)
         self_member = self.make_member(settings.self_member.member_id)
         node.__init__(self_member, others, conf=conf, transport=LibraryTransport(transport))
 
     def _conf(self, settings: ReplicationSettings, log: LibraryLog, serializer: LibrarySerializer) -> Any:
-        """The library's configuration, with every value that matters."""
+        """The library's configuration. It states every value that has an effect here."""
         timing = settings.timing
         return self._library.SyncObjConf(
             autoTick=False,

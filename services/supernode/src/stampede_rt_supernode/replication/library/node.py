@@ -37,9 +37,9 @@ class RandomSource(Protocol):
 class Fate(enum.Enum):
     """The fate of a command without a result."""
 
-    # It is certainly not in the log, or was cut off the log before any member applied it.
+    # The command is certainly not in the log, or was cut off the log before any member applied it.
     NOT_TAKEN = enum.auto()
-    # It may be in the log.
+    # The command may be in the log.
     UNKNOWN = enum.auto()
 
 
@@ -70,11 +70,10 @@ class _Private(Generic[T]):
 
 
 class LibraryNode:
-    """Stands before the library's class in the order of methods. Tick thread only.
+    """The library's node. This class comes before the library's class in the method resolution order. Tick thread only.
 
-    The library's constructor runs last, so the objects that its methods need are attached before (see
-    rules/node_builder.py). A member is a node of the library with an `id`. Sets and dictionaries of members leave this
-    node out.
+    rules/node_builder.py attaches the objects that the methods need, and then calls the library's constructor. A member
+    is a node of the library with an `id`. Sets and dictionaries of members leave this node out.
     """
 
     term = _Private[int]("raftCurrentTerm")
@@ -88,13 +87,13 @@ class LibraryNode:
     other_voters = _Private[set[MemberNode]]("otherNodes")
     # The members to which messages can be sent at present.
     connected = _Private[set[MemberNode]]("connectedNodes")
-    # By the clock given to `load_library`.
+    # When this node stands for election, by the clock given to `load_library`.
     election_deadline = _Private[float]("raftElectionDeadline")
     commit_index = _Private[int]("raftCommitIndex")
-    # As in the leader's last message.
+    # The commit index in the leader's last message.
     leader_commit_index = _Private[int]("leaderCommitIndex")
     last_applied = _Private[int]("raftLastApplied")
-    # Of a leader, by member.
+    # A leader's knowledge of each member.
     next_index = _Private[dict[MemberNode, int]]("raftNextIndex")
     match_index = _Private[dict[MemberNode, int]]("raftMatchIndex")
     last_response_time = _Private[dict[MemberNode, float]]("lastResponseTime")
@@ -150,7 +149,7 @@ class LibraryNode:
         self._SyncObj__onBecomeLeader()
 
     def put_off_election(self) -> None:
-        """Wait for a new, random election timeout."""
+        """Set the election deadline to a new, random timeout from now."""
         self.election_deadline = self.clock() + self._SyncObj__generateRaftTimeout()
 
     def raise_commit_index(self, log_index: int) -> None:
@@ -170,7 +169,7 @@ class LibraryNode:
         self._SyncObj__onLeaderChanged()
 
     def callers_waiting_count(self) -> int:
-        """The number of positions whose commit callers wait for."""
+        """The number of log positions for whose commit a caller waits."""
         return len(self._SyncObj__commandsWaitingCommit)
 
     def disown_forwarded(self, request_id: int) -> None:
@@ -224,11 +223,11 @@ class LibraryNode:
         super()._SyncObj__tryLogCompaction()  # type: ignore[misc]
 
     def on_connected(self, node: MemberNode) -> None:
-        """Messages to a member can be sent from now on."""
+        """Note that messages to a member can be sent from now on."""
         self._SyncObj__onNodeConnected(node)
 
     def on_disconnected(self, node: MemberNode) -> None:
-        """Messages to a member are lost from now on."""
+        """Note that messages to a member are lost from now on."""
         self._SyncObj__onNodeDisconnected(node)
 
     def on_stream_opened(self, node: MemberNode) -> None:
@@ -248,7 +247,8 @@ class LibraryNode:
         return self.state_machine.apply(log_index, command)
 
     def _applyCommand(self, command: bytes, callback: Any, commandType: int | None = None) -> None:
-        # a command of this member, or a command forwarded to it; only a forwarded command has a byte for its kind
+        # The library calls this for a command of this member and for a command that another member has forwarded. Only
+        # the forwarded one begins with the byte of its kind.
         if self.state_machine.takes(command if commandType is not None else command[1:]):
             super()._applyCommand(command, callback, commandType)  # type: ignore[misc]
         else:

@@ -1,4 +1,4 @@
-"""Loads PySyncObj: its Raft module, in a pinned version, as a private copy with our own clock, log and so on.
+"""Loads the Raft module of PySyncObj, in a pinned version, as a private copy with our clock, log and so on.
 
 The library binds its clock, its random source, its pickle, its log and its poller as module globals. This module runs
 the library's code once more in a namespace of its own, and binds other objects there. The copy that others may import
@@ -22,11 +22,11 @@ PINNED_SHA256 = "e8bdf06797085d734df86e24ab4802fe87893dff77268565ec036f7ad4a1cfe
 
 
 class LibraryMismatch(RuntimeError):
-    """The installed PySyncObj is not the version whose faults were studied."""
+    """The installed PySyncObj is not the pinned version, whose faults our rules correct."""
 
 
 class _NoPickle:
-    """Replaces pickle in the library. Our configuration never reaches it; any use is an error."""
+    """Replaces pickle in the library. With our configuration the library never uses pickle; any use is an error."""
 
     def loads(self, data: object) -> NoReturn:
         raise RuntimeError("the replicated log never unpickles")
@@ -67,8 +67,8 @@ def _pinned_code() -> CodeType:
 def load_library(*, clock: Callable[[], float], random_source: RandomSource) -> Any:
     """A private copy of the library's Raft module.
 
-    It reads `clock` (seconds, monotonic) and draws random numbers from `random_source`. Raises LibraryMismatch. The log
-    and the snapshot keeper go in through the configuration: as `journalFile` and as `serializer`.
+    The copy reads `clock` (seconds, monotonic) and draws random numbers from `random_source`. It takes the log from
+    `journalFile` of its configuration, and the snapshots from `serializer`. Raises LibraryMismatch.
     """
     module: Any = ModuleType("pysyncobj.stampede_private_copy")
     module.__package__ = "pysyncobj"

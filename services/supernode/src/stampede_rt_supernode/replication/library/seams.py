@@ -21,7 +21,7 @@ _NOT_SERIALIZING, _SERIALIZING, _SUCCESS = 0, 1, 2
 
 
 class LibraryLog:
-    """The library's log. It counts entries from the first held one."""
+    """Our log as the library's log. The library counts entries from the first held one."""
 
     def __init__(self, log: RaftLog) -> None:
         self.log = log
@@ -80,15 +80,15 @@ class LibraryLog:
 
 
 class LibrarySerializer:
-    """The library's serializer.
+    """Our snapshots as the library's serializer.
 
-    Only the unchanged library uses it to receive snapshots. Our rules receive them themselves.
+    Only the unchanged library receives snapshots through this class. Our rules use the SnapshotKeeper directly.
     """
 
     def __init__(self, keeper: SnapshotKeeper, log: RaftLog) -> None:
         self._keeper = keeper
         self._log = log
-        # The last received snapshot, as long as it is not open.
+        # The last received snapshot, until the library opens it.
         self._received: StoredSnapshot | None = None
 
     def checkSerializing(self) -> tuple[int, int | None]:
@@ -121,10 +121,10 @@ class LibrarySerializer:
 
 
 class LibraryTransport:
-    """The library's transport.
+    """Our transport as the library's transport, for outgoing messages only.
 
-    Incoming messages reach the node another way. The library's remote administration, and anonymous read-only members,
-    are never reached.
+    BufferedTransport passes incoming messages to the node directly. So nothing reaches the library's remote
+    administration or its anonymous read-only members.
     """
 
     ready = True

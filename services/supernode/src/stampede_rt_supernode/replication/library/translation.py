@@ -35,12 +35,12 @@ _REFUSALS = {reason: refusal for refusal, reason in _REASONS.items()}
 
 
 def from_library(message: LibraryMessage) -> Message:
-    """Our message. Raises KeyError for a kind that must never be sent."""
+    """Our form of a message of the library. Raises KeyError for a kind that must never be sent."""
     return _FROM_LIBRARY[message["type"]](message)
 
 
 def to_library(message: Message) -> LibraryMessage:
-    """The library's message. Raises KeyError for a message that the library does not know."""
+    """The library's form of our message. Raises KeyError for a message that the library does not know."""
     kind, body = _TO_LIBRARY[type(message)]
     return {"type": kind, **body(message)}
 

@@ -16,9 +16,9 @@ from stampede_rt_supernode.replication.wire.records import ADDRESS_BYTES_MAX, ME
 
 # The words that refuse a member that was removed for good.
 REMOVED = "was removed from this cluster"
-# The words that refuse a member that came with another store before, or with one and now without.
+# The words that refuse a member that came with another store before, or that had a store and has none now.
 ANOTHER_STORE = "has come with another store before"
-# The words that refuse a member whose store lacks promises that it has made.
+# The words that refuse a member whose store lacks data that the member has reported before (see `store.Promise`).
 OLDER_STORE = "comes with an older copy of its store"
 # The words that refuse a member without a store, while the others have stores.
 NO_STORE = "has no store, but the others have stores"
@@ -31,7 +31,7 @@ UNKNOWN = "is no other member of this cluster"
 class HelloRefusal(NamedTuple):
     """The reason why a hello is refused.
 
-    `hears`: the caller gets the list of members, and may come back as one of them.
+    `hears`: the caller still gets the list of members, because it may be a member that this one does not know.
     """
 
     code: grpc.StatusCode
@@ -75,7 +75,7 @@ def refusal_of(
 ) -> HelloRefusal | None:
     """The reason why this member refuses the caller's hello; None if it accepts.
 
-    `promise`: the caller's earlier statement.
+    `promise`: the data that the caller's store must hold, by its earlier reports.
     """
     failed, denied = grpc.StatusCode.FAILED_PRECONDITION, grpc.StatusCode.PERMISSION_DENIED
     own, caller = settings.self_member.member_id, hello.member_id
@@ -116,8 +116,7 @@ def other_protocol(member_id: str, version: int) -> str:
 
 
 def newly_met(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:
-    """The member that an unknown caller says it is, if it may be a member of this cluster that this one does not know
-    yet.
+    """The member that an unknown caller says it is; None if it cannot be a member of this cluster.
 
     A member that was away while the others were replaced knows none of them, but must accept the leader's messages
     (Ongaro's dissertation, section 4.1). A cluster without an id cannot be told from another cluster.

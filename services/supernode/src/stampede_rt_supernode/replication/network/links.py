@@ -1,4 +1,4 @@
-"""The outgoing half of the network: a link to every other member, and the refusals of this member by others."""
+"""The outgoing half of the network: a link to every other member, and the refusals that this member gets there."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ CANCEL_AGAIN_SECONDS = 1.0
 
 
 class PeerLinks:
-    """The links to all members that a replica knows. The RaftNetwork of production."""
+    """The links to all members that a replica knows: the RaftNetwork over gRPC."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class PeerLinks:
         self._ending: set[asyncio.Task[None]] = set()
         self._deliver: Callable[[NetworkEvent], None] | None = None
         self._introduce: Introduce | None = None
-        # The members that refuse this one for good.
+        # The members that refuse this one until a person acts, and their reasons.
         self.refusals = Refusals()
         # When this member last asked the others whether they accept it, on the monotonic clock.
         self._others_asked_at = float("-inf")
@@ -74,16 +74,16 @@ class PeerLinks:
         self.see: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
         # Called once with the reason if others refuse this member for good. Blocks to write a small file.
         self.on_refusal_confirmed: Callable[[str], None] = lambda why: None
-        # Called with a member that breaks the protocol, and the fault.
+        # Called with the id of a member that breaks the protocol, and the text of the fault.
         self.on_fault: Callable[[str, str], None] = lambda member_id, why: None
 
     def start(self, deliver: Callable[[NetworkEvent], None], peers: Mapping[str, Member], introduce: Introduce) -> None:
-        """Begin to connect to every peer, with the hellos of `introduce`. On the loop."""
+        """Begin to connect to every peer, with the hellos of `introduce`. Call it on the loop."""
         self._deliver, self._introduce = deliver, introduce
         self._follow(peers)
 
     def follow(self, roster: MemberRoster) -> None:
-        """Connect to these peers and to no others. From the tick thread."""
+        """Connect to the peers of `roster` and to no others. Called on the tick thread."""
         self._bridge.post(lambda: self._follow(roster.peers))
 
     def _follow(self, peers: Mapping[str, Member]) -> None:
@@ -133,7 +133,7 @@ class PeerLinks:
                 self.on_refusal_confirmed(self.refusals.why)
 
     def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
-        """Note the words of a member against this one. Returns whether that has confirmed the refusal."""
+        """Note that a member refuses this one. Returns whether that has confirmed the refusal."""
         is_new, was_confirmed = member_id not in refusals.by, refusals.confirmed is not None
         others, leader_id = self.see()
         is_confirmed = refusals.refused(member_id, why, others=others, leader_id=leader_id)
@@ -147,8 +147,9 @@ class PeerLinks:
         return is_confirmed and not was_confirmed
 
     def _ask_the_others(self, refusals: Refusals) -> None:
-        """Greet again the members that have not refused this one, because only a new hello makes them accept or refuse
-        it.
+        """Send a new hello to each member that has not refused this one.
+
+        Only a new hello makes a member accept or refuse this one.
         """
         now = time.monotonic()
         if now - self._others_asked_at > ASK_OTHERS_SECONDS:
@@ -158,16 +159,16 @@ class PeerLinks:
                     link.greet_anew()
 
     def drop(self, member_id: str, why: str) -> None:
-        """End the stream of a member that breaks the protocol. From the tick thread."""
+        """End the stream of a member that breaks the protocol. Called on the tick thread."""
         self._bridge.post(lambda: self.on_fault(member_id, why))
 
     def release(self, messages: Sequence[Outgoing]) -> None:
-        """Queue messages on their links. From the tick thread, which encodes them."""
+        """Encode the messages, and queue each on its link. Called on the tick thread."""
         encoded = [(member_id, encode_message(message)) for member_id, message in messages]
         self._bridge.post(lambda: self._enqueue(encoded))
 
     def has_room(self, member_id: str) -> bool:
-        """Whether the member's queue has room for pieces of a snapshot. From the tick thread."""
+        """Whether the member's queue has room for pieces of a snapshot. Called on the tick thread."""
         link = self._links.get(member_id)
         return link is not None and link.queued_bytes < ROOM_BYTES
 

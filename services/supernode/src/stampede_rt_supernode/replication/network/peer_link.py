@@ -32,7 +32,7 @@ from stampede_rt_supernode.replication.wire.records import MalformedMessage, dec
 logger = logging.getLogger(__name__)
 
 Dial = Callable[[str], grpc.aio.Channel]
-# Makes the hello to the member with an id.
+# Makes the hello to a member, given the id of that member.
 Introduce = Callable[[str], pb.RaftHello]
 
 REQUEST_MESSAGES_MAX = 256
@@ -81,11 +81,11 @@ class PeerLink:
         self.queued_bytes = 0
         self._open = False
         self._overflow = False
-        # The loop time of the first request without a later answer.
+        # When this member sent the first request since the peer's last answer, in the loop's time.
         self._unanswered_since: float | None = None
         # The members in the peer's latest list on this stream.
         self._told: tuple[Member, ...] = ()
-        # True if an empty request should ask for an answer.
+        # True if an empty request is due, so that the peer answers.
         self._probe_due = False
         self._greet_anew = False
         self._work = asyncio.Event()

@@ -1,8 +1,9 @@
 """The refusals of this member by others, and when they are confirmed. Pure.
 
-A refusing member may be mistaken, or lie. While any member refuses this one's store, this one does not vote, because it
-might have forgotten its promises. If others say that its release is too old, it still votes, because its store is
-sound. Either refusal ends this member if the leader that it follows says so, or most of the other members.
+A refusing member may be mistaken, or lie. While any member refuses this member's store, this member does not vote,
+because it might have forgotten votes or entries. If others say that its release is too old, it still votes, because its
+store is sound. A refusal of either kind is confirmed, and ends this member, if it comes from the leader that this
+member follows, or from most of the other members.
 """
 
 from __future__ import annotations
@@ -37,18 +38,18 @@ def grounds_of(why: str) -> Grounds | None:
 class Refusals:
     """The members that refuse this member's store or release at present, and the confirmed refusal.
 
-    On one thread only.
+    Use it on one thread only.
     """
 
     def __init__(self) -> None:
-        # member id -> its words
+        # member id -> the words of its refusal
         self.by: dict[str, str] = {}
-        # the confirmed grounds, and the words
+        # the grounds and words of the confirmed refusal; None and empty as long as there is none
         self.confirmed: Grounds | None = None
         self.why = ""
 
     def refused(self, member_id: str, why: str, *, others: Collection[str], leader_id: str | None) -> bool:
-        """Note a refusal. Returns whether it is confirmed now. `others`: every other member."""
+        """Note a refusal. Returns whether a refusal is confirmed now. `others`: the ids of all other members."""
         self.by[member_id] = why
         trusted = [leader_id] if leader_id in self.by else sorted(one for one in self.by if one in others)
         if self.confirmed is None and (trusted == [leader_id] or 2 * len(trusted) > len(others)):
@@ -57,5 +58,5 @@ class Refusals:
         return self.confirmed is not None
 
     def accepted(self, member_id: str) -> bool:
-        """Note that a member accepts this one. Returns whether it refused before."""
+        """Note that a member accepts this one. Returns whether that member refused this one before."""
         return self.by.pop(member_id, None) is not None

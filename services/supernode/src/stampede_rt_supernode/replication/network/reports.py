@@ -9,13 +9,13 @@ REPORTS_MAX = 256
 
 
 class SparseReports:
-    """Each report is due once in AGAIN_SECONDS. Beyond REPORTS_MAX reports, the oldest is forgotten."""
+    """Lets each report be logged once in AGAIN_SECONDS. Remembers the REPORTS_MAX newest reports."""
 
     def __init__(self) -> None:
         self._said_at: dict[Hashable, float] = {}
 
     def is_due(self, report: Hashable, now: float) -> bool:
-        """Whether to log the report at `now` (seconds). If True, it counts as logged."""
+        """Whether to log the report at `now` (seconds). If this is True, the report counts as logged."""
         said_at = self._said_at.get(report)
         if said_at is not None and now - said_at < AGAIN_SECONDS:
             return False

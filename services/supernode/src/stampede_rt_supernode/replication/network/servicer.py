@@ -1,7 +1,8 @@
 """The incoming half of the network: the RaftService of one member.
 
-It serves only members. A caller states its identity in the hello. If the cluster has certificates, the caller's
-certificate must agree. The server's interceptors have checked the cluster's secret and the certificate's role before.
+It serves only members. A caller states its member id in the hello. If the cluster has certificates, the caller's
+certificate must bear that id. The server's interceptors have checked the cluster's secret and the certificate's role
+before.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class RaftServicer:
         self._refused: dict[str, str] = {}
         # Member id -> until when it is refused, on the monotonic clock, and why.
         self._expelled: dict[str, tuple[float, str]] = {}
-        # Member id -> the task that reads its present stream. At most one each.
+        # Member id -> the task that reads the member's present stream. A member has at most one stream.
         self._readers: dict[str, asyncio.Task[None]] = {}
         self._reports = SparseReports()
         self._closed = False
@@ -124,7 +125,7 @@ class RaftServicer:
         if request is grpc.aio.EOF or not request.HasField("hello") or request.messages:
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, "a stream begins with a hello and nothing else")
         await self._check(request.hello, context)
-        # Before any message of this member is processed.
+        # The store is noted before this member processes any message of the caller.
         members = {member.member_id for member in self._replica.roster.members}
         await asyncio.to_thread(self._stores.note, request.hello.member_id, request.hello.store_id, members)
         await context.write(self._greeting(knows_caller=True))
@@ -180,7 +181,7 @@ class RaftServicer:
             return
         self._refused[hello.member_id] = refusal.why
         is_heard = hello.member_id in self._readers
-        # By the grounds, because the words contain log positions, which differ at each attempt.
+        # Compares the grounds, because the words contain log positions, which differ at each attempt.
         if not self._reports.is_due((hello.member_id, grounds_of(refusal.why), is_heard), time.monotonic()):
             return
         if is_heard:
@@ -207,7 +208,7 @@ class RaftServicer:
         loop = asyncio.get_running_loop()
         answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
-            # The refused caller of this id was a copy; this stream is of the member itself.
+            # This stream belongs to the member itself, so a caller of the same id that was refused was a copy.
             self._refused.pop(member_id, None)
             if member_id not in self._replica.roster.peers:
                 raise MalformedMessage(f"{member_id!r} is no longer a member")

@@ -1,5 +1,6 @@
-"""Confirmed reads: they find a log position that includes every write acknowledged before the read, without an entry.
+"""Confirmed reads. Each one finds a log position that includes every write acknowledged before the read.
 
+No read adds an entry to the log.
 The leader notes its commit index, starts a new round, and waits until a majority has answered a message of that round
 or a later one in the leader's own term. Then no other node has led during the read (Raft dissertation, section 6.4). A
 follower asks the leader for the position. Many reads share one round and one request. The library has no such reads.
@@ -18,7 +19,7 @@ from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, Read
 
 @dataclass(slots=True)
 class ConfirmedRead:
-    """One read under way. `done` is called once: with the applied index, or with None when the time is up."""
+    """One read under way. `done` is called once: with the applied index, or with None after `deadline`."""
 
     deadline: float
     done: Callable[[int | None], None]
@@ -26,7 +27,7 @@ class ConfirmedRead:
 
 @dataclass(slots=True)
 class _Round:
-    """The reads and remote requests that wait until a majority has echoed one round."""
+    """The reads, and the requests of followers, that wait until a majority has echoed one round."""
 
     number: int
     commit_index: int
@@ -45,7 +46,7 @@ class _Asked:
     leader_id: str
 
     def is_answered_by(self, member_id: str, request_id: int) -> bool:
-        """Whether this is the answer of the asked leader."""
+        """Whether a reply of `member_id` with `request_id` is the asked leader's answer to this request."""
         return (self.leader_id, self.request_id) == (member_id, request_id)
 
 
@@ -92,8 +93,10 @@ class ConfirmedReads:
         # The latest request of each member: a member that asks again has given up its earlier request.
         self._new_requests: dict[MemberNode, int] = {}
         self._rounds: list[_Round] = []
+        # By member id: the newest round that the member has echoed in the present term.
         self._echoes: dict[str, int] = {}
         self._asked: _Asked | None = None
+        # (log position, reads): the reads that wait until this replica has applied the position.
         self._confirmed: list[tuple[int, list[ConfirmedRead]]] = []
 
     def add(self, read: ConfirmedRead) -> None:
@@ -101,11 +104,11 @@ class ConfirmedReads:
         self._new.append(read)
 
     def on_request(self, node: MemberNode, message: ReadIndexRequest) -> None:
-        """A member asks for a position."""
+        """Note that a member asks for a position."""
         self._new_requests[node] = message.request_id
 
     def on_reply(self, member_id: str, message: ReadIndexReply) -> None:
-        """A member, usually the leader, answers."""
+        """Take in a member's reply. If the member cannot tell a position, the reads that wait for it begin again."""
         if self._asked is not None and self._asked.is_answered_by(member_id, message.request_id):
             asked, self._asked = self._asked, None
             if message.read_index > 0:
@@ -114,11 +117,11 @@ class ConfirmedReads:
                 self._new.extend(asked.reads)
 
     def on_echo(self, member_id: str, round_number: int) -> None:
-        """A member has answered a message of this round in the present term."""
+        """Note that a member has answered a message of this round in the present term."""
         self._echoes[member_id] = max(round_number, self._echoes.get(member_id, 0))
 
     def on_leader_lost(self) -> None:
-        """Begin all reads again: requests and answers of the last leadership do not count."""
+        """Begin all reads again, because requests and answers of the last leadership do not count."""
         self._echoes.clear()
         rounds, self._rounds = self._rounds, []
         for each in rounds:
@@ -162,7 +165,7 @@ class ConfirmedReads:
         self._expire()
 
     def close(self) -> None:
-        """End every read without an answer."""
+        """End every read with None."""
         self.on_leader_lost()
         for read in [*self._new, *(read for _, reads in self._confirmed for read in reads)]:
             read.done(None)

@@ -8,8 +8,8 @@ The leader names a position for a while. The members answer with their digests a
 members the digest that more than half of them have. A member with another digest has diverged, the leader included.
 While no digest has a majority, a member that differs from the leader is only in doubt (decision 0111). Pure.
 
-A state from a snapshot of an earlier release has no digest. It takes over the leader's digest as soon as both are at
-one position. From there on it is compared.
+A state from a snapshot of an earlier release has no digest. Its replica takes over the leader's digest as soon as the
+replica is at the position of that digest. From there on its digests are compared, too.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from collections.abc import Callable, Collection
 from stampede_rt_supernode.replication.wire.messages import NO_DIGEST, StateDigest
 
 DIGESTS_MAX = 4096
-# The leader names one position until all members have answered, but for the first time at least, and for the second
-# time at most.
+# The leader names a position until all members have answered, but for ASKED_SECONDS_MIN at least, and for
+# ASKED_SECONDS_MAX at most.
 ASKED_SECONDS_MIN, ASKED_SECONDS_MAX = 0.5, 5.0
 
 
@@ -29,16 +29,17 @@ class Digests:
     """The latest digests of this replica, and the leader's latest statements. Tick thread only."""
 
     def __init__(self, adopt: Callable[[bytes], None]) -> None:
-        """`adopt` sets the digest of a state machine that has none."""
+        """`adopt` sets the digest of this replica's state machine if that has none."""
         self._adopt = adopt
-        # The position at which this replica's state differs from that of most members; 0: none. Never cleared.
+        # The position at which this replica's state differs from that of most members; 0 if it did not. Never reset.
         self.diverged_at = 0
-        # The position at which this replica's state differs from the leader's, while no digest has a majority; 0: none.
+        # The position at which this replica's state differs from the leader's while no digest has a majority; 0 if it
+        # does not differ.
         self.doubtful_at = 0
         # This replica's digest at the position that the leader named last, once this replica has reached it.
         self.answer: StateDigest = NO_DIGEST
         self._own: dict[int, bytes] = {}  # by position, ascending
-        self._told: StateDigest | None = None  # a statement of the leader about a later position than this replica's
+        self._told: StateDigest | None = None  # the leader's digest at a position that this replica has yet to reach
 
     def note(self, index: int, digest: bytes) -> None:
         """Note the digest of this replica after all entries up to `index`."""
@@ -84,13 +85,18 @@ class DigestPoll:
 
     def __init__(self) -> None:
         self.asked: StateDigest = NO_DIGEST
-        # For each member whose state differs from this leader's, while no digest has a majority: the position.
+        # By member id: the first position at which the member's state differed from this leader's. Empty as soon as a
+        # digest has a majority.
         self.doubts: dict[str, int] = {}
+        # By member id: the member's digest at the named position.
         self._held: dict[str, bytes] = {}
         self._since = float("-inf")
 
     def ask(self, now: float, state: StateDigest, others: Collection[str]) -> None:
-        """Name the leader's present `state` from now on, if the last position was named long enough for `others`."""
+        """Name the position of `state` from now on, if the leader has named the last position for long enough.
+
+        `state`: the leader's present position and digest. `others`: the ids of the members whose answers it awaits.
+        """
         age = now - self._since
         waited = age >= ASKED_SECONDS_MIN and (age >= ASKED_SECONDS_MAX or self._held.keys() >= set(others))
         if state[0] > self.asked[0] and state[1] and waited:
@@ -109,7 +115,10 @@ class DigestPoll:
         self.doubts = {**held, member_id: self.doubts.get(member_id, index)} if differs else held
 
     def of_most(self, voters: Collection[str]) -> StateDigest:
-        """The digest of more than half of all members, this one included, at the named position; NO_DIGEST: unknown."""
+        """The named position, and the digest that more than half of all members have there, this one included.
+
+        NO_DIGEST if no digest is known to have a majority.
+        """
         index, own = self.asked
         if not own:
             return NO_DIGEST
@@ -118,5 +127,5 @@ class DigestPoll:
         return (index, digest) if 2 * count > len(voters) + 1 else NO_DIGEST
 
     def agreeing(self, digest: bytes) -> list[str]:
-        """The members that have this digest."""
+        """The ids of the other members that have this digest at the named position."""
         return [name for name, held in self._held.items() if held == digest]

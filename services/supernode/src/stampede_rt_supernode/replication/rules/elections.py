@@ -29,11 +29,11 @@ from stampede_rt_supernode.replication.wire.messages import (
 )
 
 # Every leader begins its term with an entry, so only failed elections put the term ahead of the log's last term. More
-# than this many are not believable: at one election a second they would take twelve days.
+# than this many failed elections are not believable: at one a second they would take twelve days.
 TERMS_AHEAD_MAX = 1 << 20
-# No term may be more than this ahead of the own term, either. Elections go on from the term that a member has reached.
-# A hostile member that raises the term by this number with each message needs a hundred thousand years to use up the
-# numbers.
+# A term that is at most this far ahead of the own term is accepted, too, so that elections go on from any term that
+# this member has reached. A hostile member that raises the term by this number with each message needs a hundred
+# thousand years to use up the numbers.
 TERMS_STEP_MAX = 1000
 # A stored term above this leaves too few terms for further elections.
 TERM_MAX = 1 << 61
@@ -42,11 +42,14 @@ TERM_MAX = 1 << 61
 class RaftRules(Following, Leading):
     """Passes every message to its rule, and votes. Tick thread only."""
 
-    # The voters for this node, and the term: a repeated vote counts once.
+    # The term, and the ids of the members that have voted for this node in it. A repeated vote counts once.
     _votes: tuple[int, set[str]] = (0, set())
 
     def receive(self, node: MemberNode, message: Message) -> None:
-        """Pass a member's message to its rule. The library accepts messages from anybody."""
+        """Pass a member's message to its rule. Ignores unknown senders. The library accepts messages from anybody.
+
+        Raises PeerAtFault if the message breaks the protocol.
+        """
         if self.transport.find_node(node.id) is None:
             return
         self._check_term(node.id, message)
@@ -85,10 +88,10 @@ class RaftRules(Following, Leading):
             raise PeerAtFault(member_id, f"names term {claimed}, but this member is in term {self.term}")
 
     def _note_promise(self, member_id: str, message: Message) -> None:
-        """Note a member's statement about itself. The member had it on its disk before it sent it.
+        """Note the term that a member has reached, and the committed entries that a leader holds, as its promise.
 
-        A leader holds everything that it calls committed. The statements of followers are noted when entries are
-        committed.
+        The member has written both to its disk before it sent the message. `note_promises` notes the committed entries
+        that followers hold.
         """
         match message:
             case AppendEntries() | InstallSnapshot():
@@ -101,7 +104,10 @@ class RaftRules(Following, Leading):
                 self.log.note_promise(member_id, message.voter_term, 0)
 
     def _on_command_answer(self, node: MemberNode, message: ForwardedCommandReply) -> None:
-        """Take the leader's answer to a forwarded command. The command's commit is awaited, within a limit."""
+        """Take in the leader's answer to a forwarded command. The caller then waits for the command's commit.
+
+        If too many callers wait for commits already, this one gets an unknown fate at once.
+        """
         if node != self.leader:
             return
         if self.callers_waiting_count() >= self.conf.commandsQueueSize:
@@ -136,7 +142,7 @@ class RaftRules(Following, Leading):
         if message.term != self.term or self.role != CANDIDATE:
             return
         if node not in self.other_voters:
-            return  # the sender is no voter, or no longer
+            return  # the sender is not a voter, or has been removed
         if self._votes[0] != message.term:
             self._votes = (message.term, set())
         self._votes[1].add(node.id)
@@ -157,7 +163,7 @@ class PreVoteElections(RaftRules):
     _pre_vote_won_term: int = 0
 
     def before_tick(self) -> None:
-        """Replace a due election by a trial, unless the trial was won already."""
+        """If an election is due, begin a trial in its place, unless this node has already won the trial."""
         self.follow_log()
         self.listen_to_strangers()
         due = self.election_deadline < self.clock()
@@ -183,7 +189,7 @@ class PreVoteElections(RaftRules):
             self.transport.send(node, request)
 
     def _lose_leader(self) -> None:
-        """Forget the leader after an election timeout without a message. Commands and reads go to it no more."""
+        """Forget the leader after an election timeout without a message. It gets no more commands or reads."""
         if self.leader is not None:
             self.leader = None
             self.give_up_forwarded()
@@ -227,7 +233,7 @@ class PreVoteElections(RaftRules):
 
 
 def _claimed_term(message: Message) -> int:
-    """The highest term that a message claims; 0: none."""
+    """The highest term that a message claims; 0 if it claims no term."""
     match message:
         case VoteReply():
             return max(message.term, message.voter_term)

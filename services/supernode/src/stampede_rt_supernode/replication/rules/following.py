@@ -1,4 +1,4 @@
-"""The follower's rules: accept entries and snapshots, and report truthfully which entries it holds."""
+"""The follower's rules. A follower accepts entries and snapshots, and reports truthfully which entries it holds."""
 
 from __future__ import annotations
 
@@ -99,9 +99,10 @@ class Following(Membership):
         """Take in a piece of a snapshot. Ignores the message's commit index, which says nothing about this log.
 
         The library uses that commit index, and so commits whatever its log holds. It also acknowledges a snapshot that
-        it failed to load. Here a damaged snapshot changes nothing, and its sender counts as faulty.
+        it failed to load. Under this rule a damaged snapshot changes nothing, and its sender counts as faulty.
         """
-        # A second snapshot at the same time is not kept. If it is still needed later, the leader sends it again.
+        # While this node opens one snapshot, it ignores the pieces of another. If this node still needs that one later,
+        # the leader sends it again.
         if not self.keeper.is_opening and (received := self.keeper.take_in(message.chunk)) is not None:
             self._snapshot_from = node.id
             self.keeper.open(received)
@@ -110,7 +111,7 @@ class Following(Membership):
     def install_opened(self) -> None:
         """Continue to open a received snapshot, if there is one.
 
-        The answer to the leader's next message acknowledges the snapshot.
+        The answer to the leader's next message acknowledges the snapshot. Raises PeerAtFault if it is unreadable.
         """
         try:
             last = self.keeper.install_opened(newer_than=self.last_applied, term_max=self.term)

@@ -12,14 +12,14 @@ HAND_OVER_SECONDS = 1.0
 
 @dataclass(slots=True)
 class HandOver:
-    """A caller's request for another leader. `done` is called once: whether this node does not lead (any more)."""
+    """A caller's request for another leader. `done` is called once, with True if this node does not lead (any more)."""
 
     done: Callable[[bool], None]
 
 
 @dataclass(slots=True)
 class _Leaving:
-    """Proposals wait until a successor has all entries. Then the leader asks it to lead."""
+    """The search for a successor. New proposals wait. Once a member has all entries, the leader asks it to lead."""
 
     until: float
     asked: bool = False
@@ -72,7 +72,7 @@ class LeadershipTransfer:
             leaving.asked = self._node.send_timeout_now(complete[0])
 
     def end(self) -> None:
-        """Answer all waiting callers: this node leads no more, or is closing."""
+        """Answer all waiting callers, because this node leads no more, or is closing."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             self._answer(leaving.callers, not self._node.is_leader)

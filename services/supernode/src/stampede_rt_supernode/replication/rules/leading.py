@@ -1,4 +1,4 @@
-"""The leader's rules: accept only acknowledgements of the present term, and send missing entries within limits."""
+"""The leader's rules. A leader counts acknowledgements of its own term only, and sends missing entries in batches."""
 
 from __future__ import annotations
 
@@ -48,8 +48,9 @@ class Leading(Membership):
     def send_append_entries(self) -> None:
         """Send every connected member the entries that it lacks, or a heartbeat.
 
-        The library sends a whole log or snapshot at once. While a snapshot has nothing to send, it loops for the time
-        of a heartbeat. Here both have a limit, and the next heartbeat continues.
+        The library sends a whole log or snapshot at once. While a snapshot has no piece to send, the library loops for
+        the time of a heartbeat. This rule sends a limited number of entries and pieces, and the next heartbeat
+        continues.
         """
         self.put_off_heartbeat()
         connected = [node.id for node in self.other_voters if node in self.connected]

@@ -1,9 +1,9 @@
 """Adds and removes members, one at a time: the leader's steps.
 
 An addition has three steps. The leader sends the newcomer the log until a round of catching up has taken less than an
-election timeout. Then it puts the configuration with the newcomer into the log, which takes effect at once. The
-addition is done when that entry is committed (dissertation, section 4.2). A removal needs no first step. A leader does
-not remove itself: it hands over, and its successor removes it.
+election timeout. Then the leader puts a configuration with the newcomer into the log. That configuration takes effect
+at once. The addition is done when its entry is committed (dissertation, section 4.2). A removal needs no first step. A
+leader does not remove itself: it hands over, and its successor removes it.
 """
 
 from __future__ import annotations
@@ -30,17 +30,20 @@ ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | 
 
 # The leader gives up a newcomer without progress for this time, so that others can join.
 STALLED_SECONDS = 30.0
-# A newcomer without progress for this time gives way to another newcomer that waits. If it was given up before, it
-# gives way at once.
+# A newcomer without progress for this time gives way to another newcomer that waits. A newcomer that the leader has
+# given up before gives way at once.
 GIVES_WAY_SECONDS = 5.0
-# A newcomer that has not caught up in this time is given up, even if it makes progress. At its next try it gives way at
-# once.
+# The leader gives up a newcomer that has not caught up in this time, even if it makes progress. At its next try this
+# newcomer gives way at once.
 JOIN_SECONDS_MAX = 600.0
 
 
 @dataclass(slots=True)
 class MemberChange:
-    """A caller's request to add `member`, or, if it has no address, to remove it. `done` is called once."""
+    """A caller's request to add `member`, or, if `is_removal`, to remove it. `done` is called once.
+
+    In a removal only the id of `member` counts. `ticket`: the ticket that lets the newcomer in; empty if it needs none.
+    """
 
     member: Member
     is_removal: bool
@@ -50,7 +53,10 @@ class MemberChange:
 
 @dataclass(slots=True)
 class _Addition:
-    """A newcomer, and all callers that wait for it."""
+    """A newcomer, and all callers that wait for it. All times are by the node's clock.
+
+    The present round of catching up began at `round_began`. It ends when the newcomer has acknowledged `round_end`.
+    """
 
     member: Member
     callers: list[MemberChange]
@@ -58,7 +64,7 @@ class _Addition:
     round_began: float
     progress_at: float
     began: float
-    # the position up to which it has acknowledged the log, and the bytes of a snapshot that it was sent
+    # (last acknowledged log position, bytes of a snapshot sent to the newcomer)
     progress: tuple[int, int] = (0, 0)
 
 
@@ -76,7 +82,7 @@ class MemberChanges:
     """All changes of one replica. Tick thread only.
 
     At most one configuration is uncommitted, and at most one newcomer catches up. A removal does not wait for the
-    newcomer. Invariant: both exist only while this node leads.
+    newcomer. Invariant: an uncommitted configuration and a newcomer exist only while this node leads.
     """
 
     def __init__(
@@ -212,12 +218,13 @@ class MemberChanges:
                 return
             self._addition = None
             configuration = self._node.configuration().with_member(addition.member, addition.callers[0].ticket)
-            # Make it a voter before it is no learner any more, so that its acknowledgements stay known.
+            # First make the newcomer a voter, and then end its time as a learner. So this node keeps its
+            # acknowledgements.
             self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
 
     def _is_too_old(self, addition: _Addition) -> bool:
-        """Refuse a newcomer whose release does not know the cluster's feature level. Returns whether it did."""
+        """Refuse a newcomer whose release does not know the cluster's feature level. Returns whether it refused."""
         newcomer, needed = addition.member.member_id, self._node.level_to_join()
         highest = self._node.known_levels().get(newcomer, 0)
         if highest >= needed:

@@ -35,20 +35,20 @@ class Membership(NodeState):
     # The node that catches up in order to be added; only while this node leads.
     learner: Member | None = None
 
-    # When this node last had a leader, or led. Long after it this node is locked out.
+    # When this node last had a leader, or led. It is locked out once `locked_out_seconds` have passed since.
     had_leader_at: float
     locked_out_seconds: float
 
-    # Members named by known ones, by id, the latest last; at first the members in the settings.
+    # By id: the members that known members have named, the latest last. At first these are the members in the settings.
     _told: dict[str, Member]
-    # Nodes that named themselves, or that a stranger named, by id, the latest last.
+    # By id: the nodes that have named themselves, or that a stranger has named, the latest last.
     _strangers: dict[str, Member]
     _hears_strangers: bool = False
-    # Known members that refuse this node's store, by id, and why. As long as there is one, this node does not vote.
+    # By id: why a known member refuses this node's store. As long as one does, this node does not vote.
     disputed_by: dict[str, str]
     # All members that this node hears, by id, without itself.
     peers: dict[str, Member]
-    # The last adopted state: the version of the log's configurations, and the applied one.
+    # What this node adopted last: the version of the log's configurations, and the newest applied configuration.
     _adopted: tuple[int, Configuration | None] = (-1, None)
 
     def open_snapshot(self) -> None:
@@ -73,8 +73,9 @@ class Membership(NodeState):
         return {node.id for node in self.other_voters}
 
     def follow_log(self) -> None:
-        """Adopt the newest configuration in the log, and the removals in the newest applied one, if they
-        have changed.
+        """Adopt the newest configuration in the log, and the removals in the newest applied configuration.
+
+        Does nothing if neither has changed.
         """
         configurations = self.log.configurations
         seen = (configurations.version, configurations.at(self.last_applied))
@@ -83,7 +84,7 @@ class Membership(NodeState):
             self._adopt()
 
     def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
-        """A node that is heard has told its view of the members.
+        """Take in the list of members that another node has sent.
 
         Notes known members, too, because a snapshot of an earlier state may remove them from the log's own list.
         """
@@ -95,7 +96,7 @@ class Membership(NodeState):
             self._adopt()
 
     def on_introduced(self, member: Member) -> None:
-        """An unknown node has said that it is a member. Remember it for the case that this node is locked out."""
+        """Remember an unknown node that says it is a member. This node hears it only while it is locked out."""
         if self._strangers.get(member.member_id) != member:
             _remember(self._strangers, (member,), STRANGERS_MAX)
             if self._hears_strangers:
@@ -114,25 +115,26 @@ class Membership(NodeState):
             self._adopt()
 
     def is_stranger(self, member_id: str) -> bool:
-        """Whether neither the log nor a known member has named it."""
+        """Whether neither the log nor a known member has named this member."""
         if member_id in self._told or member_id == self.self_member.member_id:
             return False
         return all(member.member_id != member_id for member in self.log.configurations.known_members())
 
     def on_disputed(self, member_id: str, why: str) -> None:
-        """A member refuses this node's store, or, with an empty `why`, accepts it again."""
+        """Note that a member refuses this node's store, for the reason `why`. Empty: it accepts the store again."""
         if not why:
             self.disputed_by.pop(member_id, None)
         elif member_id in self.peers and not self.is_stranger(member_id):
             self.disputed_by[member_id] = why
 
     def stands_aside(self) -> bool:
-        """Whether this node must not lead: its state has diverged, or its store may lack its promises."""
+        """Whether this node must not lead: its state has diverged, or a known member refuses its store."""
         return bool(self.digests.diverged_at or self.disputed_by)
 
     def doubts(self) -> dict[str, int]:
-        """By id, the position at which a state differs from the leader's, while nobody knows the state of
-        most members.
+        """By member id: the first position at which the member's state differs from the leader's.
+
+        Empty as soon as more than half of the members are known to have the same state.
         """
         if self.is_leader:
             return dict(self.poll.doubts)
@@ -195,7 +197,7 @@ class Membership(NodeState):
                 del progress[node]
 
     def sent_to(self) -> list[MemberNode]:
-        """The nodes to which a leader sends its log, in the order of the library's set."""
+        """The nodes to which a leader sends its log: the other voters in the order of the set, then the learner."""
         learner = self.transport.find_node(self.learner.member_id) if self.learner is not None else None
         others = list(self.other_voters)
         return others if learner is None or learner in self.other_voters else [*others, learner]
@@ -207,8 +209,9 @@ class Membership(NodeState):
             self.set_learner(None)
 
     def take_snapshot_if_due(self) -> None:
-        """Take a due snapshot, but only as a member: others may not know the configuration at the beginning of their
-        log.
+        """Take a due snapshot, but only as a member.
+
+        A node that is not a member may not know the configuration at the beginning of its log.
         """
         applied = self.log.configurations.at(self.last_applied)
         if applied.find(self.self_member.member_id) is not None:
@@ -219,18 +222,19 @@ class Membership(NodeState):
     def may_change_members(self) -> bool:
         """Whether this node leads, has committed an entry of its own term, and no change is uncommitted.
 
-        Without the second condition, two changes by leaders of different terms may overlap (Ongaro, raft-dev, July
+        Without the entry of its own term, two changes by leaders of different terms may overlap (Ongaro, raft-dev, July
         2015).
         """
         return self.can_confirm_reads() and self.log.configurations.current_index <= self.commit_index
 
     def known_levels(self) -> dict[str, int]:
-        """The highest feature level of each member that has told one, and of this one."""
+        """By member id: the highest feature level that the member's release knows, as it told. Includes this member."""
         return {**self.transport.highest_levels, self.self_member.member_id: self.state_machine.highest_level}
 
     def level_to_join(self) -> int:
-        """The level that a newcomer's release must know: the cluster's, or the one to which the cluster is about to
-        rise.
+        """The feature level that a newcomer's release must know.
+
+        It is the cluster's level, or the higher level to which the cluster is about to rise.
         """
         known = self.known_levels()
         told = [known.get(member.member_id, 0) for member in self.configuration().members]
@@ -246,18 +250,18 @@ class Membership(NodeState):
         return 0 if node is None else self.match_index.get(node, 0)
 
     def note_promises(self) -> None:
-        """Remember the committed entries that each follower has acknowledged.
+        """Note as each follower's promise the committed entries that it has acknowledged.
 
-        A follower must never come back without them.
+        A follower must never come back without these entries.
         """
         for node, match in self.match_index.items():
             held = min(match, self.commit_index)
             self.log.note_promise(node.id, 0, held)
 
     def let_go_of_log(self) -> None:
-        """Free the cut-off part of the log, except entries that a receiver may lack, and the entry before them.
+        """Free the entries that a snapshot has replaced and that are only kept to be sent.
 
-        A follower keeps none of it.
+        A leader keeps those that a receiver may still lack, and the entry before them. A follower keeps none.
         """
         held = [self.match_index.get(node, 0) for node in self.sent_to()]
         self.log.keep_after(min(held, default=self.log.last_index) - 1 if self.is_leader else self.log.last_index)

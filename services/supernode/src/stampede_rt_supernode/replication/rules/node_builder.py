@@ -31,9 +31,10 @@ def build_node(
     rules: type = PreVoteElections,
     run_in_background: RunInBackground = run_inline,
 ) -> PreVoteElections:
-    """A node with its transport, snapshot keeper and reads. Its snapshot is not opened yet.
+    """Returns a node with its transport, snapshot keeper and reads. The node has not opened its snapshot yet.
 
-    `rules` stands before the library's class in the order of methods. Raises LibraryMismatch.
+    `rules` is the class of our rules. It comes before the library's class in the method resolution order. Raises
+    LibraryMismatch.
     """
     assembly = Assembly(clock=clock, random_source=random_source)
     self_id = settings.self_member.member_id
@@ -51,7 +52,7 @@ def build_node(
         log, state_machine, has_room, run_in_background=run_in_background, chunk_bytes=settings.snapshot_piece_bytes
     )
     node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2
-    # so that no answer to a request of a former process fits a request of this one
+    # Request ids begin at a random number. So a late answer to a former process of this member fits no new request.
     first_request_id = int(random_source.random() * 2**52)
     node.transport = BufferedTransport(others)
     node.reads = ConfirmedReads(

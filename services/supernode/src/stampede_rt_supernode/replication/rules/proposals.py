@@ -15,8 +15,9 @@ Outcome = bytes | LogUnavailable | Ambiguous
 class Proposal:
     """One command. `done` is called at most once, on the tick thread.
 
-    The tick thread writes `handed_over`, and the caller writes `abandoned`. Each reads the other's field after it has
-    written its own. So it cannot happen that the caller finds the command not handed over, and it is handed over later.
+    The tick thread sets `handed_over` when it gives the command to the library. The caller sets `abandoned` when it
+    waits no longer. Each thread reads the other's field after it has written its own. So a caller that finds
+    `handed_over` False knows that the library will never get the command.
     """
 
     __slots__ = ("abandoned", "command", "deadline", "done", "finished", "handed_over")
@@ -90,7 +91,7 @@ class Proposals:
             return
         self._handed -= 1
         if answer is Fate.NOT_TAKEN:
-            # Certainly not applied: it waits for the next leader, until its own deadline.
+            # The command is certainly not applied. It waits for the next leader, until its own deadline.
             proposal.handed_over = False
             self._waiting.append(proposal)
         elif answer is Fate.UNKNOWN:

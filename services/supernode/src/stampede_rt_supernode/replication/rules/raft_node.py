@@ -1,7 +1,7 @@
 """The common parts of the corrected rules of Raft.
 
 The rules are in following.py, leading.py and elections.py. They follow the Raft paper (Ongaro and Ousterhout 2014,
-figures 2 and 13). Each one names the fault of PySyncObj 0.3.17 that it corrects.
+figures 2 and 13). Each rule names the fault of PySyncObj 0.3.17 that it corrects.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class InvariantViolation(RuntimeError):
 
 
 class PeerAtFault(Exception):
-    """A member has broken the protocol: its stream is dropped, and this replica goes on."""
+    """A member has broken the protocol. This replica drops the stream of that member, and goes on."""
 
     def __init__(self, member_id: str, why: str) -> None:
         super().__init__(f"{member_id} {why}")
@@ -59,18 +59,19 @@ class NodeState(LibraryNode):
         return result
 
     def on_disconnected(self, node: MemberNode) -> None:
-        """Send this member's snapshot from the beginning next time, because pieces may be lost with the link.
+        """Note that the link to a member is lost, perhaps with pieces of a snapshot.
 
-        The library would continue in the middle.
+        Next time, this node sends the member the snapshot from the beginning. The library would continue in the middle.
         """
         super().on_disconnected(node)
         self.keeper.cancel_sending(node.id)
         self.on_stream_opened(node)
 
     def on_stream_opened(self, node: MemberNode) -> None:
-        """A stream to or from a member was opened anew: requests or replies may be lost, so repeat them.
+        """Note that a stream to or from a member was opened again, so that requests or replies may be lost.
 
-        The library lets the callers of forwarded commands wait for ever.
+        If the member is the leader, this node repeats its read requests, and reports an unknown fate for the commands
+        that it has forwarded. The library lets the callers of those commands wait for ever.
         """
         if node == self.leader:
             self.give_up_forwarded()
@@ -89,7 +90,7 @@ class NodeState(LibraryNode):
             self.log.keep_after(self.log.last_index)
 
     def log_end(self) -> tuple[int, int]:
-        """(term, index) of the last entry, by which the completeness of logs is compared."""
+        """The (term, index) of the last entry. Voters compare these to see which of two logs is more complete."""
         last = self.log[-1]
         return last.term, last.log_index
 

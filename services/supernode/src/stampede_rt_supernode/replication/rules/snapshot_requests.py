@@ -1,4 +1,4 @@
-"""Requests for a snapshot now, beside the snapshots that are taken when the log has grown long."""
+"""Requests for a snapshot now. The log also takes snapshots by itself when it has grown long."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SnapshotOutcome = StoredSnapshot | LogUnavailable
 
 
 class SnapshotRequest(NamedTuple):
-    """A request. `done` is called once, on the tick thread."""
+    """A caller's request for a snapshot. `done` is called once, on the tick thread."""
 
     done: Callable[[SnapshotOutcome], None]
 

@@ -1,7 +1,7 @@
 """A backup: one snapshot as a file with its origin and a checksum.
 
-The file has `MAGIC`, a line of JSON (BackupHeader), the snapshot's record, and the SHA-256 of all of these. So a file
-that was cut off, or in which a bit has changed, is found out before a restore.
+The file has `MAGIC`, a line of JSON (BackupHeader), the snapshot's record, and the SHA-256 of all of these. So a
+restore recognises a file that was cut off, or in which a bit has changed, and refuses it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Backup:
         return len(self.head) + len(self.record) + SHA256_BYTES
 
     def parts(self) -> Iterator[bytes]:
-        """The file, in parts."""
+        """The bytes of the file, in order, in several parts."""
         yield self.head
         for start in range(0, len(self.record), PART_BYTES):
             yield self.record[start : start + PART_BYTES]

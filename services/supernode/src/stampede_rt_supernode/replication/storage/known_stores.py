@@ -1,9 +1,9 @@
-"""The store with which each member has come. A member that lost its disk must not come back under its old id.
+"""The id of the store with which each member has come. A member that lost its disk must not come back under its old id.
 
-It would have forgotten its vote and the entries that it acknowledged, and could elect a leader that lacks them. Its own
-empty store cannot show that. Members that have met it with another store can. Members that have heard it promise more
-than an older copy of its store holds can, too (`store.Promise`). A member that was refused for one of these reasons
-notes that, and does not start again.
+Such a member would have forgotten its vote and the entries that it acknowledged, and could elect a leader that lacks
+them. Its own empty store does not show the loss. But the others remember the id of its former store. They also remember
+the term and entries that it has reported (`store.Promise`), and so recognise an older copy of its store. A member whose
+refusal for one of these reasons is confirmed notes that in its folder, and does not start again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 from stampede_rt_supernode.replication.storage.store import REJOIN, StoreDamaged
 
 FILE_NAME = "replicated_log.stores"
-# the most nodes that the log does not name; members do not count
+# the most remembered nodes that are not members
 OTHERS_MAX = 32
 ID_BYTES = 8
 STORE_ID_BYTES_MAX = 64
@@ -45,7 +45,7 @@ class KnownStores:
 
     @classmethod
     def open(cls, data_dir: Path | None, *, had_store: bool) -> KnownStores:
-        """Read the notes, or begin them, as for a new store. Blocks. Raises StoreDamaged or OSError."""
+        """Read the notes in the folder, or, for a new store, begin them. Blocks. Raises StoreDamaged or OSError."""
         if data_dir is None:
             return cls()
         path = data_dir / FILE_NAME
@@ -57,9 +57,9 @@ class KnownStores:
         return begun
 
     def admits(self, member_id: str, store_id: str) -> bool:
-        """Whether this is the store with which that member came before, or the member is new.
+        """Whether a member may come with this store: the member is new, or came with the same store before.
 
-        An empty id means no store. A member that came with a store once must keep the promises in it.
+        An empty `store_id` means no store. A member that came with a store once must keep that store.
         """
         return self._known.get(member_id, store_id) == store_id
 
@@ -119,7 +119,7 @@ def _is_sound(facts: Any) -> bool:
 
 
 def force_folder(folder: Path) -> None:
-    """Force the names in a folder to the disk. Blocks."""
+    """Force the names of the files in a folder to the disk. Blocks."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

@@ -23,17 +23,17 @@ from stampede_rt_supernode.replication.storage.store import (
 )
 from stampede_rt_supernode.replication.wire.records import decode_configuration
 
-# More than there can be members at any time. Promises of removed members go first.
+# The most promises. There are never so many members, so promises of non-members go first.
 PROMISES_MAX = 64
 # The bytes of an entry beside its command.
 ENTRY_BYTES = 200
 
 
 class RaftLog:
-    """Log, term, vote and commit index. Entries have no gaps. Indexes count from the first held entry."""
+    """Log, term, vote and commit index. Entries have no gaps. `log[0]` is the first held entry."""
 
     def __init__(self, store: Store, *, kept_bytes_max: int = 0) -> None:
-        """`kept_bytes_max`: how many bytes of entries that are cut off at the front are kept for slow members."""
+        """`kept_bytes_max`: the most bytes of replaced entries that the log keeps for slow members."""
         state = store.load()
         self._kept_bytes_max = kept_bytes_max
         self._store = store
@@ -46,12 +46,12 @@ class RaftLog:
         self.snapshot = state.snapshot
         self._promises = dict(state.promises)
         self._promises_changed = False
-        # The members; they follow every change of the entries.
+        # The configurations in the entries. Every change of the entries changes them, too.
         self.configurations = Configurations(Configuration(()))
-        # Entries cut off at the front, for slow members: without gaps, up to the first held entry.
+        # Entries that a snapshot has replaced, kept for slow members. They end just before the first held entry.
         self._kept: deque[Entry] = deque()
         self._kept_bytes = 0
-        # Lowest log index from which the store differs from `_entries`; None if they agree.
+        # The lowest log index from which the store differs from `_entries`; None if both agree.
         self._replace_from: int | None = None
         self._pending_pieces: list[SnapshotPiece] = []
         self._pending_seal: SnapshotSeal | None = None
@@ -146,11 +146,11 @@ class RaftLog:
         return promises
 
     def flush_promises(self) -> None:
-        """Have promises on the disk with the next sync, even if there is no other change."""
+        """Have the next sync write the promises, even if there is no other change."""
         self._dirty = self._dirty or self._promises_changed
 
     def end(self) -> tuple[int, int]:
-        """(term, last index): the statement of this log in each hello."""
+        """The (term, last index) of this log. Each hello of this member states them."""
         return self._term, self.last_index
 
     def entry_at(self, log_index: int) -> Entry | None:
@@ -166,7 +166,7 @@ class RaftLog:
         return (self._kept[0] if self._kept else self._entries[0]).log_index if self._entries else 0
 
     def sendable_at(self, log_index: int) -> Entry | None:
-        """As `entry_at`, for all entries that can be sent."""
+        """As `entry_at`, but also finds the entries that are kept for slow members."""
         first = self.first_sendable
         return (
             self._kept[log_index - first] if first <= log_index < first + len(self._kept) else self.entry_at(log_index)
@@ -190,7 +190,7 @@ class RaftLog:
             self._let_go_oldest()
 
     def _keep(self, entries: list[Entry]) -> None:
-        """Keep entries that are cut off at the front, only in memory: as many of the newest as fit."""
+        """Keep entries that a snapshot has replaced, in memory only. If they are too many, free the oldest."""
         for entry in entries:
             if self._kept and self._kept[-1].log_index + 1 != entry.log_index:
                 self.keep_after(entry.log_index)
@@ -205,7 +205,7 @@ class RaftLog:
     # -- snapshots and the disk --------------------------------------------------------------------------------
 
     def write_piece(self, piece: SnapshotPiece) -> None:
-        """Have a piece of a coming snapshot on the disk with the next sync, so that its adoption costs little."""
+        """Have the next sync write a piece of a coming snapshot, so that the adoption of the snapshot costs little."""
         self._pending_pieces.append(piece)
         self._dirty = True
 

@@ -20,9 +20,9 @@ from stampede_rt_supernode.replication.wire.records import decode_configuration,
 def restore_from(source: Path, new_dir: Path, state_machine: StateMachine, *, founder: Member, cluster_id: str) -> int:
     """Write a store of one member into `new_dir`, with the data of `source`. Returns its last log position.
 
-    `source` is a backup, or the data folder of an old member, which must be stopped; it stays unchanged. First, all
-    data is applied to `state_machine`, which must not be used after that. So data that this release cannot read is
-    refused, and nothing is written. Blocks. Raises ReleaseTooOld, StoreRefused, StoreDamaged or OSError.
+    `source` is a backup, or the data folder of an old member, which must be stopped. `source` stays unchanged. First,
+    this function applies all data to `state_machine`, which nobody may use afterwards. So it refuses data that this
+    release cannot read, before it writes anything. Blocks. Raises ReleaseTooOld, StoreRefused, StoreDamaged or OSError.
     """
     if source.is_file():
         header, state = read_backup(source)
@@ -71,8 +71,8 @@ def _apply(state: StoredState, state_machine: StateMachine) -> None:
 
 def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> StoreChanges:
     last = state.entries[-1]
-    # A new cluster has no other members, so the votes of the former one do not bind it. A hostile term ends with it,
-    # too.
+    # A new cluster has no other members, so the votes of the former cluster do not bind it. If a hostile member has
+    # raised the term beyond that of the last entry, the new cluster does not take that term over.
     term = last.term + 1
     former = {old_member_id, *(member.member_id for member in _last_members(state))} - {founder.member_id}
     configuration = Configuration.of([founder], retired=sorted(former))

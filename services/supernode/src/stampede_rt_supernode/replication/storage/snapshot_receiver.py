@@ -1,7 +1,7 @@
 """Receives a leader's snapshot: its pieces come, a worker thread decodes them, and they go to the disk and the log.
 
-This is done in steps. With 100,000 channels the decoding alone takes half a second. In one step, this member would
-answer no leader and confirm no read for that time, and would count as lost.
+The tick thread does this in steps. With 100,000 channels the decoding alone takes half a second. If one step did all,
+this member would answer no leader and confirm no read for that time, and would count as lost.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stampede_rt_supernode.replication.wire.messages import SnapshotChunk
 
 @dataclass
 class _Incoming:
-    """The pieces so far. Invariant: `data` is the first len(data) bytes."""
+    """The pieces received so far. Invariant: `data` is the beginning of the snapshot."""
 
     last_log_index: int
     total_bytes: int
@@ -88,7 +88,7 @@ class SnapshotReceiver:
         )
 
     def open(self, received: StoredSnapshot) -> None:
-        """Begin to open a snapshot. No other may be being opened."""
+        """Begin to open a snapshot. Call it only while `is_opening` is False."""
 
         def decode() -> _Decoded | UnreadableSnapshot | ReleaseTooOld:
             try:

@@ -1,4 +1,4 @@
-"""Snapshots of the log: in the store's own transactions, and in pieces on the wire."""
+"""Takes, sends, receives and opens the snapshots of the log, all in pieces."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Taking:
 
 @dataclass(slots=True)
 class _Sending:
-    """A snapshot that is being sent to a member. A newer one does not replace it: else the transfer might never end."""
+    """A snapshot that is being sent to a member. A newer snapshot does not replace it, so that the transfer ends."""
 
     snapshot: StoredSnapshot
     sent_bytes: int = 0
@@ -56,22 +56,21 @@ class SnapshotKeeper:
         # The pieces that this step may still send, for all members together. The library would send all at once.
         self._chunks_left = chunks_per_step
         self._run_in_background = run_in_background
-        # The snapshot that another thread encodes, and its entries.
+        # The snapshot that is being taken; None if none is.
         self._taking: _Taking | None = None
-        # Member id -> the snapshot that it is being sent.
+        # Member id -> the snapshot that this node is sending to the member.
         self._sending: dict[str, _Sending] = {}
         self._receiver = SnapshotReceiver(log, state_machine, run_in_background)
 
     def begin_step(self) -> None:
-        """Allow the next pieces to be sent."""
+        """Begin a step of the tick thread, which may send `chunks_per_step` pieces again."""
         self._chunks_left = self._chunks_per_step
 
     def go_on_taking(self) -> Entry | None:
-        """Continue the snapshot under way. Returns the first entry that the log keeps once the snapshot is adopted;
-        else None.
+        """Continue to take the snapshot under way. Returns None until it is adopted, and then the log's first entry.
 
-        Another thread encodes it. Then each step writes one piece, so that nobody waits longer. The seal and the log's
-        new beginning reach the disk together. Raises the errors of the encoding.
+        Another thread encodes the snapshot. Then each step writes one piece, so that no step takes long. The seal and
+        the log's new beginning reach the disk together. Raises the errors of the encoding.
         """
         taking = self._taking
         if taking is None or not taking.encoded.done():
@@ -94,9 +93,9 @@ class SnapshotKeeper:
 
     @property
     def is_busy(self) -> bool:
-        """Whether a snapshot is being taken, or a leader's opened.
+        """Whether a snapshot is being taken, or a leader's snapshot is being opened.
 
-        Then no other begins, because both might end with one entry.
+        Then no other snapshot begins, because both might end with the same entry.
         """
         return self.is_taking or self.is_opening
 
@@ -159,7 +158,7 @@ class SnapshotKeeper:
         self._sending.clear()
 
     def next_chunk(self, member_id: str) -> SnapshotChunk | None:
-        """The next piece for a member; None if its link or this step is full, or there is no snapshot."""
+        """The next piece for a member; None if its link has no room, this step has sent enough, or there is none."""
         if self._chunks_left == 0 or not self._has_room(member_id):
             return None
         sending = self._sending_to(member_id)
@@ -190,7 +189,7 @@ class SnapshotKeeper:
         return self._sending[member_id]
 
     def sent_bytes(self, member_id: str) -> int:
-        """The bytes of a snapshot that a member was sent so far; 0 if it is sent none."""
+        """The bytes of the snapshot under way that were sent to a member so far; 0 if none is under way to it."""
         sending = self._sending.get(member_id)
         return sending.sent_bytes if sending is not None else 0
 

@@ -5,8 +5,8 @@ the last entry are recorded with term and vote, and every commit is counted. So 
 opened, and damaged data is never applied.
 
 A snapshot is written in pieces, in commits of its own. The commit that seals it also drops the entries that it
-replaces. Until then the former snapshot is complete. After that its pieces go, a few with each commit. So whenever the
-process is killed, one snapshot is sealed, and the log begins where that snapshot ends.
+replaces. Until then the former snapshot is complete. After that each commit deletes a few pieces of the former
+snapshot. So whenever the process is killed, one snapshot is sealed, and the log begins where that snapshot ends.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ CREATE TABLE snapshot_piece (
 """
 
 _HARD_STATE = "term, voted_for, commit_index, commits, first_index, last_index, last_term, promises, checksum"
-# The errors of SQLite, and of a row in which a bit has changed.
+# The errors that SQLite raises, and those that a row with a changed bit can cause.
 _UNREADABLE = (sqlite3.Error, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
@@ -133,7 +133,8 @@ class SqliteStore:
             )
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         self._watermark = Watermark(data_dir / WATERMARK_NAME)
-        # A store that was used once is not empty: the notes of its first use are forced to the disk before all else.
+        # Whether the store was used before, so that it must not be empty. The first use forces the notes to the disk
+        # before all else.
         notes = data_dir / NOTES_NAME
         self._was_used = not create or notes.exists() or self._watermark.read() > 0
         with contextlib.ExitStack() as undo:
@@ -296,7 +297,7 @@ class SqliteStore:
         self._has_old_pieces = True
 
     def _drop_old_pieces(self) -> None:
-        """Drop a few pieces of earlier snapshots. Snapshot positions only grow, so nobody needs these."""
+        """Drop a few pieces of earlier snapshots. Snapshot positions only grow, so nobody needs these pieces."""
         old = "SELECT rowid FROM snapshot_piece WHERE last_log_index < (SELECT last_log_index FROM snapshot)"
         dropped = self._db.execute(
             f"DELETE FROM snapshot_piece WHERE rowid IN ({old} LIMIT ?)", (OLD_PIECES_PER_COMMIT,)

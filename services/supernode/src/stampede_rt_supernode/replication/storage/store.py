@@ -9,21 +9,22 @@ from typing import NamedTuple, Protocol
 
 from stampede_rt_supernode.replication.log_entries import Entry
 
-# The part of a snapshot that is written at once: a few milliseconds of a disk, for which the log waits.
+# The size of the parts in which a snapshot is written. The log waits a few milliseconds for the disk to write a part.
 PIECE_BYTES = 1 << 20
 
 
 class Promise(NamedTuple):
-    """The promise of another member: its term, and committed entries up to `held`.
+    """What the store of another member must hold: a term of at least `term`, and the committed entries up to `held`.
 
-    Both only grow. A store of that member with less is an older copy.
+    The member has reported both after it had written them to its disk. Both only grow. A store of that member with less
+    is an older copy.
     """
 
     term: int
     held: int
 
     def is_kept_by(self, term: int, last_index: int) -> bool:
-        """Whether a store with this term and this last entry can be the store of the promise."""
+        """Whether a store with this term and this last entry holds what was promised."""
         return term >= self.term and last_index >= self.held
 
 
@@ -61,11 +62,11 @@ class StoredSnapshot:
 
     @property
     def pieces_count(self) -> int:
-        """The number of pieces in which it is written."""
+        """The number of pieces in which the snapshot is written."""
         return -(-len(self.record) // PIECE_BYTES)
 
     def piece(self, number: int) -> SnapshotPiece:
-        """The piece of a number, from 0 on."""
+        """The piece with that number. The first piece has the number 0."""
         return SnapshotPiece(
             self.last_log_index, number, self.record[number * PIECE_BYTES : (number + 1) * PIECE_BYTES]
         )
@@ -80,8 +81,9 @@ class StoredSnapshot:
 
 
 class SnapshotSeal(NamedTuple):
-    """Names the pieces of the present snapshot: the first `pieces_count` of that position, with this
-    checksum over all.
+    """Makes written pieces the present snapshot: the first `pieces_count` pieces of position `last_log_index`.
+
+    `sha256` is the checksum of all these pieces together.
     """
 
     last_log_index: int
@@ -105,9 +107,9 @@ class StoredState:
 class StoreChanges:
     """The changes that one sync makes durable, all or nothing.
 
-    `entries` replace the entries at or after `replace_from`. Then the entries before `first_index` are dropped. Pieces
-    of a snapshot may come in earlier commits, or at the latest with its seal. The log then ends with the entry of
-    `last_index` and `last_term`. `promises` are those of the other members, by id.
+    `entries` replace the entries at or after `replace_from`. Then the store drops the entries before `first_index`. The
+    log now ends with the entry of `last_index` and `last_term`. The pieces of a snapshot come in earlier commits than
+    its seal, or in the same one. `promises` are those of the other members, by id.
     """
 
     replace_from: int | None

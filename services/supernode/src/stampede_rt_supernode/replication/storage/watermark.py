@@ -21,7 +21,7 @@ _RECORD = struct.Struct("<QI")
 
 
 class Watermark:
-    """The number beside a database. Has one writer."""
+    """The number of commits in the file beside a database. Only one object may write the file."""
 
     def __init__(self, path: Path) -> None:
         """Open or create the file. Raises OSError."""
@@ -29,8 +29,9 @@ class Watermark:
         self._forced_at = float("-inf")
 
     def read(self) -> int:
-        """The highest number noted; 0 if there is none, or if the file itself is damaged, which says nothing about the
-        database.
+        """The number noted last; 0 if there is none, or if this file itself is damaged.
+
+        A damaged file does not mean that the database is damaged.
         """
         record = os.pread(self._file, _RECORD.size, 0)
         if len(record) != _RECORD.size:
@@ -39,7 +40,7 @@ class Watermark:
         return int(commits) if checksum == zlib.crc32(b"%d" % commits) else 0
 
     def note(self, commits: int) -> None:
-        """Note the number in the database. Blocks on the disk about once a second."""
+        """Note the number of commits in the database. Blocks on the disk about once a second."""
         os.pwrite(self._file, _RECORD.pack(commits, zlib.crc32(b"%d" % commits)), 0)
         if time.monotonic() - self._forced_at >= FORCE_SECONDS:
             os.fdatasync(self._file)

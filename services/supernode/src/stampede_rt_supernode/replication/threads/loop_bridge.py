@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 
 class LoopBridge:
-    """Calls functions on a loop. Its users bound the number of calls: proposals, reads, and the outbox of a step."""
+    """Calls functions on a loop. Its users bound the number of calls by their limits for proposals and messages."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop

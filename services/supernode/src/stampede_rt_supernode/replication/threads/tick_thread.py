@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 EXIT_CODE = 70
 # As in sysexits(3), EX_IOERR: the data folder cannot be written.
 EXIT_DISK = 74
-# The exit code of a service that stops for a reason that its user can remove.
+# The exit code if the cluster is at a feature level that this release does not know. The user can mend that.
 EXIT_TOO_OLD = 1
 # A longer step waits for a disk that hangs. After this time the other members have a new leader.
 STUCK_SECONDS = 3.0
@@ -115,8 +115,8 @@ class TickThread:
     def _watch(self) -> None:
         """Log once that the disk hangs, and once that it answers again.
 
-        Counts its own looks instead of seconds: while the whole process is stopped, time passes, but the disk is not
-        slow.
+        Counts its own looks at the step instead of seconds. While the whole process is stopped, time passes, but the
+        disk is not slow.
         """
         stuck_since: float | None = None
         last_began, looks = None, 0

@@ -24,7 +24,7 @@ class Result(Protocol[T_co]):
 
 
 class RunInBackground(Protocol):
-    """Has another thread do work, one piece after the other."""
+    """Has another thread do work. The thread does one work after the other."""
 
     def __call__(self, work: Callable[[], T], /) -> Result[T]:
         """Begin the work. Never blocks."""
@@ -38,11 +38,12 @@ def run_inline(work: Callable[[], T], /) -> Result[T]:
 
 
 class WorkerThread:
-    """One thread for long work, which lets other threads run soon.
+    """One thread for long work. During the work Python switches between threads every SWITCH_SECONDS.
 
-    The log's thread waits for the disk many times in a step, and after each wait also for the computing thread. With
-    Python's default of 5 ms the longest step during the encoding of 100,000 channels took 200 ms; now it takes 20.
-    Without long work the default stays, because more switches cost the service a tenth of its speed.
+    The log's thread waits for the disk many times in a step. After each wait it also waits until the computing thread
+    gives way. With Python's default switch interval of 5 ms, the longest step during the encoding of 100,000 channels
+    took 200 ms; now it takes 20 ms. Without long work the default interval holds, because more switches cost the
+    service a tenth of its speed.
     """
 
     def __init__(self) -> None:
@@ -53,7 +54,7 @@ class WorkerThread:
         return self._executor.submit(_giving_way, work)
 
     def close(self) -> None:
-        """Begin no more work. The thread ends with the process, and its results are dropped."""
+        """Begin no more work. The thread ends with the process. Nobody gets the result of its last work."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 

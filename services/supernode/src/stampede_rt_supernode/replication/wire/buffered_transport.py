@@ -32,7 +32,7 @@ class Disconnected:
 class StreamOpened:
     """A member has opened a new stream to this one. Messages of its former stream that did not arrive are lost.
 
-    `highest_level`: the highest feature level that its release knows.
+    `highest_level`: the highest feature level that the member's release knows.
     """
 
     member_id: str
@@ -125,11 +125,11 @@ class BufferedTransport:
     def __init__(self, nodes: Iterable[MemberNode]) -> None:
         # The known members. Others are neither heard nor sent to.
         self._nodes: dict[str, MemberNode] = {node.id: node for node in nodes}
-        # Members, known or not, to which there is a link: links come and go a little later than members.
+        # Members to which there is a link. They may be unknown, because links come and go a little later than members.
         self._connected: set[str] = set()
-        # Members, known or not, that have a stream to this node, so that their answers arrive.
+        # Members, known or not, that have a stream to this node. Their answers arrive over it.
         self._heard: set[str] = set()
-        # The highest feature levels of the known members that have opened a stream to this node.
+        # By member id: the highest feature level of the member's release, as it told when it opened a stream.
         self.highest_levels: dict[str, int] = {}
         self._outbox: list[Outgoing] = []
         self._handler: Handler | None = None

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from stampede_rt_supernode.replication.log_entries import Entry
 
-# A log position, and the digest of the state at that position; empty: unknown.
+# A log position, and the digest of the state at that position. The digest is empty if it is unknown.
 StateDigest = tuple[int, bytes]
 
 NO_DIGEST: StateDigest = (0, b"")
@@ -66,10 +66,10 @@ class InstallSnapshot:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AppendReply:
-    """The entries that a member holds: all before `next_index`, if `success`.
+    """A member's reply to a leader. With `success` the member holds all of the leader's entries before `next_index`.
 
-    `reset`: the leader must go back to `next_index`. `digest`: the member's own at the position that the leader named
-    last.
+    `reset`: the leader must go back to `next_index`. `digest`: the member's own digest at the position that the leader
+    named last.
     """
 
     term: int
@@ -142,7 +142,7 @@ class ReadIndexRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReadIndexReply:
-    """The answer to a ReadIndexRequest: the position; 0: the asked member cannot tell."""
+    """The answer to a ReadIndexRequest: the position; 0 if the asked member cannot tell one."""
 
     request_id: int
     read_index: int

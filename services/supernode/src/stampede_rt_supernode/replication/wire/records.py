@@ -33,7 +33,7 @@ def checked_number(value: int) -> int:
 
 
 def check_command(command: bytes) -> bytes:
-    """Return a log command (kind byte and payload). Raises MalformedMessage."""
+    """Check a log command (kind byte and payload) and return it. Raises MalformedMessage."""
     if not command or command[0] not in (COMMAND, NO_OP, CONFIGURATION):
         raise MalformedMessage("a log entry is of no known kind")
     if command[0] == CONFIGURATION:
