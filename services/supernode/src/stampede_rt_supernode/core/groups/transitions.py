@@ -90,9 +90,7 @@ def _create(tables: Tables, operation: OpenGroup) -> GroupOpened:
     assert spec is not None  # check_open_group refuses to create without one
     _check_members(tables, operation.name, spec.channel_ids)
     if len(tables.groups) >= GROUPS_MAX:
-        text = (
-            f"group {operation.name} cannot be created: the directory holds {GROUPS_MAX} groups, the limit; delete some"
-        )
+        text = f"group {operation.name} cannot be created: the directory holds {GROUPS_MAX} groups, the limit"
         raise Overloaded(f"{text}; delete some", metadata={"group": operation.name})
     group = GroupRecord(
         group_id=operation.new_group_id,
