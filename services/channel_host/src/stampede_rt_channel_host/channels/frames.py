@@ -81,7 +81,7 @@ def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
 
 
 class SharedMessages:
-    """The last message that a channel's subscriptions sent. Readers that keep up all send the same message.
+    """The last message that a channel's subscriptions sent. All readers that keep up get the same message.
 
     Keeps one message at most.
     """
@@ -93,7 +93,7 @@ class SharedMessages:
     def encode(
         self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
     ) -> EncodedMessage:
-        """A SubscribeResponse with the runs and the encoded fields `about`. Kept for the channel's other readers."""
+        """A SubscribeResponse with the runs and the encoded fields `about`. Keeps it for other readers."""
         key = (slices, about, without_payloads)
         if key == self._key and self._message is not None:  # runs compare by identity
             return self._message

@@ -36,7 +36,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     async def Ping(  # noqa: N802
         self, request: pb.GatekeeperServicePingRequest, context: Context
     ) -> pb.GatekeeperServicePingResponse:
-        """The host's name and the clock that stamps items."""
+        """The host's name, id and version, the clock that stamps items, its memory, and its counts of refusals."""
         memory = self._store.memory
         return pb.GatekeeperServicePingResponse(
             time_unix_nano=self._store.now(),

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.channels.requests import group_of, parse, query_of
 from stampede_rt_channel_host.core.channel import Query
 
 PLANS_MAX = 64
-REQUEST_BYTES_MAX = 4096  # the bytes of a request are the key of its plan; no request of the contract has 512 bytes
+REQUEST_BYTES_MAX = 4096  # the key of a plan is its request's bytes; valid requests have fewer than 512
 _CALL_ID_TAG = 1 << 3  # GetRequest.call_id, varint
 _VARINT_BYTES_MAX = 10
 
@@ -44,7 +44,7 @@ class GetCall:
 
 
 class GetPlans:
-    """The plans of one stream. A full cache is emptied."""
+    """The plans of one stream, PLANS_MAX at most. When there are more, the object forgets all of them."""
 
     def __init__(self) -> None:
         self._plans: dict[bytes, GetPlan] = {}
@@ -67,7 +67,7 @@ class GetPlans:
             return GetCall(request.call_id, None, error)
         if len(self._plans) >= PLANS_MAX:
             self._plans.clear()
-        # true if `rest` has no call id, so that the plan fits every call with these bytes
+        # if `rest` has no call id, the plan fits every call with these bytes
         if not pb.GetRequest.FromString(rest).call_id:
             self._plans[rest] = plan
         return GetCall(request.call_id, plan)

@@ -205,7 +205,7 @@ class GetStream:
         try:
             began, wait_nanos = self._store.now(), plan.wait_nanos
             found = await self._groups.read(ask, hosted, plan.query, wait_nanos)
-            # makes the answer when there is room to send it, so that no answer is kept
+            # reads again when there is room to send the answer, so that no answer is kept meanwhile
             while not self._outbox.has_room:
                 self._let_go(found.answer)
                 del found
@@ -223,12 +223,12 @@ class GetStream:
 
     def _releaser(self, begun: _Begun) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
-            self._calls[begun.call_id] = None  # it waits no more; it stays under way until its answer is sent
+            self._calls[begun.call_id] = None  # the get waits no more; the call is under way until its answer is sent
             begun.released()
             if isinstance(outcome, StampedeError):
                 self._refuse(begun.call_id, outcome)
             elif self._held_back or not self._outbox.has_room:
-                # its answer is made when there is room to send it, so that no answer is kept
+                # `_room_came` polls the get again, so that no answer is kept meanwhile
                 self._held_back[begun.call_id] = begun
             else:
                 self._go_on(begun, outcome, self._store.now())

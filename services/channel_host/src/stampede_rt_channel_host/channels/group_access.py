@@ -38,7 +38,7 @@ class Cursor(Protocol):
     """The place at which a subscription stands. Each mode of subscriptions has its own cursor."""
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
-        """The next items, about `limit_bytes` of them; empty if there are no new items."""
+        """The next items, about `limit_bytes` bytes of them; empty if there are no new items."""
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         """The progress of the subscription, as the reader gets it."""

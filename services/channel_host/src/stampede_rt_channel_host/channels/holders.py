@@ -20,7 +20,7 @@ class Holders:
     """
 
     def __init__(self) -> None:
-        self._owners: OrderedDict[Key, str] = OrderedDict()  # by first use
+        self._owners: OrderedDict[Key, str] = OrderedDict()  # the key used first comes first
         self._of_owner: dict[str, OrderedDict[Key, None]] = {}
 
     def __len__(self) -> int:

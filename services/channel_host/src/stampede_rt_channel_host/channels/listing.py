@@ -23,7 +23,9 @@ class Page(NamedTuple):
 
 
 def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, size: int) -> Pieces[Page]:
-    """At most `size` channels with matching names after the name `after`, each as of the moment of the look at it."""
+    """At most `size` channels with matching names after the name `after`, each with its status when the host looked at
+    it.
+    """
     shown: list[channel_pb2.ChannelStatus] = []
     while found := store.named_after(after, NAMES_PER_PIECE):
         for hosted in found:

@@ -18,8 +18,8 @@ class MemoryBudget:
     """The memory of all channels and queues together.
 
     Each channel and queue reports its memory when it changes, and the budget adds the reports up. So a claim costs the
-    same however many there are. The budget calls `reclaim` before it refuses a claim. `reclaim` frees a bounded number
-    of the outdated items.
+    same, however many channels and queues there are. The budget calls `reclaim` before it refuses a claim. `reclaim`
+    frees a bounded number of the outdated items.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class MemoryBudget:
     def claim(self, wanted_bytes: int) -> None:
         """Check that there is room to store `wanted_bytes`.
 
-        Raises Overloaded if not. The owner charges them after it stored them.
+        Raises Overloaded if not. Reserves nothing: the owner reports the bytes after it has stored them (`Charge.set`).
         """
         if self.used_bytes + wanted_bytes <= self.bytes_max:
             return
@@ -85,7 +85,7 @@ class Charge:
     def claim(self, wanted_bytes: int) -> None:
         """Check that there is room to store `wanted_bytes`. Raises Overloaded if not.
 
-        The owner charges them after it stored them.
+        Reserves nothing: the owner reports the bytes with `set` after it has stored them.
         """
         self._budget.claim(wanted_bytes)
         self._account.check(Quota.BYTES_HELD, wanted_bytes)

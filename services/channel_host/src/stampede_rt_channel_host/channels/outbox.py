@@ -17,7 +17,7 @@ from stampede_rt_runtime.rpc import Context
 
 ANSWERS_QUEUED_MAX = 256
 QUEUED_BYTES_MAX = 8 * 2**20
-"""The most bytes of items behind the queued answers. One more answer may go beyond it."""
+"""The most bytes of stored items that the queued answers keep in memory. One more answer may exceed the limit."""
 COUNTED_BYTES_MAX = QUEUED_BYTES_MAX // 2
 """A larger answer counts as this many bytes, so that one such answer does not block small ones."""
 
@@ -39,7 +39,7 @@ class _Answer(NamedTuple):
 class Outbox:
     """Writes one message of each answer in turn, so that a large answer does not block small ones.
 
-    The queue holds references into the store, not copies. The outbox calls `on_end` for each call that is fully
+    The queue holds references to stored runs, not copies. The outbox calls `on_end` for each call that is fully
     answered, and `on_room` when there is room again after there was none.
     """
 

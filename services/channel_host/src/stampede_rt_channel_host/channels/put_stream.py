@@ -40,7 +40,10 @@ class _Put(NamedTuple):
 
 
 class _Came(NamedTuple):
-    """The runs of one request that are not yet judged, and the monotonic time at which the request came."""
+    """The runs of one request that are not yet judged, and the monotonic time at which the request came.
+
+    `too_much`: the request is larger than allowed, so that all its runs are refused.
+    """
 
     puts: deque[_Put]
     came_s: float

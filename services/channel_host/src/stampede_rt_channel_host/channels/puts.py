@@ -1,4 +1,6 @@
-"""The puts into one channel. The core judges them. The channel recognises retries, and queues puts while it is full."""
+"""The puts into one channel. The core judges them. `ChannelPuts` recognises retries, and queues puts while the channel
+is full.
+"""
 
 from __future__ import annotations
 
@@ -194,7 +196,7 @@ class ChannelPuts:
         return None
 
     def count_unread(self, length_bytes: int, error: StampedeError, now: int) -> None:
-        """Count a run of that many bytes, which the host could not read because of `error`."""
+        """Count a run of `length_bytes` bytes that the host could not read because of `error`."""
         if isinstance(error, ItemTooLarge):  # the core counts it under a reason of its own
             self._channel.put(Offer(times=None, durations=None, lengths=(length_bytes,)), now, _seal_nothing)
         else:
@@ -283,8 +285,8 @@ class ChannelPuts:
     def _fail(self, run: IncomingRun, error: StampedeError, now: int) -> None:
         """Refuse a run that waits, because of `error`.
 
-        If some of its items are accepted and the producer will repeat the run, the repetition continues after them.
-        Otherwise only the other items are refused.
+        If some items are accepted and the producer will not repeat the run, only the other items are refused. Else the
+        run as a whole gets the error, and a repetition continues after the accepted items.
         """
         if run.judging.accepted_any and not (error.retryable and run.producer_id):
             run.refuse_rest(error)

@@ -1,4 +1,4 @@
-"""Reads on in a stream of puts while one put waits, so that the waiting time of each counts from its arrival."""
+"""Reads on in a stream of puts while one put waits, so that each put's waiting time counts from the put's arrival."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ AHEAD_BYTES_MAX = 4 * 2**20  # the last request may exceed it
 class ReadAhead:
     """Gives the requests in order. At its bounds it stops reading, and flow control slows the caller down.
 
-    The requests read ahead count as memory of the host and as bytes in flight of the caller. When either is used up,
-    nothing is read ahead.
+    The requests read ahead count as memory of the host and as bytes in flight of the caller. When the host's memory or
+    the caller's quota is used up, nothing is read ahead.
     """
 
     def __init__(self, read: Callable[[], Awaitable[Any]], memory: MemoryBudget, account: Account) -> None:
@@ -96,5 +96,5 @@ class ReadAhead:
 
 
 def left_nanos(wait_nanos: int, came_s: float) -> int:
-    """The time that a put may still wait, in nanoseconds, after its wait on the stream."""
+    """How much of `wait_nanos` a put has left, in nanoseconds, if its request came at the monotonic time `came_s`."""
     return max(0, wait_nanos - round((time.monotonic() - came_s) * 1e9))

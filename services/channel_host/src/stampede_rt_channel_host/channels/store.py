@@ -46,7 +46,8 @@ LOOKUPS_MAX = 3  # the store asks again if the host registered while it waited f
 
 
 class ChannelStore:
-    """Every data request gets its channel by `find`. `bind` asks the directory about channels new or in doubt.
+    """Every data request gets its channel by `find`. `bind` asks the directory about a channel that the store does not
+    know in the caller's version.
 
     `lease_held` says whether the host may serve at this moment. `scheduler` does long work in pieces. `limits` ends
     the waits of all blocked gets.

@@ -198,7 +198,7 @@ class Subscription:
         )
 
     def _about(self, part: SubscriptionBatch, cursor: Cursor, now: int) -> bytes:
-        """The encoded fields before a message's runs: changed counters, and the cursor."""
+        """The encoded fields before a message's runs: a gap, changed counters, and the cursor."""
         about = pb.SubscribeResponse()
         if part.gap is not None:
             about.gap.CopyFrom(_gap(part.gap))
@@ -207,7 +207,7 @@ class Subscription:
         return about.SerializeToString() + self._standing(cursor)
 
     def _standing(self, cursor: Cursor) -> bytes:
-        """The place to continue from, if it has changed."""
+        """The cursor as an encoded response, if it has changed since the reader was last told; else no bytes."""
         saved = cursor.saved
         self._owes_cursor = saved is None  # inside a step there is none; it is due at the end of the step
         if saved is None or saved == self._told_cursor:

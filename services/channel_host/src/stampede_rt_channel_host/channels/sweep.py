@@ -1,6 +1,6 @@
 """Frees items that time has outdated, in channels without puts and reads.
 
-The sweep enters a channel after a change in it, and looks at the channel when it is due. A channel without changes
+After a change in a channel the sweep notes when the channel is due, and looks at it then. A channel without changes
 costs nothing.
 """
 
@@ -20,7 +20,10 @@ STEPS_PER_RECLAIM = 8
 
 
 class Sweep:
-    """`now` is the host's clock. `looked_at` counts the looks at channels."""
+    """Frees outdated items in the channels of one host.
+
+    `now` is the host's clock. `looked_at` counts the looks at channels.
+    """
 
     def __init__(self, now: Callable[[], int]) -> None:
         self._now = now
@@ -69,7 +72,7 @@ class Sweep:
         return True
 
     def _look_at(self, hosted: HostedChannel) -> bool:
-        """Enter a touched channel, or collect in a due one. Returns True if more is left to collect at once."""
+        """Note when a touched channel is due, or collect in a due one. Returns True if more is left to collect now."""
         more = False
         if hosted in self._touched:
             del self._touched[hosted]

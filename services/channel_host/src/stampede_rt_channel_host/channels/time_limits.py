@@ -64,7 +64,7 @@ class TimeLimits:
         self._begin(self._giving_up(self._timer_s))
 
     def _giving_up(self, due_s: float) -> Pieces[None]:
-        """Call the due limits, the first one first.
+        """Call the functions of the due limits, the earliest limit first.
 
         The loop may fire a timer a little early, so all limits up to `due_s` count as due.
         """
@@ -76,7 +76,7 @@ class TimeLimits:
             self._arm()
 
     def _give_up_some(self, now_s: float) -> bool:
-        """Call a few due limits. Returns True if others are due."""
+        """Call the functions of a few due limits. Returns True if others are due."""
         for _ in range(LIMITS_PER_PIECE):
             if not self._is_due(now_s):
                 return False

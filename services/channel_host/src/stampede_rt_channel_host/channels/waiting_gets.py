@@ -35,7 +35,7 @@ from stampede_rt_channel_host.core.channel import (
 )
 
 Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] | StampedeError
-"""A long answer begins where the get is released. The receiver of the outcome finishes it."""
+"""`Unfinished`: the release of the get makes the first piece of a long answer. The receiver performs the rest."""
 
 WAITING_GETS_MAX = 20_000
 GETS_PER_PIECE = 32
