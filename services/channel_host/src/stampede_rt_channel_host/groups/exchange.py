@@ -48,7 +48,7 @@ class Exchange:
         self._table = table
         self._on_stale = on_stale
         self._on_asked = on_asked
-        self._names: dict[bytes, str] = {}  # of the hosts of the groups known here, from the directory
+        self._names: dict[bytes, str] = {}  # host id -> name, of the hosts of known groups
         # The channels of other hosts that this host wants: by group and host.
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
         # By host: for each channel that this host wants, the number of its groups.
@@ -95,7 +95,7 @@ class Exchange:
         self._waiting_floors -= Counter(floors.keys())
         return floors
 
-    # The calls from links.
+    # The methods that links call.
 
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
         """See `Knowledge`."""

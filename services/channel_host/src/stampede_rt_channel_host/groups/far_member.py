@@ -25,7 +25,7 @@ class FarMember:
     """One member at another host.
 
     `track` holds the keys of the items that came from it. `epoch` and `target` are its epoch and its host's address,
-    as the directory told them last. Once `is_followed` is True, no item that a producer puts is missing.
+    as the directory told them last. Once `is_followed` is True, `track` gets every item that producers put.
     """
 
     def __init__(self, channel_id: bytes, since: int) -> None:

@@ -23,7 +23,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.GroupService"
-# A status waits no longer for silent hosts: a caller in trouble asks for it to learn which hosts are silent.
+# The longest time that a status waits for silent hosts. Its caller may want to learn which hosts are silent.
 SETTLE_SECONDS = 1.0
 
 

@@ -35,7 +35,9 @@ class Knowledge(Protocol):
         """The group's cut at this host; None: no item is visible, or the host does not know the group."""
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
-        """Take in an update of the other host. An `is_first` update is the last of those with its whole state."""
+        """Take in an update of the other host. `is_first`: with this update the other host has told its whole state for
+        the first time.
+        """
 
     def name_of_host(self, host_id: bytes) -> str:
         """The name that the directory has for a host of a group known here; empty for any other host."""
@@ -51,7 +53,7 @@ class Knowledge(Protocol):
 
 
 class HostLink:
-    """One link. `write` and `read` are those of the call, whichever side has made it.
+    """One link. `write` and `read` are the methods of the gRPC call, whichever side has made the call.
 
     `message` makes the messages that this side sends.
     """

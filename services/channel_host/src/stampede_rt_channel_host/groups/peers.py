@@ -97,7 +97,7 @@ class PeerHosts:
         return peer.wanted if peer is not None else frozenset()
 
     def tell_times(self, channel_id: bytes) -> None:
-        """Tell the hosts that want to hear about it that a channel of this host has changed."""
+        """Tell of a change of a channel of this host. Only hosts that want to hear about that channel get it."""
         for peer in self._peers.values():
             if peer.link is not None:
                 peer.link.tell_times(channel_id)

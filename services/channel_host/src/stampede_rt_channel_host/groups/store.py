@@ -84,13 +84,13 @@ class GroupStore:
         return group
 
     def own(self, channel_id: bytes) -> OwnChannel | None:
-        """A member that this host owns and serves; None if it is none."""
+        """The channel, if it is a member that this host owns and serves; else None."""
         return self._table.own.get(channel_id)
 
     async def keep(self) -> NoReturn:
         """Look up the groups in use from time to time.
 
-        Looks up changed groups, and groups with a silent member, soon.
+        Looks up changed groups, and groups with a silent host, sooner.
         """
         while True:  # paced by the sleep in it
             await asyncio.sleep(ROUND_SECONDS)
@@ -248,7 +248,7 @@ class GroupStore:
             if self._table.adopt(group, told):
                 group.end(began_anew(told.group))
             if version != (told.group.spec_version, told.group.incarnation):
-                # the version goes along, so that the other hosts look it up, too
+                # the message has the version, so that the other hosts look up the group, too
                 self.exchange.peers.tell_floor(group_id)
         for host_id, floor in self.exchange.take_floors(group_id).items():
             group.merge_floor(host_id, floor)

@@ -38,7 +38,7 @@ class HostedGroups:
             self.idling.add(group_id)
 
     def adopt(self, group: HostedGroup, told: ResolvedGroup) -> bool:
-        """Take over how the group is now, as the directory told it. True if the group began anew."""
+        """Take over the directory's answer about a group. Returns True if the group began anew."""
         self._leave(group, told.group.definition.members)
         is_anew = group.adopt(told)
         self.enter(group)

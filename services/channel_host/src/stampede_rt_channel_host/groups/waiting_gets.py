@@ -1,6 +1,6 @@
 """The blocked gets of one channel through one group.
 
-They are looked at when the channel or the cut has moved enough.
+The host looks at a get when the channel or the cut has moved as far as the get needs.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Released = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer]
 class PendingAt(Pending):
     """A blocking get through a group.
 
-    `at`: the cut at which it reads, None: the present cut. `cut`: the cut of its last look.
+    `at`: the cut at which it reads, None: the present cut. `cut`: the cut at the last look for its answer.
     """
 
     __slots__ = ("at", "cut")

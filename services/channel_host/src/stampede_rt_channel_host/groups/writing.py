@@ -12,7 +12,7 @@ LIFE_SECONDS = 4.0  # the contract promises one every 5 s
 
 
 class EventWriter:
-    """Writes one stream. `what` names the reader's things in error texts, such as "event"."""
+    """Writes one stream. `what` says in error texts what the reader gets, such as "match"."""
 
     def __init__(self, context: Context, what: str) -> None:
         self._context = context
