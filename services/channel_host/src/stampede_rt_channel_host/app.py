@@ -98,7 +98,9 @@ class _Service:
         )
 
     def _name(self) -> str:
-        """The address at which others reach the host. With certificates, the certificates name it."""
+        """The host's name in the directory: with certificates the name in its own certificate, else `--name` or a new
+        name.
+        """
         tls, told = self._credentials.tls, self._settings.name
         if tls is None:
             return told or default_name()

@@ -53,7 +53,7 @@ async def watch_forever(
 
 
 async def _pass_on(responses: AsyncGenerator[directory_service_pb2.WatchResponse, None], watched: Watched) -> NoReturn:
-    """Pass changes on until the stream ends. Asks first for the changes before its beginning."""
+    """Pass changes on until the stream ends. First asks for the changes that came before the stream began."""
     await watched.missed()
     while True:  # ends with the stream
         for change in (await _next(responses)).changes:

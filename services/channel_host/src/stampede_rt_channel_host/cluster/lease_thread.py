@@ -19,7 +19,7 @@ logger = logging.getLogger(__name__)
 
 LOOP_SILENCE_SECONDS_MAX = 60.0
 LOOP_LATE_SECONDS = 1.0
-"""If the loop turns later than this, a line in the log says so."""
+"""If the loop performs a call later than this, the host logs a warning."""
 STOP_SECONDS_MAX = 5.0
 
 Result = TypeVar("Result")

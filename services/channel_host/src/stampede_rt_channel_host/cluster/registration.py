@@ -270,6 +270,6 @@ class Registration:
 
 
 async def _pause(pause_s: float) -> float:
-    """Wait about `pause_s`, jittered over its upper half; returns the next, longer one."""
+    """Wait a random time between half of `pause_s` and `pause_s`. Returns the next pause, which is longer."""
     await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
     return min(2 * pause_s, _PAUSE_SECONDS_MAX)

@@ -1,4 +1,6 @@
-"""The way to the directory. Front-ends name the supernodes. The host asks one of them; if it fails, the next."""
+"""The way to the directory. Front-ends name the supernodes. The host asks one supernode, and if that one fails, the
+next.
+"""
 
 from __future__ import annotations
 

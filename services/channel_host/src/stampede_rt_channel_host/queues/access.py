@@ -1,4 +1,6 @@
-"""The rules of access to queues and mailboxes. A mailbox goes by its peer's name and belongs to the peer's owner."""
+"""The rules of access to queues and mailboxes. Rules name a mailbox by its peer's name. The caller that registered the
+peer owns the mailbox.
+"""
 
 from __future__ import annotations
 
@@ -24,5 +26,5 @@ def check_queue_known(queue: RecordedQueue) -> None:
 
 
 def _is_owned(queue: RecordedQueue) -> bool:
-    """Whether the caller registered the mailbox's peer. Not needed for callers whom no rules judge."""
+    """Whether the caller registered the mailbox's peer. Always False for callers whom rules do not judge."""
     return bool(queue.mailbox_owner) and queue.mailbox_owner == owner_name()

@@ -35,7 +35,7 @@ ATTEMPT_SECONDS_MAX = 10.0
 ROOM_WAIT_NANOS = 2_000_000_000
 """How long an attempt waits for room in a dead-letter queue that blocks."""
 _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.1, 30.0
-_SEQ_BITS = 48  # of a number; the higher bits count refusals
+_SEQ_BITS = 48  # the low bits of a run's number, for the seq; the high bits count refusals
 _ENDS = {
     LEASE_EXPIRED: item_pb2.DELIVERY_END_LEASE_EXPIRED,
     GIVEN_BACK: item_pb2.DELIVERY_END_GIVEN_BACK,

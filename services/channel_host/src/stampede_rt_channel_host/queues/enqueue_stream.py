@@ -145,7 +145,7 @@ class EnqueueStream:
 
     @contextmanager
     def _waiting(self, run: Enqueue) -> Iterator[None]:
-        """Inside, a run waits for room. Sends the acks that came before it, and reads on. Raises Overloaded."""
+        """A context in which a run waits for room. Sends the earlier acks, and reads on. Raises Overloaded."""
         self._news.set()
         with self._account.waiting(run.charged_bytes):
             self._requests.go_on()

@@ -64,8 +64,8 @@ class HostedQueue:
     ) -> None:
         """Set up the queue of `record`.
 
-        `deadlines` are those of all queues. `may_serve` says whether the host has its lease. Raises InvalidArgument if
-        the record's limits are not possible.
+        `deadlines`: the deadlines of all queues of the host. `may_serve` says whether the host has its lease. Raises
+        InvalidArgument if the record's limits are not possible.
         """
         self.record = record
         self.epoch: int = record.epoch

@@ -91,7 +91,10 @@ def _origin_of(message: EnqueueRun, items: int) -> bytes:
 
 
 def check_forwards(caller: Identity | None) -> None:
-    """Raises PermissionDenied for a caller that is no host. `caller` None: without certificates every caller may."""
+    """Raises PermissionDenied for a caller that is no host.
+
+    `caller` None: the caller has no certificate, as in a cluster without certificates. It may set an origin.
+    """
     if caller is not None and caller.role is not Role.HOST:
         raise PermissionDenied(
             f"{caller.role} {caller.name} may not set the origin of a run, which says where a dead letter comes from: "

@@ -14,7 +14,7 @@ QUEUES_PER_STEP_MAX = 64
 async def sweep_queues_forever(store: QueueStore) -> NoReturn:
     """Twice a second, handle all queues in which something is due, a bounded number at a time.
 
-    Each queue has a timer of its own. But the host's clock may be faster than the loop's.
+    Each queue has a timer of its own. But if the host's clock is faster than the loop's, the timer fires too late.
     """
     while True:  # paced
         await asyncio.sleep(ROUND_SECONDS)

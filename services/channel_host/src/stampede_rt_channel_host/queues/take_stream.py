@@ -49,7 +49,7 @@ class TakeStream:
         self._room = asyncio.Event()
 
     def deliver(self, batch: Batch) -> None:
-        """Send a batch. The queue deals one at a time."""
+        """Send a batch. The queue gives this stream the next batch only after that."""
         self._batch = batch
         self._news.set()
 
