@@ -19,7 +19,8 @@ By default the threshold rises to 32 MiB when the first large blocks are freed. 
 small ones, and freed memory stays in the process.
 """
 ARENAS_MAX = 2
-"""The limit of arenas. Without it each allocating thread gets an arena of its own, which keeps its freed memory."""
+"""The most arenas of malloc. By default each allocating thread gets an arena of its own, which keeps its freed memory.
+"""
 
 
 TRIM_SECONDS = 1.0

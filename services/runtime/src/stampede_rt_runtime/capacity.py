@@ -1,6 +1,7 @@
 """Limits the calls that a port serves at a time, of one caller and of all.
 
-Streams of callers leave room for other calls, and all callers leave room for the cluster's own calls.
+The limit of streams leaves room for other calls. The limit of all callers' calls leaves room for the cluster's own
+calls.
 """
 
 from __future__ import annotations

@@ -89,8 +89,7 @@ def make_authority(cluster: str, *, now: datetime, lifetime: timedelta) -> Issue
 def issue(
     authority: Issued, identity: Identity, addresses: tuple[str, ...], *, now: datetime, lifetime: timedelta
 ) -> Issued:
-    """A certificate for `identity`. That of a service also names the `addresses` at which it serves (names or IPs, no
-    ports).
+    """A certificate for `identity`. A service's certificate also names its `addresses` (host names or IPs, no ports).
 
     It ends with its authority at the latest. Raises CertificateError.
     """

@@ -1,6 +1,6 @@
 """Patterns over names: `*` stands for any run of characters, `?` for one character. Pure.
 
-Callers send patterns. Any match takes at most time linear in the name for each star.
+Callers send patterns. A match takes time in proportion to the name's length for each star in the pattern, at most.
 """
 
 from __future__ import annotations

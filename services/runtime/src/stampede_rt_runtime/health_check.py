@@ -86,9 +86,9 @@ def _files_of_service(environ: Mapping[str, str]) -> TlsFiles | None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Exit code 0: it serves; 1: it does not; 2: the address is unusable.
+    """Returns the exit code. 0: the service serves; 1: it does not; 2: its address is unusable.
 
-    Prints the reason in a line on stdout or stderr.
+    Prints a line with the reason on stdout or stderr.
     """
     try:
         target = own_address(sys.argv[1:] if argv is None else argv, os.environ)

@@ -70,7 +70,7 @@ _FOREIGN: Mapping[str, frozenset[Role]] = {
 
 
 def roles_for(method: str) -> frozenset[Role]:
-    """The roles that may call `/package.Service/Method`; none if it has no row."""
+    """The roles that may call `/package.Service/Method`; no roles if neither the method nor its service has a row."""
     service, _, name = method.removeprefix(f"/{PACKAGE}.").partition("/")
     if not method.startswith(f"/{PACKAGE}."):
         return next((roles for prefix, roles in _FOREIGN.items() if method.startswith(prefix)), frozenset())

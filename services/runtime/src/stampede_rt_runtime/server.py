@@ -64,7 +64,8 @@ class ServiceServer:
         )
         self._tls = tls
         self.grpc: grpc.aio.Server = grpc.aio.server(
-            # The first one is the outermost: a refused caller takes no slot, and learns of no cluster.
+            # The first one is the outermost. So a refused caller takes no slot, and does not learn this server's
+            # cluster.
             interceptors=[
                 AbortInterceptor(),
                 AdmissionInterceptor(accepted, self.access),
@@ -117,7 +118,7 @@ class ServiceServer:
     async def run(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
         """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`.
 
-        A second signal ends it at once.
+        A second signal ends all calls at once.
         """
         with _signals_set(self.stopping):
             await self.stopping.wait()

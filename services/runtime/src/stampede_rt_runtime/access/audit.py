@@ -19,7 +19,7 @@ SUBJECTS_MAX = 1024
 
 
 class AuditLog:
-    """The lines of one port. `denials` counts all denials, those without a line included."""
+    """The audit log of one port. `denials` counts all denials, those without a line included."""
 
     def __init__(self, clock_s: Callable[[], float] = time.monotonic) -> None:
         self._clock_s = clock_s

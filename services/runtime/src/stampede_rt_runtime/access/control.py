@@ -35,7 +35,7 @@ Grant = tuple[AccessVerb, AccessKind, str]
 class AccessControl:
     """Judges the callers of one port, on the event loop that serves the port.
 
-    The state comes from `source`, or else from `tell`. As long as there is none, the port refuses all callers whom
+    The state comes from `source`, or else from `tell`. As long as there is no state, the port refuses all callers whom
     rules judge.
     """
 
@@ -98,7 +98,7 @@ class AccessControl:
         return self._state
 
     def rules(self) -> AccessRules:
-        """The present rules. Raises Unavailable."""
+        """The present rules. Raises Unavailable while there is no state."""
         return self._known().rules
 
     def read_token(self, text: str) -> Caller | None:
@@ -140,7 +140,7 @@ class AccessControl:
 
     @contextlib.asynccontextmanager
     async def serving(self, caller: Caller, context: Any, *, for_members: bool = False) -> AsyncIterator[None]:
-        """Inside, a call of `caller` runs. The call is ended if the caller's credential or rights end.
+        """A context in which a call of `caller` runs. Ends the call if the caller's credential or rights end.
 
         `for_members`: the call counts towards no quota.
         """
@@ -152,7 +152,7 @@ class AccessControl:
 
     @contextlib.asynccontextmanager
     async def _resting_on(self, call: OpenCall) -> AsyncIterator[None]:
-        """Inside, an end of the call's credential or rights ends the call."""
+        """A context in which the call ends when its caller's credential or rights end."""
         caller = call.caller
         if not (caller.is_judged or caller.serial or caller.ends_unix_nano):
             yield
@@ -174,7 +174,9 @@ class AccessControl:
             self._sweep = asyncio.get_running_loop().call_later(SWEEP_SECONDS, self._end_what_is_over)
 
     def _end_what_is_over(self) -> None:
-        """Set one timer for all calls, and end those whose credential has ended. Most calls end long before that."""
+        """End the calls whose credential has ended. While calls are open, set the timer again: one timer serves all
+        calls.
+        """
         self._sweep, now = None, self._time_unix_nano()
         for call in self._open:
             if 0 < call.caller.ends_unix_nano <= now:
@@ -278,7 +280,10 @@ def check_access(verb: AccessVerb, kind: AccessKind, name: str) -> None:
 
 
 def check_known(kind: AccessKind, name: str) -> None:
-    """Check that the present call's caller may do anything with the thing. Raises PermissionDenied, Unavailable."""
+    """Check that the present call's caller may do something, whatever it is, with the thing.
+
+    Raises PermissionDenied, Unavailable.
+    """
     call = _CURRENT.get()
     if call is not None and not call.rules().knows_of(call.caller, kind, name):
         error = PermissionDenied(

@@ -18,7 +18,7 @@ _SEARCHED_FILES = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Accepted:
-    """The proofs that a service accepts. If there are none, the service asks for none.
+    """The proofs that a service accepts. A service that accepts no proof asks for none.
 
     `cluster`: the cluster of the service's own certificate; empty if callers need no certificates. `read_token`:
     returns the caller of a token, or None for a text that is no token; raises PermissionDenied or Unavailable.
@@ -36,7 +36,7 @@ def identify(accepted: Accepted, authorization: bytes | None, certificate: Certi
     brought = _brought(authorization)
     token = _token(accepted, brought)
     if token is not None:
-        return token  # before the certificate, which many clients may share: the token names one
+        return token  # before the certificate: many clients may share that, and the token names one of them
     secret = _by_secret(accepted, brought) if accepted.secrets else None
     return certified or secret or ANYONE
 

@@ -65,7 +65,7 @@ class Account:
         self._limits = limits
         self._used = dict.fromkeys(Quota, 0)
         self._refused = dict.fromkeys(Quota, 0)
-        self._changes = 0.0  # the changes of the last BURST_SECONDS, less those that the limit has allowed meanwhile
+        self._changes = 0.0  # a leaky bucket: each change adds 1, each second takes off the limit
         self._changes_at_s = 0.0
 
     def tell(self, limits: Mapping[Quota, int]) -> None:
@@ -192,7 +192,7 @@ def unlimited() -> Account:
 
 
 class Accounts:
-    """The accounts of one port: those with a reference, and the last RECENT_MAX others."""
+    """The accounts of one port: those to which some object refers, and the last RECENT_MAX accounts in use."""
 
     def __init__(
         self,
@@ -214,7 +214,7 @@ class Accounts:
         return len(self._accounts)
 
     def set_default(self, quota: Quota, limit: int) -> None:
-        """Set the limit of callers without a setting. It depends on this process's own settings."""
+        """Set the limit for callers to whom no setting of an operator applies."""
         self._defaults[quota] = limit
         self.tell(self._table)
 

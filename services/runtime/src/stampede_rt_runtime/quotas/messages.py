@@ -42,7 +42,7 @@ def limit_message(quota: Quota, limit: int, setting: QuotaSetting | None) -> pb.
 
 
 def use_messages(uses: Iterable[QuotaUse], uses_max: int) -> list[pb.QuotaUse]:
-    """The most important uses, first those of refused callers, then those nearest to their limits."""
+    """At most `uses_max` uses: first those with the most refusals, then those nearest to their limits."""
     chosen = sorted(uses, key=lambda use: (use.refused, use.used / max(1, use.limit)), reverse=True)[:uses_max]
     return [
         pb.QuotaUse(subject=use.subject, kind=KINDS[use.quota], used=use.used, limit=use.limit, refused=use.refused)
