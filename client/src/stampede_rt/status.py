@@ -1,7 +1,7 @@
 """The table from errors to gRPC status codes, and the wire form of errors (`proto/stampede_rt/v1/error.proto`).
 
-The module writes and reads `google.rpc.Status` and `google.rpc.ErrorInfo` field by field. Their Python stubs are in
-another distribution. So the base client does not depend on it.
+The module writes and reads `google.rpc.Status` and `google.rpc.ErrorInfo` field by field. The Python classes of
+these messages are in another distribution, on which the base client should not depend.
 """
 
 from __future__ import annotations

@@ -33,7 +33,8 @@ from stampede_rt.values.timeline import DurationLike, InstantLike, parse_duratio
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
 
 PERIOD_NANOS_MIN = 1_000_000
-# If no put could wait when the handle was opened, the first try of a put lasts this long: the policy may have changed.
+# For a policy without on_full="block", which lets no put wait. Another program may have changed the policy since the
+# handle learned it, so the first request of a put still asks the host to wait this long for room.
 FIRST_WAIT_S = 1.0
 
 
@@ -79,10 +80,10 @@ class Channel(Reader):
     def sample(self, fn: Callable[[], Any], every: DurationLike = "33ms") -> Sampler:
         """Call `fn` once in each period and put its result, until `cancel` of the returned handle.
 
-        Periods count from now, so delays do not add up. The handle skips and counts a period that passes while `fn` or
-        a put takes too long. If `fn` returns None, the handle puts nothing. It logs and counts an exception of `fn` or
-        of the put, and goes on with the next period. On a full channel with on_full="block" a put waits for at most one
-        period.
+        Period k begins at k times `every` from now, so delays do not add up. The handle skips and counts a period that
+        passes while `fn` or a put takes too long. If `fn` returns None, the handle puts nothing. It logs and counts an
+        exception of `fn` or of the put, and goes on with the next period. On a full channel with on_full="block" a put
+        waits for at most one period.
         """
         every_nanos = parse_duration(every, "every")
         if every_nanos < PERIOD_NANOS_MIN:
@@ -94,7 +95,9 @@ class Channel(Reader):
         return Sampler(self._session, f"channel {self.name!r}", put, fn, every_nanos, MonotonicClock())
 
     async def consume(self, items: Item | Iterable[Item]) -> int:
-        """Consume items of a channel with `consumers` or `max_age_unconsumed`. Returns how many are new.
+        """Consume items of a channel with `consumers` or `max_age_unconsumed`.
+
+        Returns the number of items that this consumer had not consumed before.
 
         An item leaves the channel once all consumers have consumed it, the oldest item first. Until then every reader
         sees it. The consumer is this connection: all its handles of the channel count as one consumer. The first call

@@ -97,8 +97,9 @@ class Connection(Discovery, Reference):
 
     @property
     def clock(self) -> ClockOffset | None:
-        """How far this machine's clock is ahead of a supernode's clock: the nearest, or with a name the leader.
+        """How far this machine's clock is ahead of a supernode's clock.
 
+        The supernode is the nearest one. For a connection with a name it is the leader, after the first renewal.
         The client measures it when it connects, with each renewal of its lease, and with some other calls.
         """
         return self._session.supernodes.clock
@@ -236,9 +237,9 @@ class Connection(Discovery, Reference):
 
         `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With more
         it takes up to this number ahead, and extends their leases while callers take messages. If no caller takes any
-        for most of a lease, the messages go back to the queue. `reconnect` belongs to the handle, too: after a break a
-        loop over the handle tries to continue for this duration (None: without a limit). `codec` is as in `channel`.
-        Blocks for at most 10 s.
+        for two thirds of a lease, the messages go back to the queue. `reconnect` belongs to the handle, too: after
+        a break a loop over the handle tries to continue for this duration (None: without a limit). `codec` is as in
+        `channel`. Blocks for at most 10 s.
         """
         stated = parse_queue_policy(
             max_items=max_items,

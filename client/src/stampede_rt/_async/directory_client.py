@@ -34,14 +34,14 @@ PING_TIMEOUT_S = 1.0
 TRY_TIMEOUT_S = 2.5  # for one of several supernodes; if it is stopped, time is left for the others
 CONNECT_TIMEOUT_S = 5.0
 OTHERS_TIMEOUT_S = 0.5  # for front-ends that the client asks only for their cluster
-EXPLAIN_TIMEOUT_S = 1.0  # the search for a reason ends after this time
+EXPLAIN_TIMEOUT_S = 1.0  # the search for a certificate that explains a failure ends after this time
 LEADERS_ASKED_MAX = 3  # for one call: the last known leader, the leader that it names, and one more
 
 
 class _Call(NamedTuple):
     """A call that the client may repeat.
 
-    `since_s`: when the client first made this call, or an earlier call with the same request id.
+    `since_s`: when the client first made this call, or an earlier call with the same request id (see `age_clock_s`).
     """
 
     method: str
@@ -50,7 +50,7 @@ class _Call(NamedTuple):
 
 
 class _Pong(NamedTuple):
-    """A supernode's answer to a ping. `clock`: the offset of this machine's clock; None if it cannot serve."""
+    """A supernode's answer to a ping. `clock`: this machine's clock offset; None if the supernode cannot serve."""
 
     cluster: ClusterSeen
     clock: ClockOffset | None
@@ -75,8 +75,8 @@ class DirectoryClient:
         """Ask one front-end after the other for the supernodes, and put the nearest first.
 
         At the first call, all front-ends that answer soon must be of one cluster. From then on the client belongs to
-        that cluster. Raises Unavailable, PermissionDenied, VersionMismatch or WrongCluster if no front-end helps within
-        `timeout_s`.
+        that cluster. Raises Unavailable, PermissionDenied, VersionMismatch or WrongCluster if no front-end names
+        supernodes within `timeout_s`.
         """
         deadline_s = time.monotonic() + timeout_s
         failure: StampedeError | None = None
@@ -132,9 +132,9 @@ class DirectoryClient:
         return response
 
     async def _cluster_of(self, frontend: str) -> str:
-        """Return the cluster id of a front-end.
+        """Return the cluster id of a front-end; empty if the front-end does not answer within OTHERS_TIMEOUT_S.
 
-        Empty if it does not answer soon; the client asks it again when needed.
+        The client asks that front-end again when it needs it.
         """
         try:
             return (await self._ask(frontend, OTHERS_TIMEOUT_S)).cluster_id
@@ -158,7 +158,7 @@ class DirectoryClient:
         )
 
     async def _explain(self) -> StampedeError | None:
-        """Return the error if the front-ends do not answer because of certificates."""
+        """Return the error that names the wrong certificate; None if certificates do not explain the failure."""
         deadline_s = time.monotonic() + EXPLAIN_TIMEOUT_S
         for target in self._frontends:
             if time.monotonic() > deadline_s:
@@ -255,13 +255,13 @@ class DirectoryClient:
         raise rounds.failure(self._targets)
 
     def _asked(self) -> list[str]:
-        """The supernodes to ask, best first. They are those of another cluster only if there are no others."""
+        """Return the supernodes to ask, best first: those of this cluster, or all if all are of another cluster."""
         return [target for target in self._targets if target not in self._strangers] or list(self._targets)
 
     def demote(self, target: str, error: StampedeError) -> None:
-        """Ask other supernodes before `target`, which did not serve.
+        """Put the supernode at `target` last, because it did not serve.
 
-        If it is of another cluster, do not ask it any more.
+        If it is of another cluster, note that. The client then asks it only if it knows no supernode of its cluster.
         """
         if target in self._targets:
             self._targets.remove(target)

@@ -13,7 +13,7 @@ ENDPOINTS_MAX = 1024
 
 
 class EndpointPool:
-    """Opens an endpoint at its first use and keeps it. Beyond a bound it closes the endpoint that was unused longest.
+    """Opens an endpoint at its first use and keeps it. Beyond ENDPOINTS_MAX it drops the one that was unused longest.
 
     New endpoints use new certificates. A stream under way keeps the certificates with which it began.
     """
@@ -25,7 +25,7 @@ class EndpointPool:
         self.metadata = CallMetadata(credentials.secret)
         self._material = credentials.material()
         self._endpoints: dict[str, ServerEndpoint] = {}
-        self._former: list[ServerEndpoint] = []  # with earlier certificates; their streams may still be read
+        self._former: list[ServerEndpoint] = []  # they have earlier certificates, and perhaps open streams
         self._mutex = Mutex()
         self.closed = False
 

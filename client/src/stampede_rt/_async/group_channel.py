@@ -31,7 +31,7 @@ class GroupChannel(Reader):
             return await super()._read(query)
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items
-        await self._group.refresh()  # the host is behind this process, or the group has begun anew
+        await self._group.refresh()  # the host has a lower cut than this process saw, or the group has begun anew
         return await super()._read(query) if self._group.view.cut_floor is None else items
 
     def __repr__(self) -> str:

@@ -18,7 +18,7 @@ PEERS_MAX = 256
 
 
 class MailboxSender:
-    """Sends messages to mailboxes, and keeps the put streams to the 256 most recently used ones open."""
+    """Sends messages to mailboxes, and keeps open put streams to the 256 mailboxes that it used last."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

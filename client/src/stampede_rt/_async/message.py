@@ -23,7 +23,7 @@ from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.queues import DeliveredMessage
 
 SETTLEMENTS_MAX = 1024
-_DONE_ONCE = ("give_back", "terminate")
+_DONE_ONCE = ("give_back", "terminate")  # verdicts after which the host no longer knows the delivery
 
 
 class Settler:
@@ -106,9 +106,9 @@ class Settler:
 class Message(BoundToProcess):
     """A message that a queue or mailbox has leased to this taker.
 
-    Unless the taker settles it in time, it is delivered again. It is a context manager: it acknowledges the message
-    when the block ends without an error, and gives it back if the block raises. If the block has already settled the
-    message, it does nothing.
+    The host delivers it again unless the taker settles it before the lease ends. The object is a context manager. At
+    the end of the block it acknowledges the message, or gives the message back if the block raised an error. If the
+    block has already settled the message, it does nothing.
 
     - `payload` is bytes, `value` the decoded payload, `attributes` a mapping of text to text, `content_type` a MIME
       type.

@@ -12,7 +12,7 @@ from stampede_rt.transports.concurrency_async import Mutex, live_thread_ids, thr
 from stampede_rt.transports.grpc_async import PutExchange
 
 STREAMS_MAX = 512
-LINES_MAX = 16
+LINES_MAX = 16  # streams of one handle and thread at the same time, for puts with different deadlines
 _handle_ids = itertools.count(1)
 
 
@@ -33,7 +33,7 @@ class PutStream:
 
 
 class PutStreams:
-    """Keeps one stream for each handle and thread. Beyond 512 it closes the stream that was unused longest.
+    """Keeps a stream for each handle and thread. Beyond 512 it closes the stream that was unused longest.
 
     A put that waits for room blocks later puts on its stream. A put with an earlier deadline therefore uses another
     stream. Puts of one handle that wait equally long stay in order, and no put waits longer than its deadline.

@@ -45,7 +45,7 @@ class Reader(Reference):
 
     @property
     def host(self) -> str:
-        """The name of the host that owns it, as last known."""
+        """The name of the host that owns the channel, as last known."""
         return self._state.info.host
 
     @property
@@ -113,11 +113,11 @@ class Reader(Reference):
         return await self._read(ReadQuery(parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout)))
 
     async def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """Return the newest item older than `time`, or None. Of several items with one time, the last accepted."""
+        """Return the newest item older than `time`, or None. If several have one time, return the last accepted."""
         return await self._read_one(MIN_INSTANT, parse_bound(time, "time"), "[)", True, None, payloads, timeout)
 
     async def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """Return the oldest held item, or None. Of several items with one time, the first accepted."""
+        """Return the oldest held item, or None. If several have one time, return the first accepted."""
         return await self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
 
     async def newest(

@@ -52,8 +52,8 @@ class Sampler(BackgroundStart, BoundToProcess):
 
     `samples` counts the items put. `missed` counts periods that passed while the function or a put took too long.
     `failures` counts calls and puts that raised; `last_failure` is the last exception. The sampler continues after
-    each. `error` is the error that ended it, ChannelNotFound once the channel is deleted, or None while it runs and
-    after `cancel`.
+    an exception. `error` is the error that ended it, ChannelNotFound once the channel is deleted, or None while it runs
+    and after `cancel`.
     """
 
     def __init__(

@@ -181,7 +181,7 @@ class Session:
         return channel_info(record, host)
 
     def found(self, record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelState:
-        """Return the state of a handle for a channel of a list. The handle may not create the channel again."""
+        """Return the state of a handle for a channel that the directory listed. The handle creates no channel."""
         info = self._learn(record, host) if host is not None else channel_info(record, None)
         return self.state_of(info, Policy(), False)
 

@@ -39,9 +39,9 @@ def consume(session: Session, state: ChannelState, items: Item | Iterable[Item])
 
 
 def _seqs_by_incarnation(items: Iterable[Item]) -> list[tuple[int, Sequence[int]]]:
-    """Split the items into requests that are small enough for a host.
+    """Return the incarnation and the seqs of each request: seqs of one incarnation, at most SEQS_MAX.
 
-    Without items, return one request, which only takes or keeps the place.
+    Without items, return one request without seqs. It only takes or keeps the place.
     """
     if not isinstance(items, Iterable):
         raise InvalidArgument(f"{items!r} cannot be consumed; give items from a read or subscription")

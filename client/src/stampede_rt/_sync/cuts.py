@@ -36,7 +36,7 @@ class _HostStream:
         return cursor
 
     def event(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
-        """Append this host's parts of the next event to `parts`, and return its boundary. Blocks until it comes."""
+        """Append this host's parts of the next event to `parts`, until the event ends. Returns its boundary."""
         while True:
             response = self._responses.__next__()
             ItemCount().add(one.run for part in response.parts for one in (*part.runs, *part.late_runs))
@@ -213,9 +213,10 @@ class CutSubscription(BoundToProcess):
             self._cursor.channels.extend(kept)
 
     def _learn(self, opened: group_pb.CutCursor) -> None:
-        """Keep the cursors at which a host begins with its channels.
+        """Add to the cursor of this subscription the channels of one more host.
 
-        All hosts begin at the cut of the deciding host.
+        `opened` says at which item that host begins with each of its channels. All hosts begin at the cut of the
+        deciding host.
         """
         assert self._cursor is not None
         known = {channel.channel_id for channel in self._cursor.channels}

@@ -26,7 +26,7 @@ from stampede_rt.wire.queues import queue_info
 from stampede_rt.wire.records import channel_info, channel_stats, host_info, supernode_info
 
 PAGES_MAX = 10_000
-LEADER_TIMEOUT_S = 2.5  # then the answer has no clocks
+LEADER_TIMEOUT_S = 2.5  # after this time the client asks another supernode, whose answer has no clocks
 
 
 class Discovery:

@@ -26,8 +26,8 @@ class Listener(BackgroundStart, BoundToProcess):
     """Calls a function for each item, one call after the other, until `cancel` (see `Channel.on_item`).
 
     `delivered` counts finished calls. `failures` counts calls that raised; `last_failure` is the last exception. The
-    listener continues after each. `losses` counts how many times the channel's host was lost with its items; the
-    listener continues with the new incarnation. `error` is the error that ended it, or None while it runs and after
+    listener continues after an exception. `losses` counts how many times the channel's host was lost with its items.
+    The listener continues with the new incarnation. `error` is the error that ended it, or None while it runs and after
     `cancel`. With asyncio, `listener` waits until the subscription is open, and raises `error`.
     """
 

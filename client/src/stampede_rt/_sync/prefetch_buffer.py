@@ -28,7 +28,7 @@ class PrefetchBuffer:
         self._name = name
         self._mutex = Mutex()  # guards the messages
         self._waiting: deque[Message] = deque()
-        self._untouched: set[Message] = set()  # messages in whose leases no caller has taken any message yet
+        self._untouched: set[Message] = set()  # messages whose leases began after the last `take`
         self._changed = Signal()
         self._keeper: BackgroundTask | None = None
 

@@ -73,7 +73,7 @@ class Presence:
         return mailbox
 
     def _register(self, timeout_s: float) -> QueueState:
-        """Register with a number above those of all other processes of this peer. Raises PeerExists, Unavailable."""
+        """Register with a registration epoch above all others of this peer. Raises PeerExists, Unavailable."""
         deadline_s = time.monotonic() + timeout_s
         while True:  # repeats if another process has registered meanwhile; ends at the deadline
             try:

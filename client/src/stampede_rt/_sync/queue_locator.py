@@ -62,7 +62,7 @@ def open_queue(
 
 
 def learn_queue(session: Session, record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord) -> QueueInfo:
-    """Keep a queue's owner as the directory named it."""
+    """Keep the owner of a queue, which the directory named, in the cache. Returns the description of the queue."""
     owner = Owner(
         host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version, incarnation=record.incarnation
     )

@@ -112,7 +112,7 @@ def may_heal(error: StampedeError) -> bool:
 
 
 def parse_reconnect(reconnect: DurationLike | None) -> float:
-    """Return seconds, 0 or more; None: no limit. Raises InvalidArgument."""
+    """Return `reconnect` in seconds; infinity for None. Raises InvalidArgument for a negative duration."""
     if reconnect is None:
         return float("inf")
     nanos = parse_duration(reconnect, "reconnect")

@@ -70,7 +70,7 @@ class Taker:
         self._credit = 0  # how many messages the host may still send
         self._draining = False
         self._opened = Signal()  # the stream is open, or no stream is wanted
-        self._drained = Signal()
+        self._drained = Signal()  # the present stream has ended; each stream has its own signal
         self._incarnation = 0
         self._worker: BackgroundTask | None = None
         self.closed = False
@@ -212,7 +212,8 @@ class Taker:
     def _take_at(self, binding: Binding) -> None:
         """Take messages over one stream until it ends, if messages are still wanted.
 
-        Raises an error that comes before the first answer.
+        Raises the error of the stream. Only if the error is retryable and came after the first answer, returns instead,
+        and the worker opens the next stream.
         """
         with self._mutex:
             self._credit = self._wanted()

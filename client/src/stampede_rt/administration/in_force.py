@@ -20,7 +20,10 @@ PAUSE_SECONDS = 0.02
 
 
 class Judge(NamedTuple):
-    """A part of the cluster that judges callers. `ask` is the call that returns the version of access that it uses."""
+    """A part of the cluster that judges callers. `ask` calls it; the answer has the version of access that it uses.
+
+    The version of access is the log position of the last change of rules, quotas, token keys or revocations.
+    """
 
     name: str
     target: str
@@ -28,9 +31,9 @@ class Judge(NamedTuple):
 
 
 def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int) -> dict[str, str]:
-    """Wait until all `judges` use that version of access, for at most IN_FORCE_SECONDS.
+    """Wait until all `judges` use `version` of access, for at most IN_FORCE_SECONDS.
 
-    Returns the names of those that do not, each with the reason.
+    Returns the names of the parts that do not use it yet, each with the reason.
     """
     waiting, deadline_s = list(judges), time.monotonic() + IN_FORCE_SECONDS
     while True:  # ends when no part is behind, or when the time is over

@@ -13,7 +13,7 @@ from stampede_rt.v1 import quota_use_service_pb2_grpc
 
 
 class PartUse(NamedTuple):
-    """What one part tells; `failure`: why it tells nothing."""
+    """The use of quotas at one part of the cluster. `failure`: why the part did not tell it; empty if it did."""
 
     part: str
     uses: tuple[Any, ...] = ()
@@ -21,7 +21,7 @@ class PartUse(NamedTuple):
 
 
 def uses_at(endpoints: EndpointPool, parts: Iterable[Judge], subject_glob: str) -> Iterator[PartUse]:
-    """Ask each part for the use by callers that match."""
+    """Ask each part what the callers that match `subject_glob` use. Yields one PartUse for each part."""
     request = pb.ListQuotaUseRequest(subject_glob=subject_glob)
     for part in parts:
         endpoint = endpoints.to(part.target)

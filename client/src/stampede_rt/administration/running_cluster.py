@@ -29,7 +29,7 @@ from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 CALL_SECONDS = 3.0
 CHANGE_SECONDS = 30.0
-LEADERLESS_SECONDS = 8.0  # an election takes 4 s at most
+LEADERLESS_SECONDS = 8.0  # how long `remove` waits for a leader; an election takes 4 s at most
 SNAPSHOT_SECONDS = 120.0
 BACKOFF_SECONDS = 0.5
 HOST_PAGES_MAX = 1000
@@ -112,7 +112,7 @@ class Cluster:
         return uses_at(self._endpoints, self._parts(with_frontends=True), subject_glob)
 
     def _parts(self, *, with_frontends: bool) -> list[Judge]:
-        """All that judge callers. Raises StampedeError."""
+        """Return the supernodes, front-ends and live hosts, which judge callers. Raises StampedeError."""
         members = [one for one in self.members().supernodes if one.endpoint.target]
         hosts = list(self._live_hosts())
         return [
@@ -144,7 +144,7 @@ class Cluster:
         return self._ask_newer(_quotas, rpc, request, "quotas")
 
     def _ask_newer(self, stub: Callable[[ServerEndpoint], Any], rpc: str, request: Any, what: str) -> Any:
-        """Make a call that supernodes of earlier releases do not have. Raises VersionMismatch if all are such."""
+        """Make a call that earlier releases do not have. Raises VersionMismatch if no supernode that answers has it."""
         try:
             return self._first(lambda endpoint: endpoint.call(getattr(stub(endpoint), rpc), request, CALL_SECONDS))
         except StampedeError as error:
@@ -205,7 +205,7 @@ _LIST = directory_pb.ListSupernodesRequest()
 def _first(endpoints: EndpointPool, addresses: Sequence[str], ask: Callable[[ServerEndpoint], Any]) -> Any:
     """Return the first answer of the supernodes at `addresses`.
 
-    If none answers, raises the error of the last one, with the reason, also if certificates are the reason.
+    If none answers, raises the error of the last one. If certificates are the cause, the error says so.
     """
     failure: StampedeError = Unavailable("no supernode is known; name one with --member, or a front-end with --url")
     for address in addresses:
@@ -249,7 +249,7 @@ def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
 def reached(frontend: str | None, member: str | None, *, secret: str | None = None) -> Iterator[Cluster]:
     """Yield the cluster behind front-ends or supernodes. Raises StampedeError.
 
-    `secret` None: the one in the user's file.
+    If `secret` is None, the caller sends the secret in the user's file.
     """
     target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=secret, zone=None)
     endpoints = EndpointPool(target.credentials)

@@ -11,7 +11,7 @@ from stampede_rt.cli.supernode_findings import level_finding, refusal
 
 REFUSED_LATELY_NANOS = 600 * 10**9
 NAMED_MAX = 5
-SHORT_PART = 3  # a certificate that lasts a day is to be renewed with a third of it left, not two weeks before its end
+SHORT_PART = 3  # a certificate that is valid for a short time is due for renewal when a third of that time is left
 
 
 def diagnose(

@@ -49,6 +49,8 @@ class _Part(NamedTuple):
 
 
 class _Answer(NamedTuple):
+    """The response of one part, or None if the call failed, and the observation that follows from it."""
+
     response: Any
     seen: Observation
 
@@ -63,7 +65,8 @@ class Examination:
     def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Inventory]]:
         """Ask the front-ends, the named members, and the parts that these name.
 
-        Blocks for about 8 * TIMEOUT_S at most.
+        Returns an observation of each part, and the inventories of channels and queues. Blocks for about 8 * TIMEOUT_S
+        at most.
         """
         with self._pool:
             bound = self._ask(map(_frontend, frontends))
@@ -97,7 +100,7 @@ class Examination:
             request.page_token = page.next_page_token
 
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
-        """Ask the named supernodes and those that they list. A supernode without a majority also knows the others."""
+        """Ask the named supernodes and those that they list. A supernode can list them even without a majority."""
         first = self._ask(_supernode(name, address) for address, name in named.items())
         own_id = _cluster_of_most(first)
         ready_first = sorted((one for one in first if not _of_others(one, own_id)), key=lambda one: not one.seen.ready)
@@ -245,7 +248,8 @@ def _host(host: Any) -> _Part:
 def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:
     """Return the observation of a peer.
 
-    The peer compared its clock with a supernode's clock, and the caller may have done so, too.
+    The peer told the offset between its clock and that of a supernode. If the caller knows the offset between that
+    supernode's clock and its own, the sum of both is the offset of the peer's clock.
     """
     seen = Observation(kind=PEER, name=record.name or record.peer_id.hex(), address="-", version=record.version)
     between = supernodes.get(record.clock.supernode_id) if record.HasField("clock") else None
@@ -326,9 +330,9 @@ def _told_apart(answer: _Answer, own_id: str) -> _Answer:
 
 
 def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]:
-    """Map the supernodes whose stores this one refuses to the reasons.
+    """Return the ids of the supernodes whose stores this one refuses, each with the reason.
 
-    Empty for a copy at another supernode's address.
+    Empty if this supernode is a copy that answers at another supernode's address.
     """
     if answer.response is None:
         return {}

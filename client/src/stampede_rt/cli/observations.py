@@ -61,7 +61,7 @@ class Observation:
     feature_level: int = 0
     highest_feature_level: int = 0
     certificate_left_s: float | None = None
-    certificate_lasts_s: float = float("inf")  # all of it
+    certificate_lasts_s: float = float("inf")  # from the begin to the end of its validity
 
     @property
     def clock_doubt_nanos(self) -> int:

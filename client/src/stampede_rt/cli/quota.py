@@ -162,7 +162,7 @@ def _asked(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
 
 
 def _print(rows: Iterable[dict[str, Any]], output: str, columns: tuple[str, ...], none: str = "") -> None:
-    """In a table numbers are for people, in JSON for programs."""
+    """Print `columns` of `rows`. A table has numbers as texts for people, JSON has plain numbers."""
     if output == "table":
         rows = [row | {key: _told(row, key) for key in ("limit", "used") if key in row} for row in rows]
     print_rows([{column: row[column] for column in columns} for row in rows], output, none=none)
@@ -195,7 +195,7 @@ def _kind(quota: str) -> Any:
 
 
 def _name(kind: int) -> str:
-    """A newer service may know a quota that this release does not."""
+    """Return the name of a quota, or its number if a newer service sends a kind that this release does not know."""
     from stampede_rt.v1 import quota_pb2
 
     if kind not in quota_pb2.QuotaKind.values():

@@ -37,7 +37,7 @@ REPLACE_ADVICE = (
 
 
 def gathered(told: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """For each supernode, all the reasons that others give for refusing its store."""
+    """Return for each refused supernode all the reasons that others give, in one text."""
     reasons: dict[str, dict[str, None]] = {}
     for one in told:
         for name, why in one.items():

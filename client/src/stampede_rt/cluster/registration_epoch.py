@@ -24,7 +24,7 @@ class RegistrationEpoch:
     def may_overtake(self, refusal: StaleRegistration) -> bool:
         """Whether to register again at once. If so, makes `value` larger than the number in the refusal.
 
-        False: this process was registered, and a newer process has replaced it and lives.
+        Returns False if this process was registered, and a newer process that is alive has replaced it.
         """
         if self._was_registered and refusal.metadata.get("alive") != "false":
             return False

@@ -33,7 +33,7 @@ class CreditWindow:
         self._open = 0
 
     def ask(self, now_s: float) -> int:
-        """Return the bytes to grant now that the reader wants the next item; 0 if the host needs no grant yet."""
+        """Return the bytes to grant the host; 0 if it needs no grant yet. The reader calls this before each item."""
         self._measure(now_s)
         wanted = self._window - self._open
         if self._open > 0 and wanted * 2 < self._window:
@@ -48,7 +48,7 @@ class CreditWindow:
         self._taken_s = now_s
 
     def drop(self, item_bytes: int) -> None:
-        """Note that an item of that size came again: the reader already has it."""
+        """Note that an item of that size came that the reader does not take, for example because it came before."""
         self._open -= item_bytes
 
     def _measure(self, now_s: float) -> None:

@@ -16,7 +16,7 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied
 
 logger = logging.getLogger(__name__)
 
-LOOK_EVERY_S = 1.0  # a new connection uses a changed file at most this long after the change
+LOOK_EVERY_S = 1.0  # new connections use a changed file at the latest this long after the change
 _PARTS = ("ca", "certificate", "key")
 CLIENT_VARIABLES = tuple(f"STAMPEDE_TLS_{part.upper()}" for part in _PARTS)
 """The names of a client's environment variables. Those of services differ, so that one shell can hold both."""

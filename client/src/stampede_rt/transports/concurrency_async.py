@@ -17,7 +17,7 @@ from stampede_rt.errors import InvalidArgument
 
 Result = TypeVar("Result")
 _CALLERS = frozenset((0,))
-_inherited: list[object] = []
+_inherited: list[object] = []  # keeps the parent's operations in a forked child, which must not run or delete them
 _running: set[asyncio.Future[None]] = set()  # keeps tasks alive until they are done
 
 monotonic_s = time.monotonic
@@ -25,7 +25,7 @@ monotonic_nanos = time.monotonic_ns
 
 
 class Mutex:
-    """Guards short sections that do not wait. Tasks of one loop need no lock for that."""
+    """Does nothing. It stands for a lock around sections that do not wait: tasks of one loop need none there."""
 
     def __enter__(self) -> None:
         return None
@@ -124,7 +124,7 @@ def begin_if_blocking(operation: Callable[[], Awaitable[None]]) -> None:
 
 
 class BackgroundTask:
-    """A task of the library. It must handle its errors itself."""
+    """A task of the library. `operation` must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], Awaitable[None]], name: str) -> None:
         self._task = asyncio.ensure_future(operation())

@@ -89,7 +89,7 @@ def begin_if_blocking(operation: Callable[[], None]) -> None:
 
 
 class BackgroundTask:
-    """A daemon thread of the library. It must handle its errors itself."""
+    """A daemon thread of the library. `operation` must handle its errors itself."""
 
     def __init__(self, operation: Callable[[], None], name: str) -> None:
         self._thread = threading.Thread(target=operation, name=f"stampede {name}", daemon=True)
@@ -98,7 +98,7 @@ class BackgroundTask:
     def join(self, timeout_s: float) -> bool:
         """Wait until the thread has ended, for at most `timeout_s`.
 
-        Returns whether it has; False if it calls this itself.
+        Returns whether it has; False if the thread calls this itself.
         """
         if self._thread is threading.current_thread():
             return False

@@ -24,7 +24,7 @@ _refused = False
 
 
 def forks() -> int:
-    """Return the number of forks from the process that loaded this module to this one. Each child has a higher one."""
+    """Return the number of forks between the process that loaded this module and this one. A child has one more."""
     return _forks
 
 

@@ -88,7 +88,7 @@ class ServerEndpoint(Stubs):
         return BidiStream(self._begin(method), self.target, self._tasks)
 
     def gets(self) -> GetExchange:
-        """Return an open stream for gets that has room for one more get. The first stream nearly always has."""
+        """Return an open stream for gets that has room for one more get. Nearly always it is the first stream."""
         for exchange in self._gets:
             if exchange.takes_more:
                 return exchange

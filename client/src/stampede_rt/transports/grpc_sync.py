@@ -162,7 +162,8 @@ class _Exchange:
         self.broken = False
         self._forks = forking.forks()
         endpoint.opened(self)
-        # The thread that opened this stream has ended. No other thread may use the stream, so it is closed.
+        # Only the thread that opened this stream may use it. When that thread ends, Python drops this object, and the
+        # library closes the stream.
         when_dropped(self, partial(_give_up, self._requests, self._call))
 
     def _error(self, error: BaseException) -> StampedeError:
@@ -221,7 +222,7 @@ class GetExchange(_Lockstep):
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
             self._requests.put(request)
             responses, count = [self._next(limit)], ItemCount(request.limit)
-            while True:  # until the host has told all of it, or more than it may
+            while True:  # ends with the last response, or if the host sends more items than it may
                 self._check(count, responses[-1])
                 if responses[-1].HasField("summary") or responses[-1].HasField("error"):
                     return responses

@@ -21,6 +21,7 @@ class Watchdog:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
+        # A heap of limits. Each has its due time, a number, `on_overdue`, and the lists `overdue` and `done`.
         self._limits: list[tuple[float, int, Callable[[], object], list[bool], list[bool]]] = []
         self._count = 0
         self._wakes_at_s = float("inf")  # when the thread looks next; an earlier limit wakes it

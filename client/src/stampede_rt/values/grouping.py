@@ -104,7 +104,7 @@ class NewestItems(ByChannel[Key, Item | None]):
 class GroupInfo:
     """A group as the directory knows it. `reference_id` None: the group's cut is the smallest cut of its members.
 
-    `created_by`: as for channels.
+    `created_by` is as in ChannelInfo.
     """
 
     group_id: bytes
@@ -127,6 +127,7 @@ class MemberStatus:
     ahead of the group's cut. `hidden`: the number of held items that the group does not show yet; None if only another
     host knows the number. `idle`: the group's cut does not wait for the member, because it has been silent for
     `idle_after`. `window_too_short`: retention collects the member's items before the group shows them.
+    `heard_ago_nanos`: the age of the facts about the member; 0 for a member at the host that answers.
     """
 
     newest: int | None

@@ -218,9 +218,9 @@ class ChannelStats:
     """A channel's counters at one moment: `accepted == held + sum(collected.values())`, always.
 
     `collected` is by cause (age, count, bytes, consumption), `rejected` by reason. Times are nanoseconds since the
-    epoch, or None. `consumers` are the taken places, of `policy.consumers`. `clock_offset_nanos`: how far the host's
-    clock is ahead of this machine's clock. The error is at most half the round trip of the call. None in a list of
-    channels.
+    epoch, or None. `consumers` lists the taken places; `policy.consumers` counts all places. `clock_offset_nanos`:
+    how far the host's clock is ahead of this machine's clock. The error is at most half the round trip of the call. The
+    offset is None in a list of channels.
     """
 
     accepted: int

@@ -48,8 +48,9 @@ class PeerInfo:
     `clock` is the peer's last measurement; None: unknown. It is unknown in three cases: the peer has not sent one yet,
     or its release is too old to send one; the leader of the supernodes did not answer; the record comes from a watch.
 
-    `owner`: the name of the caller that registered it, as rules of access know it. No other caller whom the rules judge
-    may renew, replace or end it. Empty: a member of the cluster or an operator. None: not known.
+    `owner`: the name of the caller that registered the peer, as rules of access know it. No other caller whom the rules
+    judge may renew, replace or end the peer. It is empty if a member of the cluster or an operator registered the peer,
+    and None if the owner is not known.
     """
 
     peer_id: bytes

@@ -42,7 +42,7 @@ class QueuePolicy:
 class QueueInfo:
     """A queue as the directory knows it. A mailbox has no name of its own; `mailbox_of` is the id of its peer.
 
-    `created_by`: as for channels; empty for a mailbox, whose peer has an `owner`.
+    `created_by` is as in ChannelInfo; empty for a mailbox, whose peer has an `owner`.
     """
 
     queue_id: bytes
@@ -63,6 +63,8 @@ class QueueStats:
     """A queue's counters at one moment: `accepted == held + consumed + dropped + dead_lettered + expelled`, always.
 
     - `leased`: the held messages that takers have at this moment.
+    - `dropped`: messages that on_full="drop_oldest" removed. `expelled`: messages that reached max_deliveries, or that
+      a taker gave up, in a queue without a dead-letter queue.
     - `delivered`: all deliveries, also repeated ones. `given_back`, `leases_expired` and `terminated` count the
       deliveries that ended without an acknowledgement.
     - `duplicates`: puts with a message id that the queue already knew. `rejected`: refused puts, by reason.
@@ -142,7 +144,7 @@ class DeadLetterOrigin:
 
 
 def parse_message_id(value: str | None) -> str:
-    """Return the message id; None: the message has none. Raises InvalidArgument."""
+    """Return the message id; an empty text for None. Raises InvalidArgument."""
     if value is None:
         return ""
     if not isinstance(value, str) or not 0 < len(value.encode()) <= MESSAGE_ID_BYTES_MAX:
@@ -151,7 +153,7 @@ def parse_message_id(value: str | None) -> str:
 
 
 def parse_reason(value: str | None) -> str:
-    """Return the reason for giving a message up; None: no reason. Raises InvalidArgument."""
+    """Return the reason for giving a message up; an empty text for None. Raises InvalidArgument."""
     if value is not None and not (isinstance(value, str) and len(value.encode()) <= REASON_BYTES_MAX):
         raise InvalidArgument(f"reason is {value!r}; give text of at most {REASON_BYTES_MAX} bytes")
     return value or ""

@@ -49,8 +49,9 @@ NO_WAIT = Wait(0)
 class ReadQuery:
     """One read of a channel (see `Channel.get`).
 
-    `after` is an item or an instant; the answer has only later items. `cut`: read through a group at exactly this cut,
-    which one of its hosts gave. None: read at the present cut.
+    `after` is an item or an instant. The answer has only later items, or with `newest_first` only earlier ones. With
+    `newer_than` it has only items later than that item or instant, even if the read has `newest_first`. `cut`: read
+    through a group at exactly this cut, which one of its hosts gave. None: read at the present cut.
     """
 
     interval: Interval

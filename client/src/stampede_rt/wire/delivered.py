@@ -31,7 +31,7 @@ def check_delivered(run: item_pb2.ItemRun, *, payloads: bool) -> int:
 class ItemCount:
     """Counts the items of the responses to one request, before the client decodes them.
 
-    `limit`: as many as the request asks for; 0: all.
+    `limit`: the greatest number of items that the request asks for; 0: no limit.
     """
 
     def __init__(self, limit: int = 0) -> None:
@@ -39,7 +39,7 @@ class ItemCount:
         self._items = 0
 
     def add(self, runs: Iterable[item_pb2.ItemRun]) -> None:
-        """Count those of one response. Raises StampedeError if there are more than the host may send."""
+        """Count the items of one response. Raises StampedeError if the host sent more than it may."""
         items = sum(len(run.payload_length_bytes) for run in runs)
         self._items += items
         if items > RESPONSE_ITEMS_MAX:

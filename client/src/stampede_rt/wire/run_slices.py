@@ -45,7 +45,7 @@ class RunSlicer:
         self._columns = [(n, found[n].value, width) for n, width in _COLUMN_WIDTHS.items() if n in found]
         self._labels = [(field.begin, field.end) for field in fields if field.number in _LABELS]
         self._payloads = found[_PAYLOADS].value if _PAYLOADS in found else len(sealed)
-        # Both are there: a run has at least one item, and seqs start at 1.
+        # Both fields are there: a run has at least one item, and seqs start at 1.
         seq, lengths = found[_FIRST_SEQ], found[_LENGTHS]
         self._first_seq: int = struct.unpack_from("<Q", sealed, seq.value)[0]
         counts = struct.unpack_from(f"<{(lengths.end - lengths.value) // 4}I", sealed, lengths.value)
