@@ -52,8 +52,8 @@ class ChannelHost:
 
     `dial` opens connections for that loop. `dial_for_lease` opens those of the lease, which has a thread of its own.
     `access` judges the callers of the same server; the host gives it the directory's rules. `refused_calls` counts the
-    refused calls of that server. `on_serving` is called whenever the host starts or stops serving. `on_defect` is
-    called if a task of the host dies, which must end the host.
+    refused calls of that server. `on_serving` is called whenever the host starts or stops serving. `on_defect` gets the
+    error of a task of the host that died, and must end the host.
     """
 
     def __init__(

@@ -53,7 +53,7 @@ class OpenStream:
 
 
 class OpenStreams:
-    """All streams of a host. Bounded by the server's limit of concurrent RPCs."""
+    """All streams of a host. The server's limit of concurrent RPCs bounds their number."""
 
     def __init__(self) -> None:
         self._streams: set[OpenStream] = set()

@@ -36,7 +36,7 @@ WRITE_SECONDS_MAX = 30.0
 
 
 class _All:
-    """SUBSCRIBE_MODE_ALL."""
+    """The cursor of a subscription in SUBSCRIBE_MODE_ALL."""
 
     skipped = 0
 
@@ -56,7 +56,7 @@ class _All:
 
 
 class _Newest:
-    """SUBSCRIBE_MODE_NEWEST."""
+    """The cursor of a subscription in SUBSCRIBE_MODE_NEWEST."""
 
     def __init__(self, channel: ChannelCore, cursor: NewestCursor) -> None:
         self._channel = channel

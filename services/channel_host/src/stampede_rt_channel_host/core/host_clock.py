@@ -12,7 +12,8 @@ A small offset slews little: a millisecond changes the rate by 33 ppm.
 """
 
 SLEW_PPM_MAX = 500_000
-"""The most by which the rate of host time differs from the monotonic clock's: it is between half and one and a half.
+"""Host time runs at half the rate of the monotonic clock at the least, and at one and a half times that rate at the
+most.
 
 So a retention window holds at least two thirds of its age. A clock that was an hour wrong is right after two hours.
 With NTP's 500 ppm that would take months.

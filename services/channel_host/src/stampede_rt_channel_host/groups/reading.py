@@ -133,7 +133,7 @@ class GroupReads:
 
 
 class _All:
-    """SUBSCRIBE_MODE_ALL through a group."""
+    """The cursor of a subscription through a group in SUBSCRIBE_MODE_ALL."""
 
     skipped = 0
 
@@ -157,7 +157,7 @@ class _All:
 
 
 class _Newest:
-    """SUBSCRIBE_MODE_NEWEST through a group."""
+    """The cursor of a subscription through a group in SUBSCRIBE_MODE_NEWEST."""
 
     def __init__(self, group: HostedGroup, hosted: HostedChannel, cursor: VisibleNewest) -> None:
         self._group = group

@@ -203,7 +203,7 @@ class Consumers:
         self._ended.add(place)
 
     def _rank(self, place: _Place, done: SeqSet) -> None:
-        """Sort the place anew by the seq below which its consumer has consumed all items, or all are collected.
+        """Sort the place anew by the seq below which each item is consumed here or collected.
 
         If very many ranges lie below that seq, the place moves only a part of the way.
         """

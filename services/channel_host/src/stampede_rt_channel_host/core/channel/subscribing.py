@@ -66,7 +66,7 @@ class AllCursor:
         """The first range still to deliver, None if there is none. All seqs below `next_seq` were given out."""
         if self._owed is None and next_seq > self._live_seq:
             self._owed, self._live_seq = (self._live_seq, next_seq), next_seq
-        # the only range ends where the new seqs begin, so both become one range
+        # this is the last range, and it ends where the new seqs begin: make them one range
         elif self._owed is not None and self._owed[1] == self._live_seq:
             self._owed, self._live_seq = (self._owed[0], next_seq), next_seq
         return self._owed

@@ -72,7 +72,7 @@ class Coming:
         if time is not None or cut != before:
             end = self._end(held, time, newest, min(now, cut), has_moved=cut != before)
         if before == BEFORE_ALL != cut:
-            time = cut  # the reach that depends on the cut
+            time = cut  # the group's first cut: it may release each get that needs an earlier time
         return Reach(self._passed(held, cut), time, end)
 
     def _passed(self, held: Holdings, cut: int) -> int | None:

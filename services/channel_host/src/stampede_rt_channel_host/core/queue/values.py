@@ -116,7 +116,12 @@ class PendingDelivery(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueCounters:
-    """Messages by their fate: always `accepted == held + consumed + dropped + dead_lettered + expelled`."""
+    """The counts of a queue. Always `accepted == held + consumed + dropped + dead_lettered + expelled`.
+
+    `leased`: held messages with a lease. `consumed`: acknowledged messages. `dropped`: messages removed to make room.
+    `expelled`: messages given up, without a dead-letter queue. `duplicates`: messages not stored, because their message
+    id was known. `delivered`, `given_back`, `leases_expired` and `terminated` count deliveries.
+    """
 
     accepted: int = 0
     held: int = 0
