@@ -20,7 +20,7 @@ from stampede_rt_runtime.rpc import Context
 
 
 class AbortInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Must be the outermost interceptor. It removes all frames but its own from the error of an aborted call."""
+    """Removes all frames but its own from the error of an aborted call. This must be the outermost interceptor."""
 
     async def intercept_service(
         self,

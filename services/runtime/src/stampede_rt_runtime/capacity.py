@@ -78,8 +78,8 @@ def quotas_of(method: str, *, is_stream: bool) -> tuple[Quota, ...]:
 class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
     """Admits a call if its caller's quotas have room and the port has a slot. Refuses it otherwise.
 
-    The requests of the call are read and parsed after that. Must be the innermost interceptor: the others check the
-    caller first.
+    The requests of the call are read and parsed after that. This interceptor must stand after those that check the
+    caller.
     """
 
     def __init__(self, limits: Limits, refused: RefusedCalls) -> None:

@@ -1,9 +1,10 @@
 """Runs Python's garbage collector in small portions.
 
 The last reference frees an item or record. Only objects in a reference cycle need the collector. Python starts it when
-there are many more objects than at its last run. A full channel replaces its items, so their number does not grow. So
-Python would start the collector only when all held items are new, and would then walk over all of them at once. So the
-event loop starts the collector, too, and does so more often when more objects are created (decision 0122).
+there are many more objects than at its last run. A full channel drops an old item for each new one, so the number of
+objects hardly grows, and Python starts the collector rarely. By then all held items are new, and the collector would
+walk over all of them at once. Therefore the event loop starts the collector, too, and does so more often when more
+objects are created (decision 0122).
 """
 
 from __future__ import annotations

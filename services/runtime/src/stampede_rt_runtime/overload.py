@@ -14,7 +14,7 @@ LOG_PERIOD_NANOS = 10 * 10**9
 
 
 class Overload:
-    """Items or calls that were refused as Overloaded, over all channels and queues of a host.
+    """Counts items or calls that a service refused as Overloaded.
 
     `now`: nanoseconds of a clock that never goes back.
     """

@@ -280,7 +280,7 @@ def check_access(verb: AccessVerb, kind: AccessKind, name: str) -> None:
 
 
 def check_known(kind: AccessKind, name: str) -> None:
-    """Check that the present call's caller may do something, whatever it is, with the thing.
+    """Check that the present call's caller may do at least one kind of action with the thing.
 
     Raises PermissionDenied, Unavailable.
     """

@@ -126,7 +126,7 @@ class AccessRules:
         return found
 
     def knows_of(self, caller: Caller, kind: AccessKind, name: str) -> bool:
-        """Whether `caller` may do something, whatever it is, with the thing, and so may learn of it."""
+        """Whether `caller` may do at least one kind of action with the thing, and so may learn of it."""
         return any(self.judge(caller, verb, kind, name).allowed for verb in VERBS_OF[kind])
 
     def _decide(self, who: str, verb: AccessVerb, kind: AccessKind, name: str) -> AccessRuling:

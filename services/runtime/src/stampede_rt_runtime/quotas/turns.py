@@ -12,7 +12,7 @@ from collections.abc import Callable
 BURST_NANOS = 1_000_000
 """The time that a caller may use beyond its percentage before it must wait: enough for a few messages."""
 CONTENDED_NANOS = 100_000_000
-"""After one caller's work follows another caller's, several callers count as having work for this time."""
+"""When a caller works right after another caller, several callers count as having work for this time."""
 PAUSE_SECONDS_MIN = 0.0005
 _SECOND_NANOS = 10**9
 
