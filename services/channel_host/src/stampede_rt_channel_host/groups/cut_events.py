@@ -130,7 +130,7 @@ class CutEvents:
         group.check_incarnation(self._incarnation)
         if group.record.spec_version != self._spec_version:
             raise Unavailable(
-                f"group {group.record.name} has other members now; subscribe at all their hosts behind the last event"
+                f"group {group.record.name} has other members now; subscribe at all their hosts, after the last event"
             )
         for channel_id in sorted(group.cut.definition.members):
             own, held = self._groups.own(channel_id), self._followed.get(channel_id)
@@ -168,7 +168,8 @@ class CutEvents:
             last = self._boundaries[-1].cut if self._boundaries else self._cut
             if boundary.incarnation != group.record.incarnation or (last is not None and boundary.cut_unix_nano < last):
                 raise InvalidArgument(
-                    "a boundary lies before the last one, or is of another incarnation; pass on the deciding host's"
+                    "a boundary lies before the last one, or is of another incarnation; pass on each "
+                    "boundary of the deciding host as it is"
                 )
             while len(self._boundaries) >= BOUNDARIES_MAX:
                 self._room.clear()

@@ -32,7 +32,7 @@ class EventWriter:
         except TimeoutError:
             raise Overloaded(
                 f"the reader took no {self._what} for {WRITE_SECONDS_MAX:g} s, and its subscription is ended; read "
-                f"faster, and subscribe again behind the last {self._what}"
+                f"faster, and subscribe again after the last {self._what}"
             ) from None
         self._written_s = _now_s()
 
