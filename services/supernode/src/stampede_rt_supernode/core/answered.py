@@ -1,10 +1,11 @@
 """The latest operations by operation id. A repeated request repeats the answer, not the operation. Pure.
 
 The replicas share no clock that tells the age of an operation. So the leader puts marks into the log, one in MARK_NANOS
-of its own clock. Every replica forgets the operations before the last MARKS_KEPT marks, at the same log position.
+of its own clock. Every replica keeps the last MARKS_KEPT marks, and forgets the operations before the oldest one. So
+all replicas forget an operation at the same log position.
 
-A forgotten operation is not done again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago or
-earlier (calls.py). And a command is refused if its supernode received it before the last mark but one
+No replica does a forgotten operation again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago or
+earlier (calls.py). And the directory refuses a command whose request came to its supernode before the last mark but one
 (`check_in_time`). At least 40 s lie between a forgotten operation and that mark, which is 10 s more than the greatest
 age of a request.
 """
@@ -42,14 +43,14 @@ class Answer:
 
     @property
     def size_bytes(self) -> int:
-        """The approximate bytes that it takes. The same on every replica."""
+        """The approximate bytes that this answer takes in memory. Every replica computes the same number."""
         if isinstance(self.result, (GroupOpened, GroupUpdated)):
             return ANSWER_BYTES + MEMBER_BYTES * len(self.result.group.spec.channel_ids)
         return ANSWER_BYTES
 
 
 class Answered:
-    """The operations since the oldest mark, without refusals, which changed nothing."""
+    """The answers to the operations since the oldest mark. Forgets refusals at once, because they changed nothing."""
 
     def __init__(self, answers: Iterable[Answer] = (), marks: Iterable[int] = ()) -> None:
         self.marks = tuple(marks)  # the log positions of the last marks, ascending
@@ -75,11 +76,11 @@ class Answered:
 
     @property
     def last_mark(self) -> int:
-        """The log position of the last mark; 0: there is none."""
+        """The log position of the last mark; 0 if there is no mark."""
         return self.marks[-1] if self.marks else 0
 
     def find(self, op_id: bytes, subject: str) -> Success | None:
-        """The result of that operation, or None. Raises InvalidArgument if the id was used for another operation."""
+        """The result of the operation with that id; None if unknown. Raises InvalidArgument if `subject` differs."""
         answer = self._answers.get(op_id)
         if answer is None:
             return None

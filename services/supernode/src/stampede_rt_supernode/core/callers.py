@@ -10,8 +10,9 @@ from stampede_rt_runtime.identity import Identity
 def check_host_caller(caller: Identity | None, *, known_as: str | None, name: str | None) -> None:
     """Check the caller's certificate for a host.
 
-    `known_as`: the name of the host in the directory, None for a new host. `name`: the name that the caller wants, None
-    to keep the name. Without certificates (`caller` is None) every caller passes. Raises PermissionDenied.
+    `known_as`: the name of the host in the directory; None for a new host. `name`: the name that the caller wants for
+    the host; None if the host keeps its name. `caller` is None in a cluster without certificates, where every caller
+    passes. Raises PermissionDenied.
     """
     if caller is None:
         return
@@ -24,7 +25,7 @@ def check_host_caller(caller: Identity | None, *, known_as: str | None, name: st
 
 
 def check_protocol(spoken: int, version: str) -> None:
-    """Check the host's protocol version. 0: a host so old that it does not state it. Raises VersionMismatch."""
+    """Check the host's protocol version; 0 if an old host states none, and then it passes. Raises VersionMismatch."""
     if spoken not in (0, PROTOCOL_VERSION):
         raise VersionMismatch(
             f"the host (version {version}) speaks protocol {spoken}, this directory {PROTOCOL_VERSION} (version "

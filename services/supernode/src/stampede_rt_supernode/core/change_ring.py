@@ -21,7 +21,9 @@ CHANGES_MAX = 16_384
 
 @dataclass(frozen=True, slots=True)
 class ChangePage:
-    """Changes in order. The next page begins at `position`. With this page all changes up to `index` are given out."""
+    """Changes in order. The next page begins at `position`. All changes up to log position `index` are in this page or
+    an earlier one.
+    """
 
     changes: tuple[DirectoryChange, ...]
     position: int
@@ -35,7 +37,8 @@ class ChangeRing:
     """
 
     def __init__(self, floor_index: int = 0, *, changes_max: int = CHANGES_MAX) -> None:
-        self.floor_index = floor_index  # no earlier change is held, and not all changes of this log position may be
+        # The ring holds no change before this log position, and perhaps only some of the changes at it.
+        self.floor_index = floor_index
         self.end_index = floor_index  # the last log position noted, with or without a change
         self._index = floor_index  # the log position whose changes are being noted
         self._changes: deque[DirectoryChange] = deque()
@@ -44,7 +47,7 @@ class ChangeRing:
 
     @property
     def end_position(self) -> int:
-        """The position after the newest change."""
+        """The position of the next change that comes."""
         return self._dropped + len(self._changes)
 
     def begin(self, index: int) -> None:
@@ -72,19 +75,22 @@ class ChangeRing:
         self.end_index = max(self.end_index, index)
 
     def position_after(self, index: int) -> int | None:
-        """The position of the first change after `index`; None if some of these are gone. O(changes after it)."""
+        """The position of the first change after log position `index`. O(changes after `index`).
+
+        None if the ring has dropped a change after `index`.
+        """
         if index < self.floor_index:
             return None
         later = takewhile(lambda change: change.index > index, reversed(self._changes))
         return self.end_position - sum(1 for _ in later)
 
     def read(self, position: int, changes_max: int) -> ChangePage | None:
-        """Up to `changes_max` changes from `position` on; None if some of these are gone."""
+        """Up to `changes_max` changes from `position` on; None if the ring has dropped the first of them."""
         start = position - self._dropped
         if start < 0:
             return None
-        # By position, because a deque finds positions at both ends fast. Nearly all readers are at its end, and islice
-        # would walk there from the beginning for each of them.
+        # Reads each change by its index, because a deque is fast near both ends. Nearly all readers are at the end, and
+        # islice would walk there from the beginning for each reader.
         changes = tuple(self._changes[one] for one in range(start, min(start + changes_max, len(self._changes))))
         following = start + len(changes)
         index = self.end_index

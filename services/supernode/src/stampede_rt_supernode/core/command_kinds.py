@@ -21,11 +21,11 @@ Done = TypeVar("Done", bound=Success)
 
 
 def _check_nothing(operation: Operation) -> None:
-    """Accepts everything: supernodes make such operations themselves."""
+    """Accepts every operation, because supernodes make the operations of such a kind themselves."""
 
 
 def _never_late(state: DirectoryState, operation: Operation, as_of_index: int) -> None:
-    """Accepts everything: such an operation has the same effect at any time."""
+    """Accepts every operation, because an operation of such a kind has the same effect at any time."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -36,19 +36,20 @@ class CommandKind(Generic[Op, Done]):
     result: type[Done]
     # The level that the cluster must have before it may use the command; see `cluster.feature_levels`.
     feature_level: int
-    # The thing concerned. A request id must not come back with another subject.
+    # The id or name of the thing that the operation concerns. A request id must not come back with another subject.
     subject: Callable[[Op], str]
     # The checks that need no state. A command that passes fits in a log entry. Raises InvalidName or InvalidArgument.
     check: Callable[[Op], None] = _check_nothing
     # Checks a command that was made when the log had reached `as_of_index` (0: unknown). Raises Unavailable with reason
     # AMBIGUOUS if it comes too late.
     check_in_time: Callable[[DirectoryState, Op, int], None] = _never_late
-    # Does the command: (state, operation, the command's time in Unix nanoseconds). Either raises a StampedeError
-    # without any change, or succeeds.
+    # Does the command. Gets the state, the operation, and the command's time in Unix nanoseconds. Either raises a
+    # StampedeError without any change, or succeeds.
     apply: Callable[[DirectoryState, Op, int], Done]
-    # Whether it is refused while the memory for answers is full. False for the supernodes' own commands, which are few.
+    # Whether the directory refuses the command while the memory for answers is full. False for the supernodes' own
+    # commands, which are few.
     needs_room: bool = True
-    # Whether its answer is remembered, so that the command is done once for each request id.
+    # Whether the directory remembers the answer, so that it does the command once for each request id.
     is_remembered: bool = True
 
 

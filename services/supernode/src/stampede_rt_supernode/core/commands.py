@@ -23,7 +23,7 @@ class Operation:
 class Creation(Operation):
     """Base of the operations that may create a channel, queue or group. `created_by`: the caller, see ChannelRecord.
 
-    `created_max`: how many things of the kind the caller may have; None: any number.
+    `created_max`: how many things of the kind the caller may have; None if there is no limit.
     """
 
     created_by: str = ""
@@ -38,9 +38,9 @@ class Success:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Command:
-    """One entry of the log. A repeated `op_id` repeats the result. `time_unix_nano` is for readers of the log.
+    """One entry of the log. A repeated `op_id` repeats the result. `time_unix_nano`: the proposer's time.
 
-    `as_of_index`: the log position of the proposer's state when the request came; 0: unknown.
+    `as_of_index`: the log position of the proposer's state when the request came; 0 if it is unknown.
     """
 
     op_id: bytes
@@ -51,7 +51,7 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Refused:
-    """Nothing was changed. The fields are those of the StampedeError."""
+    """The result of a refused operation, which changed nothing. The fields are those of the StampedeError."""
 
     reason: str
     message: str

@@ -1,4 +1,4 @@
-"""The number of things that each caller has created, and the limit of it. Pure."""
+"""Counts the things that each caller has created, and checks the caller's limit. Pure."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Creators:
         return self._made[name]
 
     def note(self, name: str, step: int) -> None:
-        """Count a thing that the caller has created (1), or one that is gone (-1)."""
+        """Add `step` to the caller's number: 1 for a thing that it has created, -1 for such a thing that is gone."""
         if name:
             self._made[name] += step
             if not self._made[name]:
                 del self._made[name]
 
     def check(self, operation: Creation, kind: str) -> None:
-        """Check that the caller may create another thing. `kind`: as in "channels". Raises Overloaded."""
+        """Check that the caller may create another thing. `kind`: the plural, such as "channels". Raises Overloaded."""
         made, limit = self._made[operation.created_by], operation.created_max
         if limit is None or made < limit:
             return

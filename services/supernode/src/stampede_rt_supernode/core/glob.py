@@ -10,8 +10,9 @@ from stampede_rt_supernode.core.validation import check_glob
 
 
 def matcher(glob: str) -> Callable[[str], bool]:
-    """A function that tells whether a name matches `glob`. Every name matches an empty `glob`. Linear time for each
-    star.
+    """Returns a function that tells whether a name matches `glob`. Every name matches an empty `glob`.
+
+    For each star the function takes linear time.
 
     Raises InvalidArgument for an invalid pattern.
     """

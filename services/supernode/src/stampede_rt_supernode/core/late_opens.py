@@ -22,8 +22,9 @@ def check_in_time(
     """Raises Unavailable with reason AMBIGUOUS if the thing to create may have been deleted since the request.
 
     `thing`: its kind and name; it must not exist now. `as_of_index`: the log position of the state when the request
-    came, 0 if unknown. `frees`: whether a result means that the name became free. O(entries since then). Deletions are
-    known as long as answers are remembered. An older request counts as late.
+    came; 0 if it is unknown, and then the check passes. `frees`: whether a result means that the name became free.
+    O(entries since the request). The directory knows deletions as long as it remembers their answers. A request from
+    before that time counts as late.
     """
     if as_of_index == 0:
         return

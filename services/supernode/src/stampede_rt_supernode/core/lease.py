@@ -45,7 +45,7 @@ class _Lease:
     registered_index: int
     ends_nanos: int
     ending: bool = False  # its end is proposed, and cannot be withdrawn
-    walk: int = 0  # the last walk over all live holders that found it
+    walk: int = 0  # the number of the last walk over all live holders in which this holder was found
     # the holder's last clock report; not part of the directory, and lost with the tenure
     clock: ClockOffset | None = None
 
@@ -54,11 +54,13 @@ class LeaseTable:
     """One leader's view. It grants and ends leases only between `lead` and `resign`."""
 
     def __init__(self) -> None:
-        self.ttl_nanos = LEASE_TTL_NANOS  # the cluster's, once this supernode leads
+        self.ttl_nanos = LEASE_TTL_NANOS  # the TTL of the cluster, once this supernode leads
         self.tenure = 0  # 0: not leading, or the tenure is not committed yet
         self._leases: dict[bytes, _Lease] = {}
-        # For each lease the time of the next look at it, at its end or before; also for some dropped leases.
+        # A heap of (time of the next look at a lease, its registered index, its holder's id). The time is never after
+        # the lease's end. Some leases in it are dropped already.
         self._looks: list[tuple[int, int, bytes]] = []
+        # By holder id: the leases whose end is proposed.
         self._ending: dict[bytes, _Lease] = {}
         # The leases and looks of former tenures that are not freed yet.
         self._forgotten: list[tuple[dict[bytes, _Lease], list[tuple[int, int, bytes]]]] = []
@@ -102,15 +104,15 @@ class LeaseTable:
     def follow(self, live: Iterable[Registered], now: int) -> None:
         """Take over the live holders: a new registration gets a full TTL, and a holder that is gone is dropped.
 
-        This comes later than the registration itself, which only makes the lease longer.
+        The call comes later than the registration itself. That only makes the lease longer.
         """
         for _ in self.following(list(live), MAX_INDEX, now):
             pass
 
     def following(self, live: Sequence[Registered], as_of_index: int, now: int) -> Iterator[None]:
-        """As `follow`, in pieces, for the holders that live at that log position.
+        """As `follow`, in pieces. `live`: the holders that live at log position `as_of_index`.
 
-        Later changes come by `note` and `note_gone`.
+        The caller reports later changes by `note` and `note_gone`.
         """
         if not self.tenure:
             return
@@ -131,7 +133,8 @@ class LeaseTable:
     def note(self, holder: Registered, now: int) -> _Lease:
         """Note a live holder.
 
-        Its registration gets a full TTL if there is no lease of it, or of a later registration.
+        Its registration gets a full TTL, unless the table has a lease of this registration or of a later one. Returns
+        the lease of the holder.
         """
         held = self._leases.get(holder.holder_id)
         if held is None or held.registered_index < holder.registered_index:
@@ -168,16 +171,16 @@ class LeaseTable:
             self.note(holder, now).clock = clock
 
     def clock(self, holder: Registered) -> ClockOffset | None:
-        """The last clock report of a holder to this leader; None: there is none."""
+        """The last clock report of a holder to this leader; None if it made none."""
         held = self._leases.get(holder.holder_id)
         return held.clock if held is not None and held.registered_index == holder.registered_index else None
 
     def due(self, now: int) -> list[tuple[bytes, int, int]]:
-        """(holder id, boot incarnation, registered index) of the leases that end now. They can be renewed no more.
+        """The (holder id, boot incarnation, registered index) of each lease that ends now. It can be renewed no more.
 
-        Later calls return them again until `follow` finds the holder gone, because a proposal can fail. A leader that
-        was itself stalled received no renewals, so it grants everybody a full TTL instead. If there are very many,
-        returns the first ones, and `is_behind` is True.
+        Later calls return a lease again until `follow` finds its holder gone, because a proposal can fail. A leader
+        that was itself stalled received no renewals, so it grants everybody a full TTL instead. If very many leases
+        end, returns the first ones, and `is_behind` is True.
         """
         if now - self._looked_nanos > self.ttl_nanos // STALL_FRACTION:
             self._granted_nanos = now + self.ttl_nanos

@@ -29,7 +29,7 @@ def channel_by_name(tables: Tables, name: str) -> ChannelRecord:
 
 
 def host_by_id(tables: Tables, host_id: bytes) -> HostRecord:
-    """The host, alive or not. Raises InvalidArgument or HostNotFound."""
+    """The host of that id, alive or not. Raises InvalidArgument or HostNotFound."""
     check_id(host_id, "host_id")
     host = tables.hosts.get(host_id)
     if host is None:
@@ -50,8 +50,7 @@ def host_by_name(tables: Tables, name: str) -> HostRecord:
 
 
 def check_host_agrees(kind: str, name: str, host: HostRecord, asked_host_name: str) -> None:
-    """Check that `host` is the host that the caller names. Raises CHANNEL_EXISTS or QUEUE_EXISTS if it is another live
-    one.
+    """Check that a live owner, `host`, is the host that the caller names. Else raises CHANNEL_EXISTS or QUEUE_EXISTS.
 
     `kind` is "channel" or "queue". A lost owner is no contradiction, because the named host replaces it.
     """
@@ -132,7 +131,7 @@ def mailbox_of(tables: Tables, peer_name: str) -> QueueRecord:
 
 
 def peer_by_id(tables: Tables, peer_id: bytes) -> PeerRecord:
-    """The peer, alive or not. Raises InvalidArgument or PEER_NOT_FOUND."""
+    """The peer of that id, alive or not. Raises InvalidArgument or PEER_NOT_FOUND."""
     check_id(peer_id, "peer_id")
     peer = tables.peers.by_id.get(peer_id)
     if peer is None:

@@ -9,7 +9,7 @@ from stampede_rt.errors import InvalidArgument
 
 
 def write_name(name: str | None) -> str:
-    """The token of the page after `name`; None: there is no such page, and the token is empty."""
+    """The token of the page after `name`. If `name` is None there is no such page, and the token is empty."""
     return "" if name is None else base64.urlsafe_b64encode(name.encode()).decode()
 
 
@@ -22,7 +22,7 @@ def read_name(token: str) -> str:
 
 
 def write_host(key: tuple[str, bytes] | None) -> str:
-    """The token of the page after the host of that name and id; None: there is no such page."""
+    """The token of the page after the host of that (name, id). If `key` is None there is no such page: empty."""
     return "" if key is None else base64.urlsafe_b64encode(key[0].encode() + b"\0" + key[1]).decode()
 
 
@@ -36,9 +36,9 @@ def read_host(token: str) -> tuple[str, bytes]:
 
 
 def write_listing(listing: str, name: str | None) -> str:
-    """The token of the page of one listing after `name`; None: there is no such page.
+    """The token of the page of a listing after `name`. If `name` is None there is no such page, and the token is empty.
 
-    `listing` identifies the listing.
+    `listing`: a text with the kind and filters of the listing.
     """
     return "" if name is None else base64.urlsafe_b64encode(f"{listing}\0{name}".encode()).decode()
 
@@ -52,8 +52,9 @@ def read_listing(token: str, listing: str) -> str:
 
 
 def write_position(listing: str, position: tuple[bool, str] | None) -> str:
-    """As `write_listing`, for a listing in two parts. A position has two values: whether it is in the second part, and
-    a name.
+    """As `write_listing`, for a listing in two parts.
+
+    A position has two values: whether it is in the second part, and a name.
     """
     return write_listing(listing, None if position is None else f"{int(position[0])}{position[1]}")
 
@@ -65,7 +66,7 @@ def read_position(token: str, listing: str) -> tuple[bool, str]:
 
 
 def write_peer(listing: str, key: tuple[bool, str, bytes] | None) -> str:
-    """As `write_listing`, for the page after the peer of that name and id. The flag says that the peer has no name."""
+    """As `write_listing`, for the page after a peer. `key`: whether the peer has no name, its name, and its id."""
     return write_listing(listing, None if key is None else f"{int(key[0])}{key[2].hex()}{key[1]}")
 
 

@@ -18,7 +18,7 @@ HOST_CHANNELS_MAX = 1000
 
 @dataclass(frozen=True, slots=True)
 class ChannelPage:
-    """Channels by name. The next page begins after `last_name`; None: this was the last page."""
+    """Channels by name, and their owners. The next page begins after `last_name`, which is None for the last page."""
 
     channels: tuple[ChannelRecord, ...]
     hosts: tuple[HostRecord, ...]
@@ -27,7 +27,7 @@ class ChannelPage:
 
 @dataclass(frozen=True, slots=True)
 class HostPage:
-    """Hosts by (name, id). The next page begins after `last_key`; None: this was the last page."""
+    """Hosts by (name, id). The next page begins after `last_key`, which is None for the last page."""
 
     hosts: tuple[HostRecord, ...]
     last_key: tuple[str, bytes] | None

@@ -16,7 +16,7 @@ ID_BYTES = 16
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Endpoint:
-    """A gRPC target, and the network or site in which it is (empty: none)."""
+    """A gRPC target, and its zone; the zone is empty if none was named."""
 
     target: str
     zone: str = ""
@@ -58,7 +58,7 @@ class HostRecord:
 class ChannelRecord:
     """A channel and its owner. `epoch` never falls. `incarnation` changes only if items may have been lost.
 
-    `created_by`: the name in rules of the caller that created it; empty: unknown.
+    `created_by`: the name by which rules of access know the caller that created it; empty if it is unknown.
     """
 
     channel_id: bytes
@@ -91,10 +91,10 @@ class ChannelRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupSpec:
-    """The set-up of a group (paper, section 3.3). None: not stated.
+    """The set-up of a group (paper, section 3.3). A field is None if it was not stated.
 
-    `channel_ids`: the members, each once, in any order. `reference_channel_id`: the member that is the reference; None:
-    the group has the smallest cut of all members. `bound`: "start" or "end".
+    `channel_ids`: the members, each once, in any order. `reference_channel_id`: the member that is the reference; if it
+    is None, the group has the smallest cut of all members. `bound`: "start" or "end".
     """
 
     channel_ids: tuple[bytes, ...]
@@ -106,7 +106,7 @@ class GroupSpec:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupRecord:
-    """A group. `spec_version` grows by 1 with every change. `incarnation` changes only if the cut may begin anew.
+    """A group. `spec_version` grows by 1 with every change of `spec`. `incarnation` changes if the cut may begin anew.
 
     `created_by`: as for channels.
     """
@@ -128,11 +128,11 @@ class ReplicaKind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaRecord:
-    """A copy of a channel at `host_id`, while that host's boot incarnation is this one (paper, section 4.1).
+    """A copy of a channel at `host_id`. It ends when that host gets another boot incarnation (paper, section 4.1).
 
     `in_sync`: it holds all acknowledged items, and may become the owner; only warm replicas can be in sync.
-    `acknowledged`: puts wait for it while it is in sync. `epoch`: the channel's, when this copy was added or last
-    changed.
+    `acknowledged`: puts wait for it while it is in sync. `epoch`: the epoch of the channel when this copy was added or
+    last changed.
     """
 
     channel_id: bytes
@@ -147,7 +147,10 @@ class ReplicaRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueSpec:
-    """The set-up of a queue (paper, section 3.5). None: not stated. `on_full`: "block", "reject", "drop_oldest"."""
+    """The set-up of a queue (paper, section 3.5). A field is None if it was not stated.
+
+    `on_full`: "block", "reject" or "drop_oldest".
+    """
 
     max_items: int | None = None
     max_bytes: int | None = None
@@ -185,10 +188,10 @@ class QueueRecord:
 class PeerRecord:
     """A participant (paper, sections 3.5 and 4.2).
 
-    A peer with a name, which is unique among live peers, has a mailbox while it lives. `owner`: the name in rules of
-    the caller that registered it; empty: a caller that rules do not judge; None: unknown. `proof_sha256` is empty if it
-    gave no proof. `registered_index`, `registration_epoch`: as for hosts. `ended_index`: the log position at which its
-    lease ended; 0 while it lives.
+    A peer with a name, which is unique among live peers, has a mailbox while it lives. `owner`: the name by which rules
+    of access know the caller that registered it; empty if rules do not judge that caller; None if it is unknown.
+    `proof_sha256` is empty if the peer gave no proof. `registered_index`, `registration_epoch`: as for hosts.
+    `ended_index`: the log position at which its lease ended; 0 while it lives.
     """
 
     peer_id: bytes
@@ -227,7 +230,7 @@ class ChangeKind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessChange:
-    """Rules or keys of access have changed, at log position `version`. The directory has the present ones."""
+    """Rules or keys of access have changed, at log position `version`. The change does not contain them."""
 
     version: int
 
@@ -236,7 +239,7 @@ class AccessChange:
 class DirectoryChange:
     """One change, at one log position.
 
-    The subject is its record after the change, or its last record if it was removed.
+    `subject`: the record of the changed thing after the change, or its last record if it was removed.
     """
 
     index: int

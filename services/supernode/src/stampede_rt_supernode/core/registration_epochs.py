@@ -1,9 +1,10 @@
 """Decides which of several processes of one peer or host is the newest. Pure.
 
 The network, or a supernode without a leader, may delay a registration for seconds. Meanwhile its process may have been
-killed and started again. No clock tells which of the two registrations is older. So processes are numbered. A process
-registers with a number above the one that it finds, and the directory refuses a number that was already reached. So a
-delayed registration of an old process is refused once its successor has registered.
+killed and started again. No clock tells which of the two registrations is older. So each process has a number, its
+registration epoch. A process registers with a number above the one that it finds in the directory. The directory
+refuses a number that another process has already reached. So it refuses a delayed registration of an old process once
+its successor has registered.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def next_epoch(operation: RegisterHost | RegisterPeer, places: Iterable[HostReco
     others = []
     for before in places:
         if before is not None and before.boot_incarnation == operation.boot_incarnation:
-            # an earlier request of the same process, which has registered with a higher epoch since
+            # The same process is registered. This may be an earlier request of it, with a lower epoch.
             epoch = max(epoch, before.registration_epoch)
         elif before is not None:
             others.append(before)

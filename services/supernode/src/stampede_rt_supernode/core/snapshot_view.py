@@ -1,8 +1,8 @@
 """A view of the directory that does not change. A snapshot is written from it while the directory goes on. Pure.
 
-The values are immutable, so the view copies only the tables that hold them. There may be very many channels. The view
-takes only their changes since the last snapshot, if the directory still holds all these changes. That takes a few
-milliseconds for any number of channels.
+The values are immutable, so the view copies only the tables that hold them. There may be very many channels. So of the
+channels the view takes only the changes since the last snapshot, if the directory still holds all these changes. That
+takes a few milliseconds for any number of channels.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ class SnapshotView:
 
 
 def snapshot_view(directory: Directory, since_position: int | None = None) -> SnapshotView:
-    """The present directory. Of its channels only the changes since `since_position`, a position of `tables.changes`.
+    """A view of the present directory. `since_position`: the position in `tables.changes` of the last snapshot.
 
-    O(changes) for the channels; O(channels) without a position, or if some changes since then are gone.
+    The view has the changes since that position, in O(changes). Without a position, or if some of these changes are
+    gone, it has all channels, in O(channels).
     """
     ring = directory.tables.changes
     page = None if since_position is None else ring.read(since_position, CHANGES_MAX)

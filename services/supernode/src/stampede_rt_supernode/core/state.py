@@ -24,8 +24,8 @@ DIGEST_BYTES = 16
 class DirectoryState:
     """The tables, and the facts about the cluster as a whole.
 
-    `tenure` never falls. The first tenure sets the cluster's id and the TTL of its leases (0 until then), and no later
-    one changes the TTL: hosts and all leaders must use the same. The feature level never falls.
+    `tenure` never falls. The first tenure sets the cluster's id and the TTL of its leases, which is 0 until then. No
+    later tenure changes the TTL, because hosts and all leaders must use the same. The feature level never falls.
     """
 
     def __init__(
@@ -53,8 +53,8 @@ class DirectoryState:
         self.feature_level = max(feature_level, FIRST_LEVEL)
         self.cluster_id = cluster_id
         self.lease_ttl_nanos = lease_ttl_nanos
-        # Of all results so far: replicas with different digests have different states. Empty: unknown, as after a
-        # snapshot without a digest.
+        # The digest of all results so far. Replicas with different digests have different states. It is empty if it is
+        # unknown, as after a snapshot without a digest.
         self.digest = digest or (b"" if index else bytes(DIGEST_BYTES))
         # The clusters that this one has replaced.
         self.former_cluster_ids = tuple(former_cluster_ids)

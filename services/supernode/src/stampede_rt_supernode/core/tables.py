@@ -54,6 +54,7 @@ class Tables:
         # long.
         self.channel_ids: SortedDict[str, bytes] = SortedDict({one.name: key for key, one in self.channels.items()})
         self.host_ids: SortedDict[str, bytes] = SortedDict()  # the host's id by its name, for all live hosts
+        # The ids of the hosts whose lease ended without a deregistration.
         self.lost: set[bytes] = {host.host_id for host in self.hosts.values() if host.is_lost}
         self._channel_ids_at: dict[bytes, set[bytes]] = {host_id: set() for host_id in self.hosts}
         for host in self.hosts.values():
@@ -85,12 +86,12 @@ class Tables:
         return [self.channels[one] for one in (sorted(ids) if channels_max is None else nsmallest(channels_max, ids))]
 
     def channel_named(self, name: str) -> ChannelRecord | None:
-        """The channel of that name; None: there is none."""
+        """The channel of that name; None if no channel has it."""
         found = self.channel_ids.get(name)
         return None if found is None else self.channels[found]
 
     def live_host_named(self, name: str) -> HostRecord | None:
-        """The live host of that name; None: there is none."""
+        """The live host of that name; None if no live host has it."""
         found = self.host_ids.get(name)
         return None if found is None else self.hosts[found]
 
@@ -146,7 +147,7 @@ class Tables:
         self._drop_if_done(host)
 
     def find_again(self, name: str) -> None:
-        """Forget lost hosts of that name as lost, because a live host has the name."""
+        """Count the lost hosts of that name as lost no more, because a live host has the name."""
         for host in [self.hosts[one] for one in self.lost if self.hosts[one].name == name]:
             self.put_host(replace(host, lease_ended_unix_nano=None))
 

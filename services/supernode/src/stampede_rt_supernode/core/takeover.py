@@ -1,8 +1,8 @@
 """The effects of the loss of a host on its channels, their copies and groups, and on mailboxes. Pure.
 
 A warm replica in sync holds all acknowledged items. So it becomes the owner in the very step that ends the owner's
-registration, and nobody else gets the channel in between. The incarnation changes all the same, because items that were
-put and not acknowledged may be gone.
+registration, and nobody else gets the channel in between. But the incarnation changes, because items that were put and
+not acknowledged may be gone.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ def forget_channel(tables: Tables, channel: ChannelRecord) -> None:
 
 
 def end_registration(tables: Tables, host_id: bytes) -> None:
-    """Apply the end of a host's lease, or its new process: its copies are gone, and other hosts get some of its
-    channels.
+    """Apply the loss of all items of a host: its copies are gone, and other hosts get some of its channels.
 
-    These are channels with warm replicas in sync. The host must be without a lease by now, or registered anew.
+    Other hosts get the channels of which they hold a warm replica in sync. The host must have no lease any more, or
+    have registered with a new process.
     """
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, tables.channels[channel_id], host_id)

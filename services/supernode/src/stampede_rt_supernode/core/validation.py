@@ -91,7 +91,7 @@ def check_version(version: str, host_name: str) -> None:
 
 
 def check_text(text: str, what: str, least: int, most: int) -> None:
-    """Check a word of `least` to `most` printable characters. `what` names it in the error."""
+    """Check a text of `least` to `most` printable characters without blanks. `what` names the text in the error."""
     if not least <= len(text) <= most:
         raise InvalidArgument(f"{what} has {len(text)} characters; {least} to {most} are allowed")
     if not text.isprintable() or " " in text:

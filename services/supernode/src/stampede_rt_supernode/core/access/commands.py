@@ -38,7 +38,7 @@ class RevokeCredential(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CredentialRevoked(Success):
-    """The credential is revoked. Tells whether this command did it."""
+    """The credential is revoked. `revoked`: whether this command revoked it. `version`: as in TokenKeyCreated."""
 
     revoked: bool
     version: int
@@ -53,7 +53,7 @@ class TokenKeyCreated(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessRuleAdded(Success):
-    """The rule is there. Tells whether this command added it."""
+    """The rule is there. `added`: whether this command added it. `version`: as in TokenKeyCreated."""
 
     added: bool
     version: int
@@ -61,7 +61,7 @@ class AccessRuleAdded(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessRuleRemoved(Success):
-    """The rule is not there. Tells whether this command removed it."""
+    """The rule is not there. `removed`: whether this command removed it. `version`: as in TokenKeyCreated."""
 
     removed: bool
     version: int

@@ -34,12 +34,12 @@ def client_named(who: str) -> Caller:
 
 
 def with_rule(rules: AccessRules, rule: AccessRule) -> AccessRules:
-    """The rules with one more, unless it is among them."""
+    """The rules with `rule`, once."""
     return rules if rule in rules.rules else AccessRules((*rules.rules, rule))
 
 
 def without_rule(rules: AccessRules, rule: AccessRule) -> AccessRules:
-    """The rules without one."""
+    """The rules without `rule`."""
     return AccessRules(one for one in rules.rules if one != rule)
 
 

@@ -30,7 +30,7 @@ def access_state(directory: DirectoryState) -> AccessState:
 
 
 def name_of(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | None:
-    """The name of the thing with that id, as rules know it; None: there is none."""
+    """The name by which rules know the thing with that id; None if there is no such thing."""
     match kind:
         case AccessKind.CHANNEL:
             channel = tables.channels.get(thing_id)
@@ -47,7 +47,7 @@ def name_of(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | None:
 
 
 def right_to_open(tables: Tables, operation: OpenChannel | OpenQueue | OpenGroup) -> AccessVerb | None:
-    """The right that opening needs: to make a thing, or to change its stated settings. None: it does neither."""
+    """The right that the open needs, because it creates a thing or changes its settings; None if it does neither."""
     match operation:
         case OpenChannel():
             channel = tables.channel_named(operation.name)

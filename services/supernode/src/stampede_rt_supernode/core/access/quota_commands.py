@@ -17,7 +17,7 @@ class SetQuotas(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveQuotas(Operation):
-    """Remove the settings of `who`, taken literally, for these quotas. `quotas` empty: for all."""
+    """Remove the settings of `who`, taken literally, for these quotas; for all quotas if `quotas` is empty."""
 
     who: str
     quotas: tuple[Quota, ...] = ()
@@ -25,7 +25,7 @@ class RemoveQuotas(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QuotasSet(Success):
-    """The settings hold. Tells whether any of them was new."""
+    """The settings hold. `changed`: whether any of them was new. `version`: as in TokenKeyCreated."""
 
     changed: bool
     version: int
@@ -33,7 +33,7 @@ class QuotasSet(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QuotasRemoved(Success):
-    """The settings are gone. Tells how many there were."""
+    """The settings are gone. `removed`: how many there were. `version`: as in TokenKeyCreated."""
 
     removed: int
     version: int

@@ -10,9 +10,9 @@ from stampede_rt_runtime.quotas.limits import NO_SETTINGS, QuotaTable
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessTable:
-    """The state as of `version`, the log position of its last change; 0: there was none.
+    """The state as of `version`, the log position of its last change; 0 if it has never changed.
 
-    `token_key` signs client tokens. No caller ever gets it. Empty: there were no tokens yet.
+    `token_key` signs client tokens. No caller ever gets it. It is empty as long as there were no tokens.
     """
 
     version: int = 0

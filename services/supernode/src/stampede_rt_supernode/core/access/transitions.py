@@ -25,7 +25,7 @@ REVOKED_MAX = 1000
 
 
 def create_token_key(state: DirectoryState, operation: CreateTokenKey, time_unix_nano: int) -> TokenKeyCreated:
-    """Set the key, unless there is one: tokens that it has signed must stay valid."""
+    """Set the key, unless there is one, because the tokens that the present key has signed must stay valid."""
     if not state.access.token_key:
         change_access(state, replace(state.access, token_key=operation.new_token_key))
     return TokenKeyCreated(version=state.access.version)

@@ -16,14 +16,15 @@ ITEM_BYTES_MAX = 16 * 2**20
 CONTENT_TYPE_BYTES_MAX = 255
 ON_FULL = ("drop_oldest", "block", "reject")
 LIMITS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
-# The values of unstated fields once a limit was stated. content_type has none, because it binds no items.
+# The values of unstated fields once a limit was stated. content_type is not here: unstated, it has no effect on items.
 IN_EFFECT_UNSTATED = {
     "max_bytes": 256 * 2**20,
     "on_full": "drop_oldest",
     "max_future_nanos": 10**9,
     "max_item_bytes": ITEM_BYTES_MAX,
 }
-FIXED = "overlap_nanos"  # only at creation: another value would change the spans of items that readers have seen
+# The field that only the creation sets, because another value would change the spans of items that readers have seen.
+FIXED = "overlap_nanos"
 _RANGES = {
     "max_age_nanos": (1, 2**63 - 1, "more than 0"),
     "max_items": (1, 2**64 - 1, "at least 1"),
@@ -37,12 +38,12 @@ _RANGES = {
 
 
 def is_provisional(policy: Policy) -> bool:
-    """Whether no limit was stated so far. The first stated limit will be taken over."""
+    """Whether no limit was stated so far. Such a channel takes over the first limits that a caller states."""
     return all(getattr(policy, name) is None for name in LIMITS)
 
 
 def stated(policy: Policy) -> dict[str, int | str]:
-    """The stated fields."""
+    """The stated fields of a policy, by name."""
     named = {field.name: getattr(policy, field.name) for field in fields(policy)}
     return {name: value for name, value in named.items() if value is not None}
 
@@ -59,7 +60,7 @@ def check_ranges(channel: str, policy: Policy) -> None:
 
 
 def out_of_range(field: str, value: int, allowed: str) -> str:
-    """The error text for a field. Durations have units in it, as callers write them."""
+    """The error text for a field that is out of range. The text shows durations with units, as callers write them."""
     if field.endswith("_nanos"):
         return f"{field.removesuffix('_nanos')} is {format_duration(value)}; it must be {allowed}"
     return f"{field} is {value}; it must be {allowed}"

@@ -149,8 +149,9 @@ def fresh_incarnation(channel: ChannelRecord, proposed: int) -> int:
 def _choose_host(tables: Tables, operation: OpenChannel, former: str | None = None) -> HostRecord:
     """The host for a new or orphaned channel.
 
-    The requested host; else the live host with the `former` owner's name, which is that host restarted without its data
-    folder; else the live host with the fewest channels, among equals the first by name.
+    It is the requested host, if the caller names one. Else it is the live host with the name of the `former` owner:
+    that owner, restarted without its data folder. Else it is the live host with the fewest channels; among equals the
+    first by name.
     """
     if operation.host_name:
         return host_by_name(tables, operation.host_name)

@@ -9,10 +9,10 @@ from stampede_rt_supernode.core.commands import Operation, Success
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BeginTenure(Operation):
-    """A new leader takes over the leases. The first one of all founds the cluster, and gives it its id and its TTL.
+    """A new leader takes over the leases. The very first leader founds the cluster, and gives it its id and its TTL.
 
-    `founded_anew`: the cluster was restored, so the id replaces that of the former cluster. `takes_over`: the ids of
-    the clusters whose hosts may join this one. `new_feature_level`: the first level of a new cluster.
+    `founded_anew`: the cluster was restored, so the id replaces that of the former cluster. `takes_over`: whether the
+    hosts of that former cluster may join this one. `new_feature_level`: the first level of a new cluster.
     """
 
     tenure: int
@@ -54,7 +54,7 @@ class TenureBegun(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimeMarked(Success):
-    """Whether the mark counts. False: it is repeated, or another leader's."""
+    """`marked`: whether the mark counts. It does not if it is repeated, or comes from a former leader."""
 
     marked: bool
 

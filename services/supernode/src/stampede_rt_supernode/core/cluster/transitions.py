@@ -20,7 +20,7 @@ TOKENS_LEVEL = 2  # below this level no replica keeps a key for client tokens
 
 
 def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: int) -> TenureBegun:
-    """Begin a leader's tenure, by its first entry. An entry of a leader that was already replaced has no effect."""
+    """Begin a leader's tenure. `tenure` does not fall if the entry comes from a leader that was already replaced."""
     state.tenure = max(state.tenure, operation.tenure)
     if not state.cluster_id:
         state.feature_level = max(state.feature_level, operation.new_feature_level)
@@ -28,7 +28,7 @@ def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: 
         if state.cluster_id and operation.takes_over and state.cluster_id != operation.new_cluster_id:
             state.former_cluster_ids = (*state.former_cluster_ids, state.cluster_id)[-FORMER_MAX:]
         state.cluster_id, state.join_key = operation.new_cluster_id, operation.new_join_key
-        if state.access.token_key:  # its tokens are of the former cluster
+        if state.access.token_key:  # the key has signed tokens of the former cluster only
             change_access(state, replace(state.access, token_key=b""))
     state.join_key = state.join_key or operation.new_join_key
     if state.feature_level >= TOKENS_LEVEL and not state.access.token_key:

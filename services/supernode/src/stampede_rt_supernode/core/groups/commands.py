@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import GroupRecord, GroupSpec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenGroup(Creation):
-    """Get or create a group. `spec` None: accept any set-up. The `new_` fields are used if it is created."""
+    """Get or create a group. If `spec` is None, any set-up will do. The `new_` fields are used if it is created."""
 
     name: str
     spec: GroupSpec | None
@@ -21,7 +21,7 @@ class OpenGroup(Creation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UpdateGroup(Operation):
-    """Change the members of a group. `spec_version` None: at any version."""
+    """Change the members of a group, if it has that `spec_version`; at any version if that is None."""
 
     group_id: bytes
     add_channel_ids: tuple[bytes, ...] = ()

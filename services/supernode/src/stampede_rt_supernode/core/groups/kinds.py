@@ -32,7 +32,7 @@ def _check_open_in_time(state: DirectoryState, operation: OpenGroup, as_of_index
             state.answered,
             ("group", operation.name),
             as_of_index,
-            lambda done: isinstance(done, (GroupDeleted, ChannelDeleted)),  # the answer does not name the group
+            lambda done: isinstance(done, (GroupDeleted, ChannelDeleted)),  # these results do not name the group
         )
 
 

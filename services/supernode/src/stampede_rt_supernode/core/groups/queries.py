@@ -23,7 +23,7 @@ class GroupView:
 
 @dataclass(frozen=True, slots=True)
 class GroupPage:
-    """Groups by name. The next page begins after `last_name`; None: this was the last page."""
+    """Groups by name. The next page begins after `last_name`, which is None for the last page."""
 
     groups: tuple[GroupRecord, ...]
     last_name: str | None
@@ -38,9 +38,9 @@ def group_view(tables: Tables, group: GroupRecord) -> GroupView:
 
 
 def group_page(tables: Tables, glob: str, channel_id: bytes, after_name: str, groups_max: int) -> GroupPage:
-    """Up to `groups_max` groups (0: the limit) after `after_name` with matching names; with `channel_id` only its
-    groups.
+    """Up to `groups_max` groups (0: the limit) after `after_name` with matching names.
 
+    If `channel_id` is not empty, only groups with that channel.
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern or id.
     """
     matches, limit = matcher(glob), min(groups_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)

@@ -35,7 +35,7 @@ class GroupTable:
         return len(self.by_id)
 
     def named(self, name: str) -> GroupRecord | None:
-        """The group of that name; None: there is none."""
+        """The group of that name; None if no group has it."""
         found = self.ids.get(name)
         return None if found is None else self.by_id[found]
 
@@ -44,11 +44,11 @@ class GroupTable:
         return [self.by_id[one] for one in sorted(self._ids_with.get(channel_id, ()))]
 
     def count_with(self, channel_id: bytes) -> int:
-        """The number of a channel's groups."""
+        """The number of groups to which a channel belongs."""
         return len(self._ids_with.get(channel_id, ()))
 
     def entries(self) -> Iterator[tuple[bytes, GroupWithWitnesses]]:
-        """(id, (group, its witnesses)), by name."""
+        """The (id, (group, its witnesses)) of each group, by name."""
         return ((one, self._entries[one]) for one in self.ids.values())
 
     def witnesses_of(self, group: GroupRecord) -> tuple[bytes, ...]:

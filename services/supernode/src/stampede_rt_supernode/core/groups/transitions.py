@@ -161,7 +161,7 @@ def leave_groups(tables: Tables, channel_id: bytes) -> None:
 
 
 def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: bytes | None = None) -> None:
-    """Note that these channels have new owners, or that host `restarted` has started anew and has no cuts any more.
+    """Note that these channels have new owners, or that the host `restarted` has lost its cuts by a new start.
 
     A group whose cut no host knows gets a new incarnation, so it may begin anew (GroupRecord.incarnation).
     """
@@ -171,7 +171,7 @@ def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: byte
 
 
 def _witnessed(tables: Tables, group: GroupRecord, restarted: bytes | None = None) -> GroupRecord:
-    """Store `group` with its remaining witnesses. If there are none: under a new incarnation, with all its hosts."""
+    """Store `group` with its remaining witnesses. If none is left, it begins a new incarnation with all its hosts."""
     hosts = _hosts_of(tables, group)
     left = tuple(one for one in tables.groups.witnesses_of(group) if one in hosts and one != restarted)
     if not left:

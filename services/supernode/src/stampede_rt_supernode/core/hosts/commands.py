@@ -57,6 +57,6 @@ class HostDeregistered(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostExpired(Success):
-    """Whether the command ended a lease. False: it came too late and changed nothing."""
+    """`expired`: whether the command ended a lease. If it came too late, it changed nothing."""
 
     expired: bool

@@ -93,10 +93,10 @@ def _renew_channels(tables: Tables, operation: RegisterHost) -> None:
 
 
 def deregister_host(tables: Tables, operation: DeregisterHost) -> None:
-    """Deregister a host. Its channels have no live owner at once, except those that move to a warm replica.
+    """Deregister a host. From then on its channels have no live owner, except those that move to a warm replica.
 
-    Its mailboxes move to other hosts. A host that is not registered has left already. A lost host counts as lost no
-    more. Raises LeaseExpired for another boot incarnation.
+    Its mailboxes move to other hosts. A lost host counts as lost no more. Does nothing if the host is not registered.
+    Raises LeaseExpired for another boot incarnation.
     """
     check_id(operation.host_id, "host_id")
     host = tables.hosts.get(operation.host_id)

@@ -25,7 +25,7 @@ SUPERNODE_ID_CHARACTERS_MAX = 128
 
 
 def check_proof(proof: bytes) -> None:
-    """Check the proof that a peer sends; empty: none. Raises InvalidArgument."""
+    """Check the proof that a peer sends; empty if it sends none. Raises InvalidArgument."""
     if len(proof) not in (0, PROOF_BYTES):
         text = (
             f"proof has {len(proof)} bytes instead of {PROOF_BYTES}; take {PROOF_BYTES} random bytes, or leave it out"
@@ -87,10 +87,10 @@ def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> No
 
 
 def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
-    """Check that `operation` may replace a live peer. The same process may, and a caller with the peer's proof may.
+    """Check that `operation` may replace a live peer: it comes from the same process, or has the peer's proof.
 
-    A peer without a name and without a proof needs no protection, so its id is enough. Raises PEER_EXISTS,
-    PermissionDenied.
+    A peer without a name and without a proof needs no protection, so its id is enough. Raises PEER_EXISTS, or
+    PermissionDenied if the peer belongs to another caller.
     """
     check_owner(before, operation.owner)
     same_proof = before.proof_sha256 == operation.proof_sha256
@@ -103,7 +103,8 @@ def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
 def check_owner(peer: PeerRecord, owner: str | None) -> None:
     """Check that a caller may act as that peer.
 
-    `owner`: the caller's name in rules; empty: rules do not judge it; None: unknown. Raises PermissionDenied.
+    `owner`: the caller's name in rules of access; empty if rules do not judge the caller; None if it is unknown. Raises
+    PermissionDenied.
     """
     if owner and peer.owner is not None and peer.owner != owner:
         shown = peer.name or peer.peer_id.hex()

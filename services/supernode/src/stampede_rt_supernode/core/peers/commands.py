@@ -12,8 +12,9 @@ from stampede_rt_supernode.core.records import HostRecord, PeerRecord, QueueReco
 class RegisterPeer(Operation):
     """A peer registers.
 
-    `proof_sha256` empty: it gave no proof. `mailbox` None: it states no settings of its mailbox. The `new_` fields are
-    used if a mailbox is created or moves. `registration_epoch`: see `registration_epochs`. `owner`: see PeerRecord.
+    `proof_sha256` is empty if the peer gave no proof. `mailbox` is None if the peer states no settings of its mailbox.
+    The `new_` fields are used if a mailbox is created or moves. `registration_epoch`: see `registration_epochs`.
+    `owner`: see PeerRecord.
     """
 
     peer_id: bytes
@@ -61,7 +62,8 @@ class ExpirePeers(Operation):
 class PeerRegistered(Success):
     """The peer is registered.
 
-    `mailbox` and its host are None if it has no name. `mailbox_kept`: the mailbox has kept its former messages.
+    `mailbox` and `mailbox_host` are None if the peer has no name. `mailbox_kept`: the mailbox has kept its former
+    messages.
     """
 
     peer: PeerRecord

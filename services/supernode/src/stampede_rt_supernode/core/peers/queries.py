@@ -15,14 +15,14 @@ BEGINNING: PeerKey = (False, "", b"")
 
 @dataclass(frozen=True, slots=True)
 class PeerPage:
-    """Peers by name, those without a name last. The next page begins after `last`; None: this was the last page."""
+    """Peers by name, then peers without a name. The next page begins after `last`, which is None for the last page."""
 
     peers: tuple[PeerRecord, ...]
     last: PeerKey | None
 
 
 def peer_page(tables: Tables, glob: str, after: PeerKey, peers_max: int, *, include_dead: bool) -> PeerPage:
-    """Up to `peers_max` (0: the limit) peers after `after` with matching names. Without a pattern also nameless ones.
+    """Up to `peers_max` (0: the limit) peers after `after` with matching names; without a pattern also nameless peers.
 
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
     """

@@ -26,7 +26,7 @@ class PeerTable:
         self.by_id: dict[bytes, PeerRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # the peer's id by its name, for all live peers with a name
         self.keys: SortedSet[PeerKey] = SortedSet()  # all peers, in the order of listings
-        # ids, in the order in which the leases ended; those that ended together by id
+        # The ids of the peers whose lease has ended, in the order of the ends; leases that ended together by id.
         self._dead: dict[bytes, None] = {}
         for peer in sorted(peers, key=lambda one: (one.ended_index, one.peer_id)):
             self._link(peer)
@@ -44,7 +44,7 @@ class PeerTable:
         return (peer for peer in self.by_id.values() if peer.alive)
 
     def live_named(self, name: str) -> PeerRecord | None:
-        """The live peer of that name; None: there is none."""
+        """The live peer of that name; None if no live peer has it."""
         found = self.ids.get(name)
         return None if found is None else self.by_id[found]
 

@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.registration_epochs import next_epoch
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id
 
-PEERS_MAX = 100_000  # live ones
+PEERS_MAX = 100_000  # counts live peers only
 
 
 def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, cluster_id: str) -> PeerRegistered:
@@ -63,7 +63,7 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
 
 
 def _replaced(tables: Tables, operation: RegisterPeer, holder: PeerRecord | None) -> list[PeerRecord]:
-    """The live peers that this one replaces: that of its id, and that of its name. Raises PEER_EXISTS."""
+    """The live peers that the registration replaces: the peer of its id, and that of its name. Raises PEER_EXISTS."""
     same_id = tables.peers.by_id.get(operation.peer_id)
     found = {one.peer_id: one for one in (same_id, holder) if one is not None and one.alive}
     for before in found.values():
@@ -112,8 +112,9 @@ def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Qu
 
 
 def _clear_away(tables: Tables, before: PeerRecord, peer_id: bytes, *, kept: QueueRecord | None) -> None:
-    """Remove what a replaced registration leaves: its mailbox unless it is kept, and its record if the id
-    is another.
+    """Remove the mailbox of a replaced peer, unless it is `kept`, and the record, unless the new peer has the same id.
+
+    `peer_id`: the id of the new peer.
     """
     mailbox = _mailbox_of(tables, before)
     if mailbox is not None and (kept is None or mailbox.queue_id != kept.queue_id):
@@ -140,7 +141,7 @@ def _peer(tables: Tables, operation: RegisterPeer, mailbox: QueueRecord | None, 
 
 
 def deregister_peer(tables: Tables, operation: DeregisterPeer) -> None:
-    """Deregister a peer: its name is free and its mailbox gone. A peer that is not registered has left already.
+    """Deregister a peer: its name is free and its mailbox gone. Does nothing if the peer is not registered.
 
     Raises LeaseExpired for another boot incarnation.
     """
@@ -165,9 +166,9 @@ def check_peer_boot(peer: PeerRecord, boot_incarnation: int) -> None:
 
 
 def expire_peers(tables: Tables, operation: ExpirePeers, tenure: int) -> int:
-    """End the stated leases, except those that have changed since.
+    """End the stated leases, except those that have changed since. Returns the number of ended leases.
 
-    `tenure` is the present one. Returns their number.
+    `tenure`: the present tenure. A command of another tenure ends nothing.
     """
     if operation.tenure != tenure:
         return 0

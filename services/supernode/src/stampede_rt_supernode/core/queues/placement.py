@@ -17,9 +17,9 @@ from stampede_rt_supernode.core.tables import Tables
 def choose_host(tables: Tables, queue: str, host_name: str, former: str | None = None) -> HostRecord:
     """The host for a new or orphaned queue.
 
-    The requested live host; else the live host with the `former` owner's name; else the live host with the fewest
-    channels and queues, among equals the first by name. Raises InvalidName, HostNotFound, or Unavailable with reason
-    NO_HOST.
+    It is the live host `host_name`, if the caller names one. Else it is the live host with the name of the `former`
+    owner. Else it is the live host with the fewest channels and queues; among equals the first by name. Raises
+    InvalidName, HostNotFound, or Unavailable with reason NO_HOST.
     """
     if host_name:
         return host_by_name(tables, host_name)
@@ -42,8 +42,9 @@ def _least_loaded(tables: Tables) -> HostRecord | None:
 
 
 def begun_anew(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueRecord:
-    """`queue` at `host`, empty, with the next epoch and another incarnation: `incarnation`, unless it had
-    that already.
+    """`queue` at `host`, empty, with the next epoch and a new incarnation.
+
+    The new incarnation is `incarnation`, or the next number if the queue has that incarnation already.
     """
     if incarnation == queue.incarnation:
         incarnation = (incarnation + 1) % 2**64 or 1
@@ -51,7 +52,7 @@ def begun_anew(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueR
 
 
 def renew_queues(tables: Tables, host: HostRecord, incarnation: int) -> None:
-    """Begin the queues and mailboxes of a host anew at the same host, because a new start has lost their messages."""
+    """Begin the queues and mailboxes of a host anew at the same host, because its restart has lost their messages."""
     for queue in tables.queues.at(host.host_id):
         tables.put_queue(begun_anew(queue, host, incarnation))
 

@@ -21,7 +21,7 @@ BEGINNING: Position = (False, "")
 class QueuePage:
     """Queues by name, then mailboxes by their peers' names.
 
-    The next page begins after `last`; None: this was the last.
+    The next page begins after `last`, which is None for the last page.
     """
 
     queues: tuple[QueueRecord, ...]

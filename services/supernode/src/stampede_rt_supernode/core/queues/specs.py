@@ -17,7 +17,7 @@ from stampede_rt_supernode.core.validation import check_id
 ON_FULL = ("block", "reject", "drop_oldest")
 LIMITS = ("max_items", "max_bytes")
 MAILBOX_UNSTATED = QueueSpec(max_items=1024)
-# The values of unstated fields. content_type has none, because it binds no messages.
+# The values of unstated fields. content_type is not here: unstated, it has no effect on messages.
 IN_EFFECT_UNSTATED = {
     "max_bytes": 256 * 2**20,
     "on_full": "block",
@@ -61,7 +61,7 @@ def _invalid(queue: str, field: str, text: str) -> InvalidArgument:
 
 
 def stated(spec: QueueSpec) -> dict[str, int | str | bytes]:
-    """The stated fields."""
+    """The stated fields of a set-up, by name."""
     named = {field.name: getattr(spec, field.name) for field in fields(spec)}
     return {name: value for name, value in named.items() if value is not None}
 

@@ -32,7 +32,7 @@ class QueueTable:
         return len(self.by_id)
 
     def named(self, name: str) -> QueueRecord | None:
-        """The queue of that name; None: there is none."""
+        """The queue of that name; None if no queue has it."""
         found = self.ids.get(name)
         return None if found is None else self.by_id[found]
 

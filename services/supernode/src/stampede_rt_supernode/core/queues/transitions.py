@@ -122,7 +122,8 @@ def check_room(tables: Tables, queue: str) -> None:
 def check_dead_letter(tables: Tables, queue_id: bytes, shown: str, spec: QueueSpec) -> None:
     """Check that the dead-letter queue exists, is no mailbox, and does not lead back to the queue.
 
-    Raises QUEUE_NOT_FOUND or InvalidArgument. `queue_id`, `shown`: the queue that names it.
+    `queue_id`, `shown`: the id and the shown name of the queue whose set-up `spec` is. Raises QUEUE_NOT_FOUND or
+    InvalidArgument.
     """
     following = spec.dead_letter_queue_id
     for _ in range(DEAD_LETTER_STEPS_MAX + 1):

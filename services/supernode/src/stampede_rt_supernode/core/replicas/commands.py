@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import HostRecord, ReplicaKind, ReplicaR
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AddReplica(Operation):
-    """Add a copy at a host. `host_id` empty: the directory chooses. `source_host_id` empty: the owner feeds it."""
+    """Add a copy at a host. Empty `host_id`: the directory chooses. Empty `source_host_id`: the owner feeds it."""
 
     channel_id: bytes
     epoch: int
@@ -30,7 +30,7 @@ class RemoveReplica(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetReplicaInSync(Operation):
-    """The owner of `epoch` reports whether the warm replica of that host and boot is in sync."""
+    """The owner of `epoch` reports whether a warm replica is in sync. `boot_incarnation`: of the replica's host."""
 
     channel_id: bytes
     epoch: int

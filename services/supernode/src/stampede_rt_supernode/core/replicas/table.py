@@ -11,7 +11,7 @@ from stampede_rt_supernode.core.records import ReplicaRecord
 class ReplicaTable:
     """At most one copy of a channel at a host, and none at its owner.
 
-    A caller that changes it must keep `Channel.proxy_host_ids` equal to it; see `transitions.store`.
+    A caller that changes the table must change `ChannelRecord.proxy_host_ids` in the same way; see `transitions.store`.
     """
 
     def __init__(self, replicas: Iterable[ReplicaRecord] = ()) -> None:
@@ -25,11 +25,11 @@ class ReplicaTable:
         return self._by_channel.get(channel_id, ())
 
     def entries(self) -> list[tuple[bytes, tuple[ReplicaRecord, ...]]]:
-        """(channel id, its copies), by id. Only channels with a copy."""
+        """The (channel id, its copies) of each channel with a copy, by id."""
         return sorted(self._by_channel.items(), key=itemgetter(0))
 
     def at(self, channel_id: bytes, host_id: bytes) -> ReplicaRecord | None:
-        """The copy of a channel at a host; None: there is none."""
+        """The copy of a channel at a host; None if there is no copy."""
         return next((one for one in self.of(channel_id) if one.host_id == host_id), None)
 
     def channel_ids_at(self, host_id: bytes) -> list[bytes]:

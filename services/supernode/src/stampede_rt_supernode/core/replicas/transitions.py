@@ -62,7 +62,7 @@ def check_epoch(channel: ChannelRecord, epoch: int) -> None:
 
 
 def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
-    """Add a copy. An existing copy of the same kind is the answer."""
+    """Add a copy. If the host has a copy of the same kind already, returns that copy."""
     check_add_replica(operation)
     channel = channel_by_id(tables, operation.channel_id)
     check_epoch(channel, operation.epoch)
@@ -88,8 +88,9 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
 
 
 def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> HostRecord:
-    """The requested live host; else the live host with the fewest channels and copies that has no copy of
-    this channel.
+    """The host for a copy: the requested live host, or, without a request, one without a copy of this channel.
+
+    Of these live hosts it takes that with the fewest channels and copies. Raises HostNotFound or Unavailable.
     """
     if host_id:
         host = tables.hosts.get(host_id)
