@@ -17,13 +17,14 @@ from stampede_rt.v1 import directory_service_pb2_grpc
 
 LOOK_SECONDS = 2.0
 ASK_SECONDS = 1.0
-FINDINGS_NEEDED = 3  # in a row, because a former process may take a moment to end
+# How many looks in a row must find another process. A former process of this supernode may take a moment to end.
+FINDINGS_NEEDED = 3
 
 
 class OwnAddress:
     """The address at which the others call this supernode, and the process that answers there.
 
-    `boot`: of this process.
+    `boot`: the boot incarnation of this process.
     """
 
     def __init__(self, supernode_id: str, address: str, boot: int, dial: Callable[[str], grpc.aio.Channel]) -> None:
@@ -39,10 +40,10 @@ class OwnAddress:
     async def watch(
         self, cluster_id: Callable[[], str], *, sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
     ) -> None:
-        """Watch the address until this process itself answers there. Raises StampedeError if another one does several
-        times.
+        """Watch the address until this process itself answers there.
 
-        `cluster_id`: that of this supernode. A supernode of another cluster is no copy.
+        `cluster_id`: the id of this supernode's cluster. A supernode of another cluster is no copy. Raises
+        StampedeError if another process answers FINDINGS_NEEDED times in a row.
         """
         findings = 0
         async with self._dial(self._address) as channel:
@@ -53,7 +54,7 @@ class OwnAddress:
                 await sleep(LOOK_SECONDS)
 
     async def _boot_of_answer(self, channel: grpc.aio.Channel, cluster_id: str = "") -> int | None:
-        """The boot incarnation of the process that answers as this supernode; None: there is none."""
+        """The boot incarnation of the process that answers as this supernode; None if no such process answers."""
         stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
         try:
             pong = await stub.Ping(pb.DirectoryServicePingRequest(), timeout=ASK_SECONDS)

@@ -1,6 +1,6 @@
 """The member and cluster of a data folder, in a small file. `init` and `join` write it, and every start reads it.
 
-The log's store contains its own identity, too. This file is there before the store, and says how to begin.
+The log's store also names its member and cluster. This file exists before the store, and says how the member begins.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ class Founding:
     supernode_id: str
     address: str
     members: dict[str, str]
-    # The name of the cluster among its members. If `init` founded the cluster, it is the cluster's own id.
+    # The id by which the members know the cluster. If `init` founded the cluster, it is also the id for all callers.
     log_cluster_id: str = ""
     # Whether the cluster is founded with a list of members, which all founders got.
     listed: bool = False
-    # Whether the hosts of the restored cluster may join this one.
+    # Whether the hosts of the former cluster, whose directory was restored here, may join this one.
     takes_over: bool = False
     joining: bool = False
     # The join token, deleted once the supernode is a member. Never shown.
     token: str = field(default="", repr=False)
-    # Whether the store was opened once: from then on it must exist.
+    # Whether the store was opened once. From then on it must exist.
     started: bool = False
-    # Why the members refused its last join, and how often they have refused.
+    # Why the members refused the last request to join, and how often they have refused.
     refused: str = ""
     refusals: int = 0
 
@@ -105,7 +105,7 @@ def note_started(data_dir: Path, founding: Founding) -> Founding:
 def restoring(data_dir: Path) -> Iterator[None]:
     """Mark the folder while the block writes into it. A mark that stays means that the block was interrupted.
 
-    If the block fails before it has written anything, the mark goes, and so does a folder that was made for it.
+    If the block fails before it has written a store, removes the mark, and the folder if this call has made it.
     """
     is_new = not data_dir.exists()
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -1,8 +1,8 @@
 """Join tokens: any supernode makes them, any other checks them, and no supernode stores them before their use. Pure.
 
-A token contains its end, the id of the cluster's log, which a newcomer needs, and a proof (HMAC, RFC 2104) for one
-supernode id and one address. Its key is random and is made when the cluster is founded. The supernodes keep the key in
-the directory, and tell it to nobody. The log makes sure that a token lets in only one member.
+A token contains the time at which it ends, the id of the cluster's log, which a newcomer needs, and a proof (HMAC, RFC
+2104) for one supernode id and one address. The first leader makes the random key of the proofs. The supernodes keep the
+key in the directory, and tell it to nobody. The log makes sure that a token lets in only one member.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ class JoinTokens:
         return f"{body}.{self._proof(body, newcomer)}"
 
     def check(self, token: str, newcomer: Member, *, now_unix_nano: int) -> str:
-        """The hash by which the log knows a valid token. Raises PermissionDenied with reason UNAUTHENTICATED."""
+        """Check a token, and return the hash by which the log knows it.
+
+        Raises PermissionDenied with reason UNAUTHENTICATED.
+        """
         body, _, proof = token.rpartition(".")
         parts = body.split(".")
         if not hmac.compare_digest(proof.encode(), self._proof(body, newcomer).encode()) or len(parts) != _PARTS:
@@ -63,7 +66,10 @@ def log_cluster_of(token: str) -> str:
 
 
 def valid_until(now_unix_nano: int, valid_nanos: int | None) -> int:
-    """The end of a token that is made now. Raises InvalidArgument."""
+    """The time at which a token that is made now ends, in Unix nanoseconds. `valid_nanos` None: 1 h.
+
+    Raises InvalidArgument.
+    """
     chosen = VALID_NANOS_DEFAULT if valid_nanos is None else valid_nanos
     if not 0 < chosen <= VALID_NANOS_MAX:
         raise InvalidArgument(f"valid_nanos is {chosen}; it must be more than 0 and at most 24 h")

@@ -36,7 +36,10 @@ def why_waits_for_disk(status: ReplicationStatus) -> str:
 
 
 class Members:
-    """Local knowledge; no method waits. `advertise`: the address for callers. `zone`: the zone of this supernode."""
+    """The members and their states, as this supernode knows them. No method waits.
+
+    `advertise`: the address at which callers reach this supernode. `zone`: the zone of this supernode.
+    """
 
     def __init__(
         self, log: ReplicatedLog, replica: DirectoryReplica, probe: Probe, *, advertise: str, zone: str
@@ -46,7 +49,7 @@ class Members:
         self._probe = probe
         self._advertise = advertise
         self._zone = zone
-        # of this start of the process
+        # A random number of this start of the process.
         self.boot_incarnation = secrets.randbits(63) | 1
 
     @property
@@ -55,13 +58,13 @@ class Members:
         return self._log.status().self_id
 
     def ready(self) -> bool:
-        """Whether this supernode can serve: it knows a leader, and the cluster is founded."""
+        """Whether this supernode can serve: it knows a leader, its state is sound, and the cluster is founded."""
         founded = self._replica.read(lambda directory: directory.tenure > 0)
         status = self._log.status()
         return founded and status.leader_id is not None and not status.diverged_at
 
     def refused(self) -> Mapping[str, str]:
-        """Members with a reason why they are refused, and who says so.
+        """By id: for each member in trouble the reason, and who says so.
 
         These are members whose stores this one refuses, or whose states are in doubt. This supernode itself is among
         them if others refuse it, its state differs, or its disk does not answer.

@@ -1,4 +1,4 @@
-"""Measures the other supernodes: asks each for its clock every few seconds."""
+"""Measures the round trips to the other supernodes: pings each of them every PERIOD_SECONDS."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Probe:
         self._findings: dict[str, Finding] = {}
 
     def finding(self, member_id: str) -> Finding | None:
-        """The last finding about a member; None before the first."""
+        """The result of the last probe of a member; None before the first probe."""
         return self._findings.get(member_id)
 
     async def run(self) -> None:
@@ -77,7 +77,7 @@ class Probe:
         began = time.monotonic_ns()
         try:
             pong = await stub.Ping(directory_service_pb2.DirectoryServicePingRequest(), timeout=PROBE_SECONDS)
-        except grpc.aio.AioRpcError:  # for any reason: this supernode cannot reach it
+        except grpc.aio.AioRpcError:  # whatever the reason, this supernode cannot reach the member
             await self._tell_why(member)
             return Finding(False, None)
         self._told.pop(member.address, None)

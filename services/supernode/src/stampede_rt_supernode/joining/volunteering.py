@@ -1,4 +1,4 @@
-"""Asks the members to let this supernode in, after `stampede supernode join`, until they have."""
+"""After `stampede supernode join`: asks the members to let this supernode in, until it is a member."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ async def volunteer(
     zone: str,
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
 ) -> None:
-    """Ask one member after the other, and the leader that they name. Raises StampedeError if they refuse.
+    """Ask one member after the other, and the leader that they name. Raises StampedeError if a member refuses for good.
 
-    A supernode that was refused before waits first, longer each time, because a supervisor restarts it at once.
+    A supernode that was refused before waits first, longer each time, because a supervisor may restart it at once.
     """
     if founding.refused:
         pause_seconds = seconds_before_asking(founding.refusals)

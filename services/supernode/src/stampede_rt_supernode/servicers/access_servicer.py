@@ -40,7 +40,7 @@ SERIAL_BYTES = 8
 
 
 class _Change(NamedTuple):
-    """The rules before and after a change, and its effects. `version`: that of the last change before this one."""
+    """The rules before and after a change, and its effects. `version`: the log position of the change before it."""
 
     version: int
     before: AccessRules
@@ -59,7 +59,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     async def CreateClientToken(
         self, request: pb.CreateClientTokenRequest, context: Context
     ) -> pb.CreateClientTokenResponse:
-        """Creates the cluster's token key at the first token, if the cluster is older than client tokens."""
+        """Issues a token. Creates the key for tokens first if the cluster has none, being older than client tokens."""
         check_id(request.request_id, "request_id")
         valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else VALID_NANOS_DEFAULT
         roles = check_claims(request.name, request.roles, valid_nanos)
@@ -137,7 +137,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
 
     @errors_as_status
     async def CheckAccess(self, request: pb.CheckAccessRequest, context: Context) -> pb.CheckAccessResponse:
-        """Judges as for a client of that name."""
+        """Answers whether a client of that name may do that."""
         verb, kind = verb_from(request.verb), kind_from(request.kind)
         check_rule(AccessRule(request.who, (verb,), kind, request.name))
         rules = await self._calls.read(context, lambda directory: directory.access.rules)

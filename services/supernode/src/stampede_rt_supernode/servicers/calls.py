@@ -1,4 +1,4 @@
-"""The common parts of this port's servicers: the caller's time, reads and updates."""
+"""The common parts of the servicers: deadlines, reads and updates of the directory, and checks of the caller."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class DirectoryCalls:
     ) -> S:
         """The result of `operation`, as in `Submission.submit`. Raises InvalidArgument for an impossible operation.
 
-        `as_of_index`: the result of `reached` when the request came, if that was not just now.
+        `as_of_index`: the result of `reached` when the request came; None if it came just now.
         """
         check_id(op_id, "request_id")
         check_operation(operation)
@@ -141,10 +141,9 @@ class DirectoryCalls:
         return max(1, self._replica.read(lambda directory: directory.applied_index))
 
     def check_opening(self, kind: AccessKind, operation: OpenChannel | OpenQueue | OpenGroup) -> bool:
-        """Check that the caller may create the thing or state more settings, if the open does that. Returns whether it
-        does.
+        """Check the caller's right if an open creates the thing or changes its settings.
 
-        Raises PermissionDenied.
+        Returns whether the open does so. Raises PermissionDenied.
         """
         verb = self._replica.read(lambda directory: right_to_open(directory.tables, operation))
         if verb is not None:
@@ -161,7 +160,7 @@ class DirectoryCalls:
             check_access(verb, kind, name)
 
     def holder_of(self, name: str) -> PeerRecord | None:
-        """The live peer of that name, as this replica knows it; None: there is none."""
+        """The live peer of that name, as this replica knows it; None if it knows none."""
         return self._replica.read(lambda directory: directory.tables.peers.live_named(name))
 
     def check_peer(self, peer_id: bytes) -> None:
@@ -171,7 +170,7 @@ class DirectoryCalls:
             check_owner(peer, owner_name())
 
     def check_host(self, context: Context, host_id: bytes, name: str | None = None) -> None:
-        """Raises PermissionDenied if the caller's certificate is that of another host, and for clients.
+        """Raises PermissionDenied if the caller is a client, or has the certificate of another host.
 
         `name`: the name that the host wants.
         """

@@ -1,4 +1,4 @@
-"""Manages the leases of hosts and peers as the leader: takes them over, prolongs them, ends them.
+"""Manages the leases of hosts and peers while this supernode leads: takes them over, prolongs them, ends them.
 
 A thin shell around `core.lease`.
 """
@@ -52,11 +52,14 @@ class PeerRenewal(NamedTuple):
     tenure: int
     time_unix_nano: int
     supernode_id: str
-    held_nanos: int  # since the renewal came
+    held_nanos: int  # how long this supernode has had the renewal before it answered
 
 
 class LeaseKeeper:
-    """Call `tick` again and again, and `renew` or `renew_peer` for each renewal. On one event loop."""
+    """The leases of hosts and peers. Use it on one event loop.
+
+    Call `tick` again and again, and `renew` or `renew_peer` for each renewal.
+    """
 
     def __init__(
         self,
@@ -74,9 +77,10 @@ class LeaseKeeper:
         self._founding_ttl_nanos = founding_ttl_nanos
         self._hosts = LeaseTable()
         self._peers = LeaseTable()
-        # The change and the state (`restored`) up to which the peers' table has followed; None: no state yet.
+        # (`restored`, position): the state of the replica, and the position in its ring of peers, up to which the table
+        # of peers has followed. None if it has followed nothing yet.
         self._peers_followed: tuple[int, int] | None = None
-        # The last mark of time, and when this leader first saw it, or began to lead.
+        # The log position of the last mark of time, and when this leader first saw the mark, or began to lead.
         self._last_mark = self._marked_nanos = 0
         # The id that the founder gave the cluster, and whether this cluster replaces a restored one.
         self.founding_cluster_id, self.takes_over = "", False
@@ -127,7 +131,7 @@ class LeaseKeeper:
         )
         begun = await self._submission.submit(operation, TenureBegun, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:
-            return  # another one leads by now
+            return  # another supernode leads by now
         hosts, ttl_nanos = self._replica.read(lambda directory: (_live(directory), directory.lease_ttl_nanos))
         self._peers_followed = None
         now = self._marked_nanos = self._clock.boottime_nanos()
@@ -184,7 +188,7 @@ class LeaseKeeper:
             logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
 
     async def _follow_peers(self, now: int) -> None:
-        """Follow the peers that came and went, a part in each turn; all peers, if too many came and went."""
+        """Follow the peers that came and went, a part in each turn. If too many did, go through all peers instead."""
         while True:  # ends with the last change
             page = self._replica.read(self._changed_peers)
             if page is None:
@@ -198,7 +202,7 @@ class LeaseKeeper:
             await self._give_way()
 
     def _changed_peers(self, directory: Directory) -> ChangePage | None:
-        """The next changes; None: they are gone, or the whole state was replaced."""
+        """The next changes; None if the ring has dropped them, or the whole state was replaced."""
         restored, position = self._peers_followed or (-1, 0)
         ring = directory.tables.peers.changes
         return ring.read(position, PEERS_PER_TURN) if restored == self._replica.restored else None
@@ -240,7 +244,7 @@ class LeaseKeeper:
     async def renew_peer(
         self, peer_id: bytes, boot_incarnation: int, clock: ClockOffset | None, *, seconds: float
     ) -> PeerRenewal:
-        """As `renew`, for a peer, which also reports its clock (None: unknown)."""
+        """As `renew`, for a peer. `clock`: the peer's report of its clock; None if it made none."""
         received = self._clock.boottime_nanos()
         ttl_nanos, tenure = await self._renew(
             self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds, clock
@@ -275,8 +279,8 @@ class LeaseKeeper:
     def check_leads(self, since: int = 0) -> int:
         """The tenure under which this supernode grants leases.
 
-        Raises NotLeader. Raises Unavailable with reason NO_QUORUM while this supernode takes over, or if the tenure is
-        another one than `since` (0: any).
+        `since`: the tenure that must still hold; 0 if any will do. Raises NotLeader, or Unavailable with reason
+        NO_QUORUM while this supernode takes over or if another tenure holds.
         """
         status = self._log.status()
         if not status.is_leader:

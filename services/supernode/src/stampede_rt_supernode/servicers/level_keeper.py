@@ -1,4 +1,4 @@
-"""Manages the cluster's feature level as the leader: raises it once all members know a higher one."""
+"""Manages the cluster's feature level while this supernode leads: raises it once all members know a higher one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROPOSAL_SECONDS = 5.0
 
 
 class LevelKeeper:
-    """Call `tick` again and again, on the event loop."""
+    """Raises the feature level. Call `tick` again and again, on the event loop."""
 
     def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, submission: Submission) -> None:
         self._log = log

@@ -1,4 +1,4 @@
-"""Manages the loads of owners and copies as the leader: accepts the hosts' reports, and gives them to callers.
+"""Manages the loads of owners and copies while this supernode leads: takes the hosts' reports, answers callers.
 
 A thin shell around `core.replicas.loads`.
 """
@@ -20,7 +20,7 @@ from stampede_rt_supernode.servicers.lease_keeper import not_leader
 
 
 class LoadKeeper:
-    """On one event loop. Loads come about every 2 s for each host, so no method waits."""
+    """The loads that hosts report, about every 2 s each. Use it on one event loop. No method waits."""
 
     def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, *, clock: HostClock) -> None:
         self._log = log
@@ -46,8 +46,9 @@ class LoadKeeper:
         self._loads.note(held, self._clock.boottime_nanos())
 
     def of(self, channel_id: bytes, host_ids: Sequence[bytes]) -> list[ReplicaLoad]:
-        """The loads that these hosts reported for a channel, the least loaded first; empty if this supernode does not
-        lead.
+        """The loads that these hosts reported for a channel, the least loaded first.
+
+        Empty if this supernode does not lead.
         """
         self._loads.lead(self._log.status().tenure)
         return self._loads.of(channel_id, host_ids, self._clock.boottime_nanos())

@@ -38,7 +38,7 @@ QUORUM_SECONDS = 5.0  # a reachable majority answers at once, or elects a leader
 
 
 class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
-    """One supernode's answers. Only the leader changes the members."""
+    """One supernode's answers about the members of the cluster. Only the leader changes the members."""
 
     def __init__(
         self,

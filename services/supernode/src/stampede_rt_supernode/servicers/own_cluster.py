@@ -10,25 +10,25 @@ from stampede_rt_supernode.replica import DirectoryReplica
 
 
 class OwnCluster:
-    """The data folder tells the id, unless the cluster was founded with a list. Then the directory tells it."""
+    """Knows the id of this cluster from the data folder, or, if it was founded with a list, from the directory."""
 
     def __init__(self, replica: DirectoryReplica) -> None:
         self._replica = replica
         self._known = ""
 
     def learn(self, log_cluster_id: str) -> None:
-        """Take the cluster's id among its members, at the start, before any call is served."""
+        """Take over the id by which the members know the cluster. Call it at the start, before any call is served."""
         self._known = cluster_id_of(log_cluster_id)
 
     def id(self) -> str:
-        """The id of this cluster, or the one that it will have once its founder leads; empty: unknown yet."""
+        """The id that this cluster has, or will have once its founder leads; empty if it is not known yet."""
         return self._known or self._replica.read(_id_of)
 
     def judge(self, callers: str) -> StampedeError | None:
-        """The error for a caller of the cluster `callers`; None: the supernode serves it.
+        """The error for a caller of the cluster with the id `callers`; None if the supernode serves that caller.
 
-        Serves no caller while the state is still empty, or that of the former cluster of a restored one, because reads
-        and updates would concern that state.
+        Serves no caller while the state is still empty, or, in a restored cluster, still that of the former cluster.
+        Reads and updates would concern that state.
         """
         own, held = self.id(), self._replica.read(_id_of)
         if not own or held != own:

@@ -130,8 +130,9 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         )
 
     def _check_dead_letter(self, spec: QueueSpec) -> None:
-        """Check that the caller may send to the dead-letter queue, because the host that sends there later is not
-        judged.
+        """Check that the caller may send to the dead-letter queue.
+
+        Later the host sends there, and rules of access do not judge hosts.
         """
         if spec.HasField("dead_letter_queue_id"):
             self._calls.check_thing(AccessVerb.SEND, AccessKind.QUEUE, spec.dead_letter_queue_id)

@@ -44,7 +44,7 @@ class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
 
     @errors_as_status
     async def CheckQuotas(self, request: pb.CheckQuotasRequest, context: Context) -> pb.CheckQuotasResponse:
-        """The limits of one caller, and the settings that match its name."""
+        """Answers with the limits of one caller, and the settings from which they come."""
         check_who(request.subject)
         if set(request.subject) & {"*", "?"}:
             raise InvalidArgument(f"{request.subject} is a pattern; name one caller")

@@ -69,7 +69,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     async def SetReplicaInSync(
         self, request: pb.SetReplicaInSyncRequest, context: Context
     ) -> pb.SetReplicaInSyncResponse:
-        """In a cluster with certificates only the owner may call it."""
+        """In a cluster with certificates only the owner of the channel may call this."""
         channel_id = channel_id_of(request.subject)
         owner = await self._calls.read(context, lambda directory: channel_by_id(directory.tables, channel_id).host_id)
         self._calls.check_host(context, owner)

@@ -33,17 +33,17 @@ class Submission:
         self._closed = False
 
     def close(self) -> None:
-        """Repeat nothing from now on: calls under way end with SHUTTING_DOWN, unless they succeed now."""
+        """Repeat nothing from now on. Calls under way end with SHUTTING_DOWN, unless their present attempt succeeds."""
         self._closed = True
 
     async def submit(
         self, operation: Operation, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0
     ) -> R:
-        """Replicate `operation` and return its result, a `kind`. Repeated with the same `op_id`, it is done once.
+        """Replicate `operation` and return its result, a `kind`. The directory does it once for each `op_id`.
 
-        `as_of_index`: see Command. Raises the directory's refusal; VersionMismatch if not all supernodes know such a
-        command; LogUnavailable with reason AMBIGUOUS if it may or may not be done, NO_QUORUM if it is certainly not
-        done.
+        `as_of_index`: see Command. Raises the error of the directory's refusal; VersionMismatch if not all supernodes
+        know such a command; Unavailable with reason AMBIGUOUS if the operation may be done or not, NO_QUORUM if it is
+        certainly not done, SHUTTING_DOWN if this supernode stops or its state has diverged.
         """
         now = self._time_unix_nano()
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))
@@ -71,12 +71,12 @@ class Submission:
     async def confirm(self, *, seconds: float) -> int:
         """Wait until the local state includes every update acknowledged before.
 
-        Raises LogUnavailable with NO_QUORUM.
+        Raises Unavailable with reason NO_QUORUM or SHUTTING_DOWN.
         """
         return await self._persist(lambda timeout: self._log.confirm_read(timeout=timeout), seconds)
 
     def check_state(self) -> None:
-        """Raises LogUnavailable with reason SHUTTING_DOWN if this supernode's state has diverged."""
+        """Raises Unavailable with reason SHUTTING_DOWN if this supernode's state has diverged."""
         status = self._log.status()
         if status.diverged_at:
             text = f"{why_diverged(status)}; it serves no caller until it has joined again; use another one"

@@ -1,6 +1,7 @@
 """Watches: every watcher holds a position in the ring of recent changes, and has no buffer.
 
-So a slow watcher costs no memory. If the ring overtakes it, it gets WATCH_RESTART and lists again.
+So a slow watcher costs no memory. If the ring drops changes that the watcher has not read, the watcher gets
+WATCH_RESTART and lists again.
 """
 
 from __future__ import annotations
@@ -85,14 +86,15 @@ class Watches:
     ) -> AsyncIterator[WatchBatch]:
         """Batches without end. The first batch is empty and tells where the watch begins. Signs of life are empty, too.
 
-        `after_index` 0: from now on. Confirm a read just before. Raises WatchRestart, and Unavailable when this
-        supernode stops or knows no leader any more. `follow` raises InvalidArgument for an invalid pattern.
+        `after_index`: the log position after which the watch begins; 0 for the present one. Confirm a read just before
+        the call. Raises WatchRestart, and Unavailable when this supernode stops or knows no leader any more. `follow`
+        raises InvalidArgument for an invalid pattern.
         """
         position, index, life = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
         yield WatchBatch((), index)
         with self._bell.listening() as rung:
             while True:
-                rung.clear()  # cleared before the look, because the next ring announces later changes
+                rung.clear()  # before the read of the ring, so that the bell announces every change after that read
                 page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, life))  # type: ignore[misc]
                 position = page.position
                 changes = tuple(change for change in page.changes if wanted(change))
@@ -153,7 +155,7 @@ def _filter(
             case AccessChange():
                 return include_access
             case PeerRecord():
-                return False  # they have a ring of their own
+                return False  # changes of peers are in a ring of their own
 
     return wanted
 
@@ -183,7 +185,7 @@ async def _happens(event: asyncio.Event, seconds: float) -> bool:
 
 
 class _Bell:
-    """Wakes all waiting coroutines on the event loop, a few in each turn, however many there are.
+    """Wakes all waiting coroutines on the event loop, WATCHES_PER_TURN of them in each turn.
 
     Any thread may ring it. Several rings before the waking count as one. A coroutine that is not yet woken keeps its
     place.
@@ -217,7 +219,7 @@ class _Bell:
             logger.debug("a change came after the event loop had closed")
 
     def wake(self) -> None:
-        """Begin to wake, on the loop."""
+        """Begin to wake the coroutines that wait. Call it on the loop."""
         self._rung = False
         is_waking = bool(self._to_wake)
         self._to_wake.update(self._listening)
