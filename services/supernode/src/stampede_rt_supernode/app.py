@@ -222,7 +222,7 @@ async def _for_good(work: Coroutine[Any, Any, None]) -> None:
 async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bool) -> None:
     """End the service if this supernode was removed, has another folder than before, or has too old a release.
 
-    `keeps`: whether it was started with a folder.
+    `keeps`: whether the supernode was started with a data folder.
     """
     while not server.stopping.is_set():
         status = log.status()
@@ -290,7 +290,7 @@ async def _follow_access(server: ServiceServer) -> None:
 
 
 async def _follow_leader(server: ServiceServer, members: Members) -> None:
-    """Health is SERVING as long as a leader is known."""
+    """Keep the health service at SERVING as long as this supernode can serve, and at NOT_SERVING else."""
     serving = False
     while not server.stopping.is_set():
         if members.ready() != serving:

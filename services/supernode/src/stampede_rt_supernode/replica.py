@@ -24,7 +24,7 @@ T = TypeVar("T")
 class DirectoryReplica:
     """A `replication.interface.StateMachine`. `restored` counts how often the whole state was replaced."""
 
-    # of this release; tests of several releases in one process set others
+    # The commands that this release knows. Tests of several releases in one process set other values.
     highest_level = HIGHEST_LEVEL
     level_needed = staticmethod(level_needed)
     kind_in = staticmethod(kind_in)
@@ -91,16 +91,16 @@ class DirectoryReplica:
         self._directory.digest = digest
 
     def begin_snapshot(self) -> Callable[[], bytes]:
-        """Copy the whole state as of the last applied command. Returns a function that encodes it, on any thread.
+        """Copy the whole state as of the last applied command. Returns a function that encodes the copy, on any thread.
 
-        One snapshot at a time. Needs no lock, because only this thread changes the state.
+        Call that function before the next `begin_snapshot`. Needs no lock, because only this thread changes the state.
         """
         return self._snapshots.begin(self._directory)
 
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
         """Decode a snapshot, on any thread. Returns a function that replaces the whole state.
 
-        Raises for a damaged snapshot, and ReleaseTooOld: without the snapshot this replica would answer wrongly.
+        Raises StampedeError for a damaged snapshot, and ReleaseTooOld. The caller must not go on without the snapshot.
         """
         directory = decode_snapshot(snapshot)
         self._check_release(directory)

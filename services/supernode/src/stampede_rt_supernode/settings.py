@@ -117,10 +117,10 @@ class SupernodeSettings(ServiceSettings):
             raise ValueError(f"--listen is {self.listen}; with --members name the port that the list has for this one")
 
     def founding(self, listening_at: str) -> Founding:
-        """How this supernode begins: as its folder was prepared, by the list of members, or alone.
+        """Returns how this supernode begins: as its folder was prepared, by the list of members, or alone.
 
         Raises StampedeError if it would begin alone in a folder that nobody has prepared and that holds no store. It
-        may be a member that lost its disk. Such a member would not know the promises that it gave to the others.
+        may be a member that lost its disk. Such a member would not know its own votes and acknowledged entries.
         """
         if self.data_dir is not None:
             check_restored(self.data_dir)
@@ -161,7 +161,7 @@ class SupernodeSettings(ServiceSettings):
                 )
 
     def _listed(self, name: str, address: str, members: dict[str, str]) -> Founding:
-        """How a founder in the list begins.
+        """Returns how a founder in the list of members begins.
 
         The cluster id comes from the store, if there is one, because the list may change later. Without a store it
         comes from the list.

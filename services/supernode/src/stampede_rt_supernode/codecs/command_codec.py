@@ -48,7 +48,7 @@ _BY_OUTCOME: Mapping[str | None, KindCodec[Any, Any, Any, Any]] = MappingProxyTy
 
 
 def encode_command(command: Command) -> bytes:
-    """The bytes to propose."""
+    """The bytes of a command, to be proposed to the log."""
     codec = _BY_OPERATION[type(command.operation)]
     kind: dict[str, Any] = {codec.kind: codec.write(command.operation)}
     return pb.DirectoryCommand(
@@ -57,7 +57,7 @@ def encode_command(command: Command) -> bytes:
 
 
 def kind_in(encoded: bytes) -> str:
-    """The contract's name of the command's kind; empty for a kind that this release does not know."""
+    """The name of the command's kind in the `.proto` file; empty for a kind that this release does not know."""
     try:
         return pb.DirectoryCommand.FromString(encoded).WhichOneof("kind") or ""
     except DecodeError:
@@ -107,7 +107,7 @@ def result_message(result: Result) -> pb.DirectoryResult:
 
 
 def encode_result(result: Result) -> bytes:
-    """The bytes that `apply` returns."""
+    """The bytes of a result, as `DirectoryReplica.apply` returns them. Equal results give equal bytes."""
     return result_message(result).SerializeToString(deterministic=True)
 
 

@@ -45,7 +45,7 @@ def _reference_from(spec: group_pb2.GroupSpec) -> bytes | None:
 
 
 def group_spec_message(spec: GroupSpec) -> group_pb2.GroupSpec:
-    """The message of a set-up. None leaves a field out."""
+    """The message of a set-up. Leaves out fields that are None."""
     by_channel = spec.reference_channel_id is not None
     return group_pb2.GroupSpec(
         channel_ids=spec.channel_ids,

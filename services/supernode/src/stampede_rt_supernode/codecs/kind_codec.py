@@ -22,7 +22,7 @@ ResultMessage = TypeVar("ResultMessage", bound=Message)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KindCodec(Generic[Op, OperationMessage, Done, ResultMessage]):
-    """The contract's members for the operation and its result, and the conversions from and to them."""
+    """The fields of the protobuf messages for an operation and its result, and the conversions from and to them."""
 
     kind: str  # the member of DirectoryCommand.kind
     outcome: str  # the member of DirectoryResult.outcome

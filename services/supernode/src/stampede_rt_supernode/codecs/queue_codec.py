@@ -39,7 +39,7 @@ def queue_spec_from(spec: queue_pb2.QueueSpec) -> QueueSpec:
 
 
 def queue_spec_message(spec: QueueSpec) -> queue_pb2.QueueSpec:
-    """The message of a set-up. None leaves a field out."""
+    """The message of a set-up. Leaves out fields that are None."""
     others: dict[str, Any] = {name: getattr(spec, name) for name in _SPEC_FIELDS}
     return queue_pb2.QueueSpec(on_full=_ON_FULL_TO_WIRE[spec.on_full], **others)
 

@@ -55,7 +55,7 @@ def _optional(message: channel_pb2.ChannelSpec | channel_pb2.RetentionPolicy, na
 
 
 def spec_of(policy: Policy) -> channel_pb2.ChannelSpec:
-    """The message of a policy. None leaves a field out."""
+    """The message of a policy. Leaves out fields that are None."""
     return channel_pb2.ChannelSpec(
         retention=channel_pb2.RetentionPolicy(**{name: getattr(policy, name) for name in _LIMIT_FIELDS}),
         on_full=_ON_FULL_TO_WIRE[policy.on_full],
@@ -82,8 +82,8 @@ def channel_from(record: channel_pb2.ChannelRecord) -> ChannelRecord:
 def _held_policy(spec: bytes) -> Policy:
     """The policy in an encoded spec, one object for all channels with the same spec.
 
-    To decode a policy takes more time than the rest of a record. Stored specs were checked, so the cache's keys are
-    short.
+    To decode a policy takes more time than the rest of a record. The supernodes checked each spec before they stored
+    it, so the keys of the cache are short.
     """
     return policy_from(channel_pb2.ChannelSpec.FromString(spec))
 
@@ -105,7 +105,7 @@ def channel_record(channel: ChannelRecord) -> channel_pb2.ChannelRecord:
 
 @lru_cache(_POLICIES_MAX)
 def _held_spec(policy: Policy) -> channel_pb2.ChannelSpec:
-    """The spec of a policy, cached like `_held_policy`. Must not be changed, only copied into a record."""
+    """The spec of a policy, cached like `_held_policy`. Callers must not change it. They copy it into a record."""
     return spec_of(policy)
 
 

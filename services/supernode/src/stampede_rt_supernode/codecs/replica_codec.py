@@ -32,7 +32,7 @@ def kind_message(kind: ReplicaKind) -> replica_pb2.ReplicaKind:
 def channel_id_of(subject: subject_pb2.Subject) -> bytes:
     """The channel of a subject.
 
-    Raises InvalidArgument without one, QUEUE_NOT_FOUND for a queue: queues have no copies yet.
+    Raises QUEUE_NOT_FOUND for a queue, because queues have no copies yet.
     """
     if subject.WhichOneof("id") == "queue_id":
         shown = subject.queue_id.hex()

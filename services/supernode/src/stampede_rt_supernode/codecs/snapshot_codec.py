@@ -1,8 +1,9 @@
 """Converts the whole directory from and to the bytes of a snapshot.
 
-A snapshot is encoded while the log goes on. The values are immutable, so their encoded forms are kept and used again. A
-snapshot costs the encoding of changed values and a copy of the rest. Each part is an encoded message of its own,
-because protobuf merges joined messages (protobuf.dev, "Encoding", "Last One Wins").
+A worker thread encodes a snapshot while the log goes on. The values are immutable, so the writer keeps their encoded
+forms and uses them again. A snapshot costs the encoding of changed values and a copy of the rest. Each part is an
+encoded message of its own, and the snapshot is their concatenation: protobuf merges concatenated messages when it
+decodes them (protobuf.dev, "Encoding", "Last One Wins").
 """
 
 from __future__ import annotations
@@ -42,8 +43,8 @@ from stampede_rt_supernode.core.snapshot_view import SnapshotView, snapshot_view
 from stampede_rt_supernode.core.tables import Tables
 
 FORMAT_VERSION = 1
-FORMAT_VERSION_WITH_GROUPS = 2  # or with copies of channels, which a reader of form 1 would lose in silence
-FORMAT_VERSION_WITH_QUEUES = 3  # or with peers
+FORMAT_VERSION_WITH_GROUPS = 2  # has groups or copies of channels, which a reader of version 1 would lose in silence
+FORMAT_VERSION_WITH_QUEUES = 3  # has queues or peers
 
 T = TypeVar("T")
 
@@ -149,7 +150,7 @@ def _head(directory: Directory) -> bytes:
         join_key=directory.join_key,
         digest=directory.digest,
         feature_level=directory.feature_level,
-        # A release that does not know them refuses the snapshot by its feature level.
+        # A release that does not know the following fields refuses the snapshot, because its feature level is too high.
         access_rules=map(rule_message, directory.access.rules.rules),
         token_key=directory.access.token_key,
         access_version=directory.access.version,
@@ -172,12 +173,12 @@ def _remembered(answer: Answer) -> pb.RememberedOperation:
 
 
 def encode_snapshot(directory: Directory) -> bytes:
-    """The bytes of one snapshot. Keeps nothing."""
+    """The bytes of one snapshot. Keeps no encoded forms for another."""
     return SnapshotWriter().begin(directory)()
 
 
 def decode_snapshot(encoded: bytes) -> Directory:
-    """The directory in a snapshot. Raises StampedeError, for example VersionMismatch: then do not go on without it."""
+    """The directory in a snapshot. Raises StampedeError if the snapshot is damaged or of another version."""
     try:
         return _directory(pb.DirectorySnapshot.FromString(encoded))
     except StampedeError:
