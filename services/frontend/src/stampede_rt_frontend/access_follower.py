@@ -18,14 +18,14 @@ _REQUEST = access_service_pb2.GetAccessStateRequest(stale_ok=True)
 
 
 class AccessFollower:
-    """Asks a supernode for the state when its answer to a probe has a later version."""
+    """Asks a supernode for the access state when its answer to a probe names a later version."""
 
     def __init__(self, control: AccessControl) -> None:
         self._control = control
         self._known: AccessState | None = None
 
     async def heard(self, cluster_id: str, version: int, channel: grpc.aio.Channel) -> None:
-        """Take in the version in a supernode's answer.
+        """Take in the version of the access state in a supernode's answer to a probe.
 
         If the request for the state fails, the next probe asks again.
         """

@@ -50,7 +50,7 @@ class Prober:
         self._dial = naming_cluster(dial, lambda: roster.cluster_id)
         self._access = AccessFollower(access or AccessControl())
         self._tasks: dict[str, asyncio.Task[None]] = {}
-        # target -> the other cluster to which the supernode belonged at its last answer
+        # target -> the id of another cluster, to which the supernode at that target belonged at its last answer
         self._strangers: dict[str, str] = {}
         # callers that wait for a supernode that can serve
         self._waiting: dict[asyncio.Future[None], None] = {}
@@ -81,7 +81,7 @@ class Prober:
         return self._roster.any_healthy()
 
     def _wake_some(self) -> None:
-        """Wake the first callers in line, because a supernode can serve. The others follow in the next turns."""
+        """Wake the callers that wait longest, because a supernode can serve. The others follow in the next turns."""
         for healthy in [*islice(self._waiting, WOKEN_PER_TURN)]:
             del self._waiting[healthy]
             if not healthy.done():  # if it is, its caller waits no more

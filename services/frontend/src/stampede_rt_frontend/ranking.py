@@ -10,9 +10,9 @@ _SMOOTHING = 8  # a new measurement counts for one eighth, as in TCP's round-tri
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Supernode:
-    """The known facts of one supernode. `answered`: its last probe had an answer. `healthy`: it said that it can serve.
+    """The known facts of one supernode. `answered`: it answered its last probe. `healthy`: it said that it can serve.
 
-    `round_trip_nanos` is smoothed; None: never measured.
+    `round_trip_nanos` is smoothed. It is None if no round trip was measured.
     """
 
     supernode_id: str
@@ -25,10 +25,10 @@ class Supernode:
 
 
 def rank(supernodes: Iterable[Supernode], zone: str) -> list[Supernode]:
-    """The supernodes, best first: healthy ones, then those in the caller's zone (if it has one), then near ones, then
-    by id.
+    """The supernodes, best first.
 
-    A round trip that was never measured counts as the longest.
+    Healthy supernodes come before others; of these, those in the caller's `zone`, unless it is empty; then those with a
+    shorter round trip; then those with a lower id. A round trip that was never measured counts as the longest.
     """
 
     def order(node: Supernode) -> tuple[bool, bool, bool, int, str]:

@@ -32,9 +32,7 @@ class ProbeAnswer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MemberList:
-    """The members as one supernode lists them, and the position of the list in the replicated log, by which lists are
-    ordered.
-    """
+    """The members as one supernode lists them. Of two lists that with the later (term, applied index) is the newer."""
 
     term: int
     applied_index: int
@@ -69,7 +67,7 @@ class SupernodeRoster:
         """Take in an answer of `target`. Returns False if the supernode belongs to another cluster and is left out."""
         node = self._nodes.get(target)
         if node is None:
-            return True  # it left the member list while its answer was on the way
+            return True  # the supernode left the member list while its answer was on the way
         if not self._same_cluster(answer):
             self._fail(
                 node,
@@ -103,19 +101,18 @@ class SupernodeRoster:
         self._nodes = {target: self._merged(target, told.get(target)) for target in wanted}
 
     def _note_zones(self, members: MemberList) -> None:
-        """Take over the zone of each listed supernode that tells one.
+        """Take over the zones in a member list, even in an old one.
 
-        A supernode tells only its own, which is always right.
+        A supernode's list has only its own zone, which is always right.
         """
         for one in members.members:
             if one.zone and one.target in self._nodes:
                 self._nodes[one.target] = replace(self._nodes[one.target], zone=one.zone)
 
     def known(self) -> list[Supernode]:
-        """The supernodes to name to callers, each id once. A listed address has precedence over a seed with the same
-        id.
+        """The supernodes to name to callers, each id once. Leaves out seeds that are no members.
 
-        Leaves out seeds that are no members.
+        If two targets have the same id, one that answered comes first, and then one in the member list.
         """
         best: dict[str, Supernode] = {}
         members = set(self._listed.values())
@@ -157,8 +154,8 @@ class SupernodeRoster:
         if self.cluster_id and self.any_healthy():
             return False
         if not may_go_over(self.cluster_id, answer.cluster_id, answer.former_cluster_ids):
-            return False  # our cluster may come back
-        # The first cluster seen, or one that replaces ours, which is gone.
+            return False  # the cluster that this front-end serves may come back
+        # This is the first cluster that answers, or it replaces the served cluster, which is gone.
         self.cluster_id, self._position = answer.cluster_id, (0, 0)
         self.former_cluster_ids = answer.former_cluster_ids
         self._listed = {}

@@ -23,7 +23,7 @@ class Note(NamedTuple):
 
 
 class StatusLog:
-    """Compares the states of the supernodes with those that it reported last.
+    """Compares the states of the supernodes with the states that it reported last.
 
     All parts of a cluster may start at the same time. For the first START_SECONDS the log therefore does not report
     a supernode that could not serve yet.
