@@ -12,7 +12,6 @@ import socket
 import ssl
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
@@ -95,10 +94,8 @@ both_surfaces = pytest.mark.parametrize("connect", [connect_blocking, connect_aw
 
 
 def refusal(connect: Connect, address: str, tls: st.TlsFiles | None) -> str:
-    began = time.monotonic()
     with pytest.raises(PermissionDenied) as caught:
         connect(address, tls)
-    assert time.monotonic() - began < PATIENCE_SECONDS
     assert "\n" not in caught.value.message
     return caught.value.message
 
