@@ -150,6 +150,23 @@ async def test_signs_of_life_come_until_no_leader_is_known() -> None:
         assert "knows no leader" in error.message
 
 
+async def test_signs_of_life_come_although_commits_wake_the_watch_more_often_and_change_nothing_for_it() -> None:
+    async with running_node(sign_of_life_seconds=0.02) as node:
+        stream = begin(node, name_glob="mic")
+
+        async def wake_without_end() -> None:
+            while True:
+                node.watches._bell.ring()
+                await asyncio.sleep(0)
+
+        waking = asyncio.ensure_future(wake_without_end())
+        async with asyncio.timeout(20):
+            for _ in range(3):
+                assert not (await stream.read()).changes
+        waking.cancel()
+        stream.cancel()
+
+
 async def _until_it_ends(stream: Any) -> None:
     while response := await stream.read():
         assert not response.changes

@@ -46,6 +46,7 @@ class TakeStream:
         self._results: list[queue_pb2.SettlementResult] = []
         self._owes_drained = self._drains = self._closed = self._asks = False
         self._news = asyncio.Event()
+        self._silent_at_s = 0.0  # loop time at which the next sign of life is due, whatever news come before
         self._room = asyncio.Event()
 
     def deliver(self, batch: Batch) -> None:
@@ -148,9 +149,9 @@ class TakeStream:
             hosted.sent(taker)
 
     async def _wait_for_news(self) -> bool:
-        """Wait for news. Returns False if there were none for SIGN_OF_LIFE_SECONDS."""
+        """Wait for news. Returns False if the taker got no message for SIGN_OF_LIFE_SECONDS."""
         try:
-            async with asyncio.timeout(SIGN_OF_LIFE_SECONDS):
+            async with asyncio.timeout_at(self._silent_at_s):
                 await self._news.wait()
         except TimeoutError:
             return False
@@ -161,6 +162,7 @@ class TakeStream:
         try:
             async with asyncio.timeout(WRITE_SECONDS_MAX):
                 await self._context.write(message)
+            self._silent_at_s = asyncio.get_running_loop().time() + SIGN_OF_LIFE_SECONDS
         except TimeoutError:
             raise Overloaded(
                 f"the taker of queue {display_name(hosted.record)} read nothing for {WRITE_SECONDS_MAX:g} s, and its "

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 
@@ -92,21 +92,24 @@ class Watches:
         """
         position, index, life = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
         yield WatchBatch((), index)
+        alive = _SignOfLife(self._sign_of_life_seconds)
         with self._bell.listening() as rung:
             while True:
                 rung.clear()  # before the read of the ring, so that the bell announces every change after that read
                 page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, life))  # type: ignore[misc]
                 position = page.position
                 changes = tuple(change for change in page.changes if wanted(change))
-                if changes:
+                if not page.changes:
+                    self._check_open()
+                if changes or alive.is_due:
+                    if not changes:
+                        self._check_leader()
                     yield WatchBatch(changes, page.index)
+                    alive.given()
                 if page.changes:
-                    await asyncio.sleep(0)
-                    continue  # there may be more changes already
-                self._check_open()
-                if not await _happens(rung, self._sign_of_life_seconds):
-                    self._check_leader()
-                    yield WatchBatch((), page.index)
+                    await asyncio.sleep(0)  # there may be more changes already
+                else:
+                    await _happens(rung, alive.seconds_left)
 
     def _begin(
         self, directory: Directory, ring_of: Callable[[Directory], ChangeRing], after_index: int
@@ -175,13 +178,37 @@ def _matches(name: str, glob: str, matches: Callable[[str], bool]) -> bool:
     return matches(name) if name else not glob
 
 
-async def _happens(event: asyncio.Event, seconds: float) -> bool:
-    try:
+async def _happens(event: asyncio.Event, seconds: float) -> None:
+    """Wait for the event, for so many seconds at most."""
+    with suppress(TimeoutError):
         async with asyncio.timeout(seconds):
             await event.wait()
-    except TimeoutError:
-        return False
-    return True
+
+
+class _SignOfLife:
+    """When a stream owes its reader a sign of life: some seconds after the last message, whatever woke it meanwhile.
+
+    A commit that changes nothing of the watched tables wakes the watches, too, and commits may come more often than
+    signs of life.
+    """
+
+    def __init__(self, every_seconds: float) -> None:
+        self._every_seconds = every_seconds
+        self.given()
+
+    def given(self) -> None:
+        """Note that the reader got a message now."""
+        self._due_s = asyncio.get_running_loop().time() + self._every_seconds
+
+    @property
+    def seconds_left(self) -> float:
+        """The seconds until it is due; 0 or less: now."""
+        return self._due_s - asyncio.get_running_loop().time()
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the reader has got no message for too long."""
+        return self.seconds_left <= 0
 
 
 class _Bell:
