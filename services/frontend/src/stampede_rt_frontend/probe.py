@@ -103,7 +103,7 @@ class Prober:
         async with self._dial(target) as channel:
             stub = directory_service_pb2_grpc.DirectoryServiceStub(channel)
             pause = _RETRY_SECONDS_MIN
-            while True:  # for as long as the target is on the roster; paced below
+            while True:  # until the target leaves the roster, when `_match_tasks` cancels this task
                 healthy = await self._probe(target, channel, stub)
                 self._tell()
                 if self._roster.any_healthy():

@@ -27,8 +27,9 @@ class Supernode:
 def rank(supernodes: Iterable[Supernode], zone: str) -> list[Supernode]:
     """The supernodes, best first.
 
-    Healthy supernodes come before others; of these, those in the caller's `zone`, unless it is empty; then those with a
-    shorter round trip; then those with a lower id. A round trip that was never measured counts as the longest.
+    The order has four rules, each for supernodes that the rules before it leave equal: healthy ones come first; ones in
+    the caller's `zone` come first, unless `zone` is empty; a shorter round trip comes first; a lower id comes first. A
+    round trip that was never measured counts as the longest.
     """
 
     def order(node: Supernode) -> tuple[bool, bool, bool, int, str]:

@@ -34,7 +34,7 @@ FORGOTTEN_BY_MARK = 4096  # by each mark
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer to an operation. `subject`: see `commands.subject_of`."""
+    """The answer to an operation. `index`: its log position. `subject`: see `command_table.subject_of`."""
 
     op_id: bytes
     index: int
@@ -50,7 +50,7 @@ class Answer:
 
 
 class Answered:
-    """The answers to the operations since the oldest mark. Forgets refusals at once, because they changed nothing."""
+    """The answers to the operations since the oldest mark. Refusals are not among them: they changed nothing."""
 
     def __init__(self, answers: Iterable[Answer] = (), marks: Iterable[int] = ()) -> None:
         self.marks = tuple(marks)  # the log positions of the last marks, ascending

@@ -51,11 +51,11 @@ class _Lease:
 
 
 class LeaseTable:
-    """One leader's view. It grants and ends leases only between `lead` and `resign`."""
+    """The leases as one leader keeps them. The table grants and ends leases only between `lead` and `resign`."""
 
     def __init__(self) -> None:
         self.ttl_nanos = LEASE_TTL_NANOS  # the TTL of the cluster, once this supernode leads
-        self.tenure = 0  # 0: not leading, or the tenure is not committed yet
+        self.tenure = 0  # 0 while this supernode does not lead, or its tenure is not committed yet
         self._leases: dict[bytes, _Lease] = {}
         # A heap of (time of the next look at a lease, its registered index, its holder's id). The time is never after
         # the lease's end. Some leases in it are dropped already.

@@ -9,7 +9,7 @@ from stampede_rt.errors import InvalidArgument
 
 
 def write_name(name: str | None) -> str:
-    """The token of the page after `name`. If `name` is None there is no such page, and the token is empty."""
+    """The token of the page after `name`; empty if `name` is None, because no page follows."""
     return "" if name is None else base64.urlsafe_b64encode(name.encode()).decode()
 
 
@@ -22,7 +22,7 @@ def read_name(token: str) -> str:
 
 
 def write_host(key: tuple[str, bytes] | None) -> str:
-    """The token of the page after the host of that (name, id). If `key` is None there is no such page: empty."""
+    """The token of the page after the host of that (name, id); empty if `key` is None, because no page follows."""
     return "" if key is None else base64.urlsafe_b64encode(key[0].encode() + b"\0" + key[1]).decode()
 
 
@@ -36,7 +36,7 @@ def read_host(token: str) -> tuple[str, bytes]:
 
 
 def write_listing(listing: str, name: str | None) -> str:
-    """The token of the page of a listing after `name`. If `name` is None there is no such page, and the token is empty.
+    """The token of the page of a listing after `name`; empty if `name` is None, because no page follows.
 
     `listing`: a text with the kind and filters of the listing.
     """

@@ -106,7 +106,7 @@ class GroupSpec:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupRecord:
-    """A group. `spec_version` grows by 1 with every change of `spec`. `incarnation` changes if the cut may begin anew.
+    """A group. `spec_version` grows by 1 with every change. `incarnation` changes only if the cut may begin anew.
 
     `created_by`: as for channels.
     """

@@ -66,9 +66,9 @@ def log_cluster_of(token: str) -> str:
 
 
 def valid_until(now_unix_nano: int, valid_nanos: int | None) -> int:
-    """The time at which a token that is made now ends, in Unix nanoseconds. `valid_nanos` None: 1 h.
+    """The time at which a token that is made now ends, in Unix nanoseconds.
 
-    Raises InvalidArgument.
+    The token is valid for `valid_nanos`, or, if that is None, for VALID_NANOS_DEFAULT. Raises InvalidArgument.
     """
     chosen = VALID_NANOS_DEFAULT if valid_nanos is None else valid_nanos
     if not 0 < chosen <= VALID_NANOS_MAX:

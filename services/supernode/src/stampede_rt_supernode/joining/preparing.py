@@ -176,7 +176,7 @@ def _read(option: str, parse: Callable[[str], str], text: str) -> str:
 
 def _start(arguments: argparse.Namespace) -> str:
     advertise = f" --advertise {arguments.advertise}" if arguments.advertise else ""
-    # a service reads other variables, so the text names the flags
+    # The service reads other environment variables than this command, so the text names the flags.
     secured = any(os.environ.get(name) for name in CLIENT_VARIABLES)
     tls = " --tls-ca FILE --tls-certificate FILE --tls-key FILE" if secured else ""
     return (

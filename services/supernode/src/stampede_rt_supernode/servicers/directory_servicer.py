@@ -54,7 +54,10 @@ LOST_SHOWN_NANOS = 3600 * 10**9
 
 
 class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
-    """One supernode's answers. Reads are linearizable unless `stale_ok`. Updates are done once for each request id."""
+    """One supernode's answers about channels and hosts.
+
+    Reads are linearizable unless `stale_ok`. Updates are done once for each request id.
+    """
 
     def __init__(
         self,

@@ -122,7 +122,7 @@ class LeaseKeeper:
             supernode_id=status.self_id,
             new_cluster_id=self.founding_cluster_id or new_cluster_id(in_memory=self.in_memory),
             new_lease_ttl_nanos=self._founding_ttl_nanos,
-            # so that front-ends do not mistake a former cluster that comes back for the restored one
+            # A restored cluster gets a new id. So front-ends do not mistake the former cluster for it.
             founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
             takes_over=self.takes_over,
             new_feature_level=max(FIRST_LEVEL, status.level_of_members),

@@ -69,7 +69,7 @@ def open_group(tables: Tables, operation: OpenGroup) -> GroupOpened:
 
 
 def open_group_unchanged(tables: Tables, operation: OpenGroup) -> GroupOpened | None:
-    """The answer to `operation` if the group exists; None: it must be created. Raises the errors of `open_group`."""
+    """The answer to `operation` if the group exists; None if it does not. Raises the errors of `open_group`."""
     check_open_group(operation)
     group = tables.groups.named(operation.name)
     if group is None:

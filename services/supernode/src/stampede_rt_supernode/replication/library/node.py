@@ -264,7 +264,7 @@ class LibraryNode:
         self.take_snapshot_if_due()
 
     def _SyncObj__doApplyCommand(self, command: bytes) -> bytes | None:
-        # the library unpickles here and picks a method by number
+        # The library's own method unpickles the command, and picks a method by a number in it. This one does neither.
         return self.apply(self.last_applied + 1, command[1:]) if command[0] == COMMAND else None
 
 

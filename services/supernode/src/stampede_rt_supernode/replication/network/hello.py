@@ -116,7 +116,7 @@ def other_protocol(member_id: str, version: int) -> str:
 
 
 def newly_met(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:
-    """The member that an unknown caller says it is; None if it cannot be a member of this cluster.
+    """The member that an unknown caller says it is; None if it names no address, or the cluster has no id.
 
     A member that was away while the others were replaced knows none of them, but must accept the leader's messages
     (Ongaro's dissertation, section 4.1). A cluster without an id cannot be told from another cluster.

@@ -73,7 +73,7 @@ class Introduced:
 
 @dataclass(frozen=True, slots=True)
 class Disputed:
-    """A member has refused this node's store, for the reason `why`; empty: it accepts the store."""
+    """A member has refused this node's store, for the reason `why`. If `why` is empty, it accepts the store again."""
 
     member_id: str
     why: str
