@@ -197,7 +197,7 @@ class Channel(Reader):
         try:
             await self._session.perform(self._state, drop_at, timeout_s=1.0)
         except (Unavailable, DeadlineExceeded):
-            # The host cannot be told. The directory deletes the channel all the same.
+            # The host cannot be reached. The directory deletes the channel all the same.
             request = directory_service_pb2.DeleteChannelRequest(
                 request_id=identity, channel_id=self._state.info.channel_id
             )

@@ -20,9 +20,10 @@ PAUSE_SECONDS = 0.02
 
 
 class Judge(NamedTuple):
-    """A part of the cluster that judges callers. `ask` calls it; the answer has the version of access that it uses.
+    """A part of the cluster that decides what callers may do. `ask` calls it, and returns its answer.
 
-    The version of access is the log position of the last change of rules, quotas, token keys or revocations.
+    The answer has the version of access that the part uses: the log position of the last change of rules, quotas,
+    token keys or revocations.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What callers use of their quotas, as each part of a running cluster tells."""
+"""Asks each part of a running cluster what callers use of their quotas."""
 
 from __future__ import annotations
 

@@ -96,10 +96,10 @@ class Cluster:
         return int(self.ask_access("RevokeCredential", request).version)
 
     def parts_behind(self, version: int, *, of_rules: bool = False) -> dict[str, str]:
-        """Wait until all parts judge callers by that version of access; see `in_force`.
+        """Wait until all parts use `version` of access, for at most IN_FORCE_SECONDS; see `in_force`.
 
-        Returns the parts that do not, each with the reason. `of_rules`: leave front-ends out, because no rule concerns
-        them.
+        Returns the parts that do not use it yet, each with the reason. `of_rules`: leave front-ends out, because no
+        rule concerns them.
         """
         try:
             judges = self._parts(with_frontends=not of_rules)

@@ -15,7 +15,8 @@ UNKNOWN = "unknown"  # stands for the clock of a peer that has not told its offs
 def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     """Find wrong clocks: those that differ from the clocks of most services and the caller.
 
-    A slow answer tells little about a clock. If the offset is at most half of the round trip, it counts as zero.
+    A slow answer gives an inexact offset. A clock counts as wrong only if it differs by more than the allowed offset
+    and the greatest errors of both offsets together.
     """
     offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
     told = {one: offset for one, offset in offsets.items() if one.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX}
