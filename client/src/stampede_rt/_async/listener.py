@@ -40,7 +40,7 @@ class Listener(BackgroundStart, BoundToProcess):
         self._function = function
         self._subscription = subscribe(False)
         self._dropped_before = self._skipped_before = self._reconnects_before = 0  # sums of earlier subscriptions
-        self._holds = Signal()
+        self._holds = Signal()  # the subscription is open, or the listener has ended
         self._cancelled = False
         self.active = True
         self.delivered = self.failures = self.losses = 0

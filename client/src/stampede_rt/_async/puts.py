@@ -68,7 +68,7 @@ class Puts:
             except Full:
                 if (
                     part is left or monotonic_s() - asked_s < renew_s / 2
-                ):  # the host refused the put at once: on this channel no put waits
+                ):  # the host refused the put at once, so no put waits on this channel
                     raise
             renew_s = RENEW_S
 

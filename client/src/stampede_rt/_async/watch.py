@@ -96,7 +96,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
         backoff = Backoff(monotonic_s() + timeout_s)
         while self._stream is None and not self._closed:
             try:
-                if self._responses is not None:
+                if self._responses is not None:  # the watch was open before
                     await self._look_around(backoff.deadline_s)
                 await self._open_once()
             except Unavailable:

@@ -52,7 +52,7 @@ class Producer(BoundToProcess):
         self._unacked: deque[NumberedRun] = deque()
         self._unacked_bytes = 0
         self._mutex = Mutex()  # guards the builder and the order of writes
-        self._moved = Signal()
+        self._moved = Signal()  # an ack has come, or the stream has ended
         self._stream: PutDuplex | None = None
         self._opened: list[PutDuplex] = []  # the latest stream; `_give_up` closes it
         self._generation = 0  # the number of the stream; acks of an older stream do not count

@@ -20,9 +20,10 @@ from stampede_rt.wire.queues import queue_info, queue_policy_to_spec
 
 @dataclass(slots=True)
 class QueueState:
-    """What a handle knows of its queue. `info` follows the directory; `name` is the queue's name in texts for people.
+    """The facts that a handle keeps about its queue or mailbox.
 
-    `cluster_id`: the cluster that `info` comes from.
+    `kind` and `name` stand in texts for people. `info` is the directory's latest description, and `cluster_id` the
+    cluster of that directory. `stated` and `create` are the arguments with which the handle opens the queue again.
     """
 
     kind: str

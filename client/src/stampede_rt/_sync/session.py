@@ -50,9 +50,10 @@ def request_id() -> bytes:
 
 @dataclass(slots=True)
 class ChannelState:
-    """What a handle knows of its channel.
+    """The facts that a handle keeps about its channel.
 
-    `info` follows the directory; `cluster_id` is the cluster of that directory.
+    `info` is the directory's latest description, and `cluster_id` the cluster of that directory. `stated` and `create`
+    are the arguments with which the handle opens the channel again.
     """
 
     info: ChannelInfo

@@ -97,7 +97,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
         backoff = Backoff(monotonic_s() + timeout_s)
         while self._stream is None and not self._closed:
             try:
-                if self._responses is not None:
+                if self._responses is not None:  # the watch was open before
                     self._look_around(backoff.deadline_s)
                 self._open_once()
             except Unavailable:

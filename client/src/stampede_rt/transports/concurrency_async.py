@@ -88,7 +88,7 @@ run_concurrently = run_all
 
 
 class KeyedLock:
-    """One lock for each key. Callers that look for the same thing take turns; the first one finds it for all."""
+    """One lock for each key. Of several callers that look for the same thing, the others wait for the first one."""
 
     def __init__(self) -> None:
         self._locks: WeakValueDictionary[Hashable, asyncio.Lock] = WeakValueDictionary()

@@ -20,7 +20,7 @@ _forks = 0  # forks between the process that loaded this module and this one
 _open: WeakSet[object] = WeakSet()  # the owners of gRPC connections in this process
 _opened_ever = False
 _inherited: list[object] = []  # referenced for ever, because the deletion of a parent's gRPC object hangs, too
-_refused = False
+_refused = False  # whether this process is a forked child that cannot use gRPC
 
 
 def forks() -> int:
