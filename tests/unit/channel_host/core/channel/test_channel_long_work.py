@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import chain, pairwise, starmap
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -23,12 +23,12 @@ from stampede_rt_channel_host.core.channel import (
     index,
     pieces,
     seq_set,
+    subscribing,
 )
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, RANGES_PER_LOOK_MAX, Consumers
 from stampede_rt_channel_host.core.channel.index import FIRST_KEY
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from stampede_rt_channel_host.core.channel.retention import CONSUMERS_ASKED_MAX, SLICES_AGED_MAX, SLICES_USED_UP_MAX
-from stampede_rt_channel_host.core.channel.subscribing import _seq_ranges
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 
@@ -453,13 +453,60 @@ def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypat
     assert channel.counters(CLOCK).held == 1
 
 
-def test_a_subscription_from_the_oldest_of_items_in_order_merges_one_list() -> None:
-    """To begin to merge 4000 lists was one step of 10 ms."""
-    channel = filled(ITEMS)
-    held, _ = channel.look(CLOCK)
-    (ranges,) = run_to_end(_seq_ranges(held, FIRST_KEY))
-    assert sum(end - first for first, end in ranges) == ITEMS
-    held, _ = shuffled().look(CLOCK)
-    lists = run_to_end(_seq_ranges(held, FIRST_KEY))
-    assert len(lists) > 1
-    assert sorted(seq for one in lists for seq in chain.from_iterable(starmap(range, one))) == [*range(1, ITEMS + 1)]
+def permuted(items: int = 5000) -> ChannelCore:
+    """One run for each item, in a mixed order of time."""
+    channel = a_channel()
+    for at in range(items):
+        put(channel, CLOCK + at * 1009 % items)
+    return channel
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_a_subscription_merges_the_seqs_of_items_in_any_order_a_few_at_a_time(
+    monkeypatch: pytest.MonkeyPatch, resumed: bool
+) -> None:
+    """The seqs of 5000 items make one range, but were found in 20 lists of 256 ranges each."""
+    yielded, ranges_of = 0, subscribing._Ranges.__iter__
+
+    def counting(self: subscribing._Ranges) -> Iterator[subscribing.Range]:
+        nonlocal yielded
+        for one in ranges_of(self):
+            yielded += 1
+            yield one
+
+    channel, most = permuted(), 0
+    start = parse_interval(MIN_INSTANT, MAX_INSTANT).start
+    saved = channel.subscribe_all(CLOCK, start=start).saved(channel.incarnation)
+    monkeypatch.setattr(subscribing._Ranges, "__iter__", counting)
+    opening = channel.subscribing_all(CLOCK, saved=saved) if resumed else channel.subscribing_all(CLOCK, start=start)
+    cursor: Any = None
+    while cursor is None:
+        before = yielded
+        try:
+            next(opening)
+        except StopIteration as end:
+            cursor = end.value
+        most = max(most, yielded - before)
+    assert 0 < most <= 2 * pieces.STEPS_PER_PIECE
+    before = yielded
+    parts = channel.since(cursor, CLOCK, 2**30).slices
+    assert [part.slice.first_seq for part in parts] == [*range(1, pieces.STEPS_PER_PIECE + 1)]
+    assert yielded - before <= 1
+
+
+def test_the_seqs_of_items_in_order_need_no_merge() -> None:
+    held, _ = filled().look(CLOCK)
+    assert [*run_to_end(subscribing._seq_ranges(held, FIRST_KEY))] == [(1, ITEMS + 1)]
+
+
+def test_a_resumed_subscription_owes_the_rest_of_its_items_and_all_later_ones() -> None:
+    channel = a_channel()
+    for time in (10, 1, 11, 2, 12, 3, 13):
+        put(channel, CLOCK + time)
+    cursor = channel.subscribe_all(CLOCK, start=parse_interval(CLOCK + 10, MAX_INSTANT).start)
+    (first,) = channel.since(cursor, CLOCK, 1).slices
+    assert first.slice.first_seq == 1
+    saved = cursor.saved(channel.incarnation)
+    put(channel, CLOCK + 4)
+    resumed = channel.subscribe_all(CLOCK, saved=saved)
+    assert [part.slice.first_seq for part in channel.since(resumed, CLOCK, 2**30).slices] == [3, 5, 7, 8]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator
-from heapq import merge
 from itertools import chain, islice
 
 from stampede_rt.values.model import Reason
@@ -15,6 +15,7 @@ from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SavedCursor, SubscriptionBatch
+from stampede_rt_channel_host.core.merging import Merge
 
 GAP_ENTRIES_MAX = 1024
 """The most outdated entries that one call looks at.
@@ -89,7 +90,7 @@ def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Piec
     if low is None:
         return AllCursor(iter(()), next_seq)
     ranges = yield from _seq_ranges(held, low)
-    return AllCursor(_merged(ranges), next_seq, low, next_seq)
+    return AllCursor(iter(ranges), next_seq, low, next_seq)
 
 
 def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
@@ -106,73 +107,90 @@ def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
     # retention collects items in the order of time
     if low is None or any(time is not None and time >= low[0] for time in gone):
         begun = first
-    next_seq, ranges = held.next_seq, [iter([(begun, held.next_seq)])]
-    if low is not None:
-        found = yield from _seq_ranges(held, low)
-        ranges += [_clipped(piece, first, begun) for piece in found]
-    owed = ((one, end) for one, end in merge(*ranges) if one < end)
-    return AllCursor(_joined(owed), next_seq, low, live)
+    next_seq = held.next_seq
+    live_ranges = [(begun, next_seq)] if begun < next_seq else []
+    if low is None:
+        return AllCursor(iter(live_ranges), next_seq, low, live)
+    ranges = yield from _seq_ranges(held, low)
+    return AllCursor(chain(ranges.between(first, begun), live_ranges), next_seq, low, live)
 
 
 class _Ranges:
-    """Ranges of seqs, two numbers for each. A cursor may have half a million of them, and frees them in one step."""
+    """Ranges of seqs in ascending order, two numbers for each. Ranges that are next to each other are one range.
+
+    A cursor may have half a million of them, and frees them in one step.
+    """
 
     __slots__ = ("_bounds",)
 
-    def __init__(self, ranges: Iterable[Range]) -> None:
-        self._bounds = array("q", chain.from_iterable(ranges))
+    def __init__(self, ranges: Iterable[Range] = ()) -> None:
+        self._bounds = array("q")
+        self.extend(ranges)
 
     def __iter__(self) -> Iterator[Range]:
         bounds = self._bounds
         return ((bounds[at], bounds[at + 1]) for at in range(0, len(bounds), 2))
 
-    def takes(self, later: _Ranges) -> bool:
+    def between(self, first: int, end: int) -> Iterator[Range]:
+        """The parts of the ranges from the seq `first` up to `end`, exclusive."""
+        bounds, at = self._bounds, bisect_right(self._bounds, first)
+        for low in range(at - at % 2, len(bounds), 2):
+            if bounds[low] >= end:
+                return
+            yield max(bounds[low], first), min(bounds[low + 1], end)
+
+    def takes(self, ranges: _Ranges) -> bool:
         """Append ranges that lie behind all of these. Returns False, and appends nothing, if they do not."""
-        if later._bounds and self._bounds and later._bounds[0] < self._bounds[-1]:
+        if ranges._bounds and self._bounds and ranges._bounds[0] < self._bounds[-1]:
             return False
-        self._bounds.extend(later._bounds)
+        self.extend(ranges)
         return True
 
+    def extend(self, ranges: Iterable[Range]) -> None:
+        """Append ranges in ascending order, all of which lie behind all of these."""
+        bounds = self._bounds
+        for low, high in ranges:
+            if bounds and bounds[-1] == low:
+                bounds[-1] = high
+            else:
+                bounds.extend((low, high))
 
-def _seq_ranges(held: Holdings, low: ItemKey) -> Pieces[list[_Ranges]]:
-    """The seqs of the items from `low` on, as lists of ranges in ascending order. Items in order make one list."""
-    found: list[_Ranges] = []
+
+def _seq_ranges(held: Holdings, low: ItemKey) -> Pieces[_Ranges]:
+    """The seqs of the items from `low` on."""
+    last, merge = _Ranges(), Merge[Range](_itself)
     snapshot = held.snapshot()
     try:
         while True:  # ends with the last held item
             parts = [*islice(snapshot.slices(low, LAST_KEY), pieces.STEPS_PER_PIECE)]
-            ranges = _Ranges(_joined(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one))))
-            if not found or not found[-1].takes(ranges):  # few lists: to begin to merge them is one step
-                found.append(ranges)
+            found = _Ranges(sorted((one.first_seq, one.end_seq) for one in parts if snapshot.shows(one)))
+            if not last.takes(found):  # items in order make one list, which needs no merge
+                merge.add(last)
+                last = found
             if len(parts) < pieces.STEPS_PER_PIECE:
-                return found
+                break
             low = parts[-1].last_time, parts[-1].end_seq
             snapshot.hold()
             yield
     finally:
         snapshot.close()
+    return (yield from _merged(last, merge))
 
 
-def _clipped(ranges: Iterable[Range], first: int, end: int) -> Iterator[Range]:
-    return ((max(low, first), min(high, end)) for low, high in ranges)
+def _merged(last: _Ranges, others: Merge[Range]) -> Pieces[_Ranges]:
+    """One list of all ranges."""
+    if others.is_empty:
+        return last
+    others.add(last)
+    whole = _Ranges()
+    while part := [*islice(others, pieces.STEPS_PER_PIECE)]:
+        whole.extend(part)
+        yield
+    return whole
 
 
-def _merged(ranges: list[_Ranges]) -> Iterator[Range]:
-    """All ranges in ascending order, merged on demand: to sort all of them at once would be one long step."""
-    return _joined(merge(*ranges))
-
-
-def _joined(ranges: Iterable[Range]) -> Iterator[Range]:
-    """Joins ranges that are next to each other."""
-    first = end = 0
-    for low, high in ranges:
-        if low != end:
-            if first < end:
-                yield first, end
-            first = low
-        end = high
-    if first < end:
-        yield first, end
+def _itself(one: Range) -> Range:
+    return one
 
 
 def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:

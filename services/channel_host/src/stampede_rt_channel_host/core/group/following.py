@@ -7,9 +7,7 @@ since.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from heapq import merge
 from itertools import islice
 
 from stampede_rt.values.model import Reason
@@ -17,6 +15,7 @@ from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, S
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, split_at
+from stampede_rt_channel_host.core.merging import Merge
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,8 +76,8 @@ class CutFollower:
         self._seq_end = 0
         self._range_start: ItemKey = FIRST_KEY  # of the present step: newly visible items below this key are taken
         self._looked_up_to = 0  # seqs below this one have been searched for late items
-        self._late_parts: list[list[Slice]] = []  # the late items found, each list in the order (time, seq)
-        self._late: Iterator[Slice] | None = None  # all late items in order; None: the search is not over
+        self._late = Merge(_order)  # the late items found, in the order (time, seq)
+        self._is_searched = False  # the search for late items is over
         self._late_rest: Slice | None = None  # the rest of a slice that was taken in part
         self._came_above = self._given_above = self._given_below = 0
         if incarnation is not None and incarnation != channel.incarnation:
@@ -112,7 +111,7 @@ class CutFollower:
         self._target = _key(cut)
         self._seq_end = self._channel.next_seq
         self._range_start = _key(self.cut)
-        self._looked_up_to, self._late_parts, self._late = self.next_seq, [], None
+        self._looked_up_to, self._late, self._is_searched = self.next_seq, Merge(_order), False
         self._came_above = self._given_above = self._given_below = 0
 
     def take(self, now: int, limit_bytes: int) -> Step:
@@ -156,22 +155,21 @@ class CutFollower:
 
         Returns True at the end of the search.
         """
-        if self._late is not None:
+        if self._is_searched:
             return True
         found = held.slices_by_seq(self._looked_up_to, self._seq_end)
         came = [*islice(found, pieces.STEPS_PER_PIECE)]
         parts = [split_at(part, _key(self.cut)) for part in came]
         self._came_above += sum(above.items for _, above in parts)
-        self._late_parts.append(sorted((below for below, _ in parts if below.items), key=_order))
+        self._late.add(sorted((below for below, _ in parts if below.items), key=_order))
         if len(came) == pieces.STEPS_PER_PIECE:
             self._looked_up_to = came[-1].end_seq
             return False
-        self._late = merge(*self._late_parts, key=_order)
+        self._is_searched = True
         return True
 
     def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int, bool]:
         """Items below the former cut that were accepted since and are still held. Returns as `_take_range`."""
-        assert self._late is not None, "the step has found the late items"
         taken: list[DeliveredSlice] = []
         for _ in range(pieces.STEPS_PER_PIECE):
             if left <= 0:
