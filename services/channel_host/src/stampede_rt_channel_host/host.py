@@ -94,7 +94,6 @@ class ChannelHost:
         self.queues, self._dead_letters = self._make_queues(memory, on_defect)
         groups = GroupDirectory(self._supernodes)
         self.groups = GroupStore(identity, self.store, groups, dial, lambda: of_lease.cluster_id)
-        access = access or AccessControl()
         self._access = AccessWatch(self._supernodes, access)
         self._gatekeeper = GatekeeperServicer(self.store, identity, access)
         self._streams = OpenStreams()

@@ -75,14 +75,14 @@ class Terminate:
     reason: str = ""
 
 
-AccessRuling = Acknowledge | GiveBack | Extend | Terminate
+Verdict = Acknowledge | GiveBack | Extend | Terminate
 
 
 class Settlement(NamedTuple):
     """A taker's settlement of a delivery."""
 
     delivery_id: int
-    verdict: AccessRuling
+    verdict: Verdict
 
 
 class SettlementResult(NamedTuple):
