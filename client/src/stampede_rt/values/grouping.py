@@ -104,7 +104,8 @@ class NewestItems(ByChannel[Key, Item | None]):
 class GroupInfo:
     """A group as the directory knows it. `reference_id` None: the group's cut is the smallest cut of its members.
 
-    `created_by` is as in ChannelInfo.
+    `bound`, `idle_after_nanos` and `max_lead_nanos` are settings of `Connection.group`. `created_by` is as in
+    ChannelInfo. `spec_version` rises by 1 whenever the members or settings change.
     """
 
     group_id: bytes
@@ -123,6 +124,7 @@ class GroupInfo:
 class MemberStatus:
     """One member of a group, as the host that answers sees it.
 
+    `newest`: the time of the member's newest item. `advance`: its highest advance. Either is None if there was none.
     `cut`: the member's own cut; None if it never had an item or an advance. `lead_nanos`: how far its newest item is
     ahead of the group's cut. `hidden`: the number of held items that the group does not show yet; None if only another
     host knows the number. `idle`: the group's cut does not wait for the member, because it has been silent for
@@ -178,7 +180,8 @@ class Cut(Generic[Key]):
 class CrossSection(Generic[Key]):
     """The items of each channel at one item of the reference: `section[channel]` is Items.
 
-    `time` is that item's time. It is None if the reference has no such item; `section[reference].reason` says why.
+    `time` is that item's time. It is None if the reference had no item at the requested instant.
+    `section[reference].reason` then says why.
     """
 
     time: int | None
@@ -192,7 +195,7 @@ class CrossSection(Generic[Key]):
 
 
 def parse_group_bound(bound: str) -> str:
-    """Return `bound`. Raises InvalidArgument."""
+    """Return `bound` if it is "start" or "end". Raises InvalidArgument for another value."""
     if bound not in BOUNDS:
         raise InvalidArgument(f'bound is {bound!r}; write "start" or "end" (of a channel\'s newest item)')
     return bound

@@ -29,9 +29,10 @@ class ClockOffset:
     ) -> ClockOffset:
         """Return the offset, computed from a call in which a supernode told its time.
 
-        The peer sent the request at `sent_unix_nano` of its own clock. The supernode had the request for `held_nanos`,
-        and read its clock at the end of that time. The peer assumes that the rest of the round trip took equally long
-        in both directions. The error is at most half of that rest.
+        The peer sent the request at `sent_unix_nano` of its own clock, and got the answer `took_nanos` later. The
+        supernode had the request for `held_nanos`, and read `told_unix_nano` from its clock at the end of that time.
+        The peer assumes that the rest of the round trip took equally long in both directions. The error is at most half
+        of that rest.
         """
         uncertainty = (max(0, took_nanos - held_nanos) + 1) // 2
         return cls(
@@ -45,12 +46,12 @@ class ClockOffset:
 class PeerInfo:
     """A peer as the directory knows it. `registered` is an instant in nanoseconds since the epoch.
 
-    `clock` is the peer's last measurement; None: unknown. It is unknown in three cases: the peer has not sent one yet,
-    or its release is too old to send one; the leader of the supernodes did not answer; the record comes from a watch.
+    `clock` is the peer's last measurement. It is None if the peer has not sent a measurement (a peer of an old release
+    never does), if the leader of the supernodes did not answer, or if the record comes from a watch.
 
-    `owner`: the name of the caller that registered the peer, as rules of access know it. No other caller whom the rules
-    judge may renew, replace or end the peer. It is empty if a member of the cluster or an operator registered the peer,
-    and None if the owner is not known.
+    `owner`: the name of the caller that registered the peer, as rules of access know it. Besides
+    members of the cluster and operators, only this caller may renew, replace or end the peer. `owner` is empty if a
+    member or an operator registered the peer, and None if the owner is not known.
     """
 
     peer_id: bytes
@@ -69,7 +70,11 @@ class PeerInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerChange:
-    """One change of a peer. `kind` is "added", "updated" or "removed"; `peer` is the peer after the change."""
+    """One change of a peer. `kind` is "added", "updated" or "removed".
+
+    `peer` is the peer after the change, or before its removal. `index` is the position of the change in the replicated
+    log.
+    """
 
     index: int
     kind: ChangeKind
@@ -78,16 +83,16 @@ class PeerChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerIdentity:
-    """The id of a peer, and the proof by which the directory recognises the peer after a restart."""
+    """The id of a peer, and the bytes by which the directory recognises the peer after a restart."""
 
     peer_id: bytes
     proof: bytes = field(repr=False)
 
     @classmethod
     def parse(cls, name: str, proof: str | None, randomness: bytes) -> PeerIdentity:
-        """Derive the identity from `proof`: the same proof gives the same identity.
+        """Derive both fields from the text `proof`. The same name and text always give the same identity.
 
-        Without a proof use `randomness` (48 bytes). Raises InvalidArgument, InvalidName.
+        If `proof` is None, take them from `randomness` (48 bytes). Raises InvalidArgument, InvalidName.
         """
         if proof is None:
             return cls(peer_id=randomness[:16], proof=randomness[16:48])

@@ -23,7 +23,7 @@ _orders = itertools.count()
 class HostedChannel:
     """One channel at this host.
 
-    `record` is the latest record from the directory. Requests must name its epoch. Its incarnation is the core's.
+    `record` is the latest record from the directory. Requests must name its epoch. The core has the same incarnation.
     """
 
     def __init__(
@@ -55,14 +55,14 @@ class HostedChannel:
         self._charge = memory.charge_for(record.created_by)
         self.puts = ChannelPuts(self.channel, self._charge, now, self._announce, self._touched, may_serve)
         self.listeners = Observers(begin)  # subscriptions
-        self.matches = Observers(begin)  # subscriptions to matches of its items
-        self.followers: dict[ChannelObserver, None] = {}  # groups: each looks at a change before the next one comes
+        self.matches = Observers(begin)  # streams of matches for the items of this channel
+        self.followers: dict[ChannelObserver, None] = {}  # groups and their blocked gets; woken at once, not in pieces
         self.group_gets: set[object] = set()  # blocked gets through groups
-        self.group_readers: set[object] = set()  # cut events and matches that take its items
+        self.group_readers: set[object] = set()  # streams of cut events, and of matches for another channel's items
         self.messages = SharedMessages()
         self.delivered_bytes = 0
         self.due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
-        self.order = next(_orders)
+        self.order = next(_orders)  # decides between channels that are due at the same time
         self._on_touched = on_touched
         self._now = now
         self.changes = 0
@@ -96,7 +96,7 @@ class HostedChannel:
         return consumed
 
     def changed(self, now: int) -> None:
-        """Announce an advance or another policy: all that wait for the channel look again."""
+        """Wake the readers and the waiting gets and puts of the channel, after an advance or a change of the policy."""
         self._announce(now)
         self.puts.changed(now)
 
@@ -120,14 +120,17 @@ class HostedChannel:
         yield from self.channel.emptying()
 
     def collect(self, now: int) -> bool:
-        """Free outdated items, a bounded number at a time. Returns True if more are left to free at once."""
+        """Free a bounded number of outdated items. Returns True if the caller must soon call again for the rest."""
         more = self.channel.collect(now)
         self.puts.expire(now)
         self._charge.set(self.footprint_bytes())
         return more
 
     def next_deadline(self, now: int) -> int | None:
-        """The time at which `collect` has work again. None: not before the next change. Frees a few items, too."""
+        """The time at which `collect` must run again; None if only a change can make that necessary.
+
+        This call also frees a few items.
+        """
         due = (self.channel.next_deadline(now), self.puts.next_expiry())
         self._charge.set(self.footprint_bytes())
         return min((one for one in due if one is not None), default=None)

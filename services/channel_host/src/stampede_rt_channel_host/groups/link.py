@@ -1,7 +1,8 @@
 """One stream between two hosts that share a group: the times of channels, and the cuts (paper, section 4.1).
 
-Both sides do the same. Changes are collected while a message is being written, and for PACE_SECONDS after it. Only the
-latest state is sent. So a change after a silence is sent at once, and busy channels cost a bounded number of messages.
+Both sides do the same. A side sends a change at once, unless it is still writing its last message, or finished that
+less than PACE_SECONDS ago. In these cases it first collects changes, and then sends the latest state of each changed
+channel and group. So busy channels cost a bounded number of messages.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from stampede_rt_channel_host.groups.messages import floor_to_message
 from stampede_rt_runtime.version import PROTOCOL_VERSION
 
 PACE_SECONDS = 0.005
-LIFE_SECONDS = 1.0
+LIFE_SECONDS = 1.0  # a link without changes sends a sign of life this often
 BROKEN_AFTER_SECONDS = 5.0
-ENTRIES_MAX = 1024
-INTEREST_MAX = 4096
+ENTRIES_MAX = 1024  # channels, and also groups, of one message
+INTEREST_MAX = 4096  # channels that one host may want to hear of
 
 
 class Knowledge(Protocol):
@@ -79,9 +80,9 @@ class HostLink:
         self._certified_name = certified_name
         self._told = False  # whether the other side has told its whole state
         self._wanted: set[bytes] = set()  # channels of this host that the other host wants to hear of
-        self._times: dict[bytes, None] = {}
-        self._floors: dict[bytes, None] = {}
-        self._interest: list[bytes] | None = None
+        self._times: dict[bytes, None] = {}  # channels whose times this side has still to send
+        self._floors: dict[bytes, None] = {}  # groups whose cut this side has still to send
+        self._interest: list[bytes] | None = None  # the argument of `want`, until it is sent
         self._news = asyncio.Event()
 
     async def run(self, peer: bytes | None = None) -> None:
@@ -171,7 +172,7 @@ class HostLink:
             self._knowledge.hear(self.host_id, update, is_first=first)
 
     async def _write_all(self) -> None:
-        while True:  # the end of the stream ends it; news and signs of life pace it
+        while True:  # until `run` cancels this task, or an error ends it
             await self._write(self._message(update=self._gather()))
             await asyncio.sleep(PACE_SECONDS)
             if not (self._times or self._floors):
@@ -185,7 +186,10 @@ class HostLink:
             return
 
     def _gather(self) -> pb.TimesUpdate:
-        """The latest state of all changes. An empty update is a sign of life."""
+        """Take the changes that wait, up to ENTRIES_MAX of each kind, and return their latest state.
+
+        If nothing has changed, the update is empty: a sign of life.
+        """
         self._knowledge.check_lease()
         self._news.clear()
         interest, self._interest = self._interest, None

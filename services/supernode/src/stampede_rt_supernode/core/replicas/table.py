@@ -9,9 +9,10 @@ from stampede_rt_supernode.core.records import ReplicaRecord
 
 
 class ReplicaTable:
-    """At most one copy of a channel at a host, and none at its owner.
+    """The replicas of all channels.
 
-    A caller that changes the table must change `ChannelRecord.proxy_host_ids` in the same way; see `transitions.store`.
+    A host has at most one replica of a channel, and the channel's owner has none. The callers see to this. A caller
+    that changes the table must change `ChannelRecord.proxy_host_ids` in the same way; see `transitions.store`.
     """
 
     def __init__(self, replicas: Iterable[ReplicaRecord] = ()) -> None:
@@ -41,7 +42,7 @@ class ReplicaTable:
         return len(self._channel_ids_at.get(host_id, ()))
 
     def store(self, channel_id: bytes, replicas: tuple[ReplicaRecord, ...]) -> None:
-        """Set the copies of a channel, perhaps none."""
+        """Replace all copies of a channel by `replicas`; an empty tuple removes them."""
         for gone in self._by_channel.pop(channel_id, ()):
             held = self._channel_ids_at[gone.host_id]
             held.discard(channel_id)

@@ -4,8 +4,9 @@ SQLite treats a damaged frame of its write-ahead log as the end of the log, and 
 lost in silence. So every commit is also counted, in the database and in this file. A database with fewer commits than
 the file is damaged.
 
-The file is forced to the disk about once a second, not with every commit, so it is a lower bound. After a power failure
-an older number still detects every loss that reaches further back.
+The file is forced to the disk about once a second, not with every commit. After a power failure its number may
+therefore be too low by the commits of about a second. If only some of these commits are lost, the check does not notice
+it. It detects every greater loss.
 """
 
 from __future__ import annotations
