@@ -66,6 +66,22 @@ def test_long_collections_come_sooner_and_short_ones_later() -> None:
     assert pace.interval_s == INTERVAL_SECONDS_MAX
 
 
+def test_what_comes_in_a_burst_after_an_idle_time_is_collected_in_small_portions() -> None:
+    """1000 streams that all write a message replace some 600 objects in each ms, and do not change their number."""
+    pace, objects_per_second, seconds_per_object = CollectionPace(0.0), 600_000, 1.5e-7
+    for _ in range(100):
+        pace.took(0, 0.0, 0.0)
+    moved, largest = 0.0, 0.0
+    for _ in range(100):
+        young = objects_per_second * pace.interval_s
+        generation = pace.next_generation(0.0)
+        seconds = (young + (moved if generation else 0.0)) * seconds_per_object
+        moved = 0.0 if generation else moved + young
+        largest = max(largest, seconds)
+        pace.took(generation, seconds, 0.0)
+    assert largest <= 6 * LONG_SECONDS
+
+
 def test_older_objects_are_collected_when_enough_has_come_to_them() -> None:
     pace = CollectionPace(0.0)
     collected = []

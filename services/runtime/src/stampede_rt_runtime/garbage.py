@@ -18,7 +18,7 @@ _THRESHOLDS = (1_000, 5, 2**30)
 all objects.
 """
 INTERVAL_SECONDS_MIN = 0.002
-INTERVAL_SECONDS_MAX = 0.05
+INTERVAL_SECONDS_MAX = 0.02
 LONG_SECONDS = 0.0005
 """A collection that takes longer halves the interval to the next one. A collection that takes less than a quarter of
 this time doubles the interval.
