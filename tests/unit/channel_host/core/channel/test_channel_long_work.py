@@ -29,6 +29,7 @@ from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, RANGE
 from stampede_rt_channel_host.core.channel.index import FIRST_KEY
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from stampede_rt_channel_host.core.channel.retention import CONSUMERS_ASKED_MAX, SLICES_AGED_MAX, SLICES_USED_UP_MAX
+from stampede_rt_channel_host.core.channel.span_ends import SLICES_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 
@@ -510,3 +511,43 @@ def test_a_resumed_subscription_owes_the_rest_of_its_items_and_all_later_ones() 
     put(channel, CLOCK + 4)
     resumed = channel.subscribe_all(CLOCK, saved=saved)
     assert [part.slice.first_seq for part in channel.since(resumed, CLOCK, 2**30).slices] == [3, 5, 7, 8]
+
+
+def large_bucket(items: int = 5000) -> ChannelCore:
+    """Items of one time with short durations, and one later item."""
+    channel = a_channel(max_age_nanos=1000)
+    for _ in range(items):
+        put(channel, CLOCK, durations=[5])
+    put(channel, CLOCK + 50, durations=[5])
+    return channel
+
+
+def test_the_end_of_a_large_bucket_costs_no_walk_over_all_of_its_items(looked: Counter) -> None:
+    """A look at the next deadline took 90 ms with 50,000 items of one time, and their collection took 180 ms."""
+    channel = large_bucket()
+    looked.slices = 0
+    due = channel.next_deadline(CLOCK)
+    assert looked.slices <= SLICES_MAX + 10
+    assert due == CLOCK + 50 + 1000, "its spans count up to the next bucket"
+    looked.slices = 0
+    held, _ = channel.look(CLOCK + 1050)
+    assert (held.items, held.collected_end) == (1, CLOCK + 50)
+    assert looked.slices <= 3 * SLICES_MAX
+
+
+def test_the_end_of_a_small_bucket_is_that_of_its_longest_span() -> None:
+    channel = large_bucket(SLICES_MAX)
+    assert channel.next_deadline(CLOCK) == CLOCK + 5 + 1000
+    held, _ = channel.look(CLOCK + 1005)
+    assert (held.items, held.collected_end) == (1, CLOCK + 5)
+
+
+def test_a_large_newest_bucket_that_goes_ends_with_its_longest_span(looked: Counter) -> None:
+    channel = a_channel()
+    for at in range(5000):
+        put(channel, CLOCK, durations=[7 if at == 4000 else 5])
+    looked.slices = 0
+    channel.configure(Policy(max_items=1, max_future_nanos=10**6), CLOCK)
+    held, _ = channel.look(CLOCK)
+    assert (held.items, held.collected_end) == (1, CLOCK + 7)
+    assert looked.slices <= 3 * SLICES_MAX

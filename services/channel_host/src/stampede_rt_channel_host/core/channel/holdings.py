@@ -228,7 +228,12 @@ class Holdings(HeldItems):
         """
         time = last.last_time
         bucket = self.slices((time, 0), (time, last.end_seq))
-        end = end_of_newest(bucket, time, now) if following is None else latest_end(bucket, time, following)
+        if following is not None:
+            end = latest_end(bucket, time, following)
+        else:
+            newest_end = self.newest_end(now)
+            assert newest_end is not None, "the front is not empty"
+            end = end_of_newest(bucket, time, now, newest_end)
         end = max(end, time + self.overlap_nanos)
         if self.collected_end is None or end >= self.collected_end:
             self.collected_end = end

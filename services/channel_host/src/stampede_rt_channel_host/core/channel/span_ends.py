@@ -6,29 +6,37 @@ from collections.abc import Iterator
 
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 
+SLICES_MAX = 512
+"""The most slices of a bucket that are looked at. The spans of a larger bucket count as long as they may be: the caller
+asks at each change, so to look at all of them would hold the event loop each time.
+"""
+
 
 def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
     """The latest span end of items at `time`. The next bucket's time `bound` limits them."""
     longest = 0
-    for part in bucket:
-        durations = part.run.durations
-        if durations is None:
+    for looked_at, part in enumerate(bucket):
+        durations = None if part.run.durations is None else part.run.durations[part.lo : part.hi]
+        if looked_at >= SLICES_MAX or durations is None or ABSENT in durations:
             return bound
-        for duration in durations[part.lo : part.hi]:
-            if duration == ABSENT or time + duration >= bound:
-                return bound
-            longest = max(longest, duration)
-    return min(time + longest, bound)
+        longest = max(longest, max(durations))
+        if time + longest >= bound:
+            return bound
+    return time + longest
 
 
-def end_of_newest(bucket: Iterator[Slice], time: int, now: int) -> int:
-    """The latest span end of items in the newest bucket.
+def end_of_newest(bucket: Iterator[Slice], time: int, now: int, bound: int) -> int:
+    """The latest span end of items in the newest bucket. No span of the bucket ends later than at `bound`.
 
     Durations have no limit there, and open spans hold until `now`.
     """
-    ends = [time]
-    for part in bucket:
-        durations = part.run.durations
-        for duration in (ABSENT,) if durations is None else durations[part.lo : part.hi]:
-            ends.append(max(now, time) if duration == ABSENT else time + duration)
-    return max(ends)
+    end = time
+    for looked_at, part in enumerate(bucket):
+        if looked_at >= SLICES_MAX:
+            return bound
+        durations = None if part.run.durations is None else part.run.durations[part.lo : part.hi]
+        if durations is None or ABSENT in durations:
+            end = max(end, now)
+        if durations is not None:
+            end = max(end, time + max(durations))
+    return end
