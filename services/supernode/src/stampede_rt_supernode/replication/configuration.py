@@ -14,6 +14,7 @@ from typing import NamedTuple
 from stampede_rt_supernode.replication.interface import Member
 
 MEMBERS_MAX = 9
+# How many ids of former members, and how many used tickets, a configuration remembers: the latest ones.
 RETIRED_MAX = 512
 SPENT_MAX = 512
 
@@ -48,7 +49,7 @@ class Configuration:
         return Configuration.of((*self.members, member), self.retired, spent[-SPENT_MAX:])
 
     def without(self, member_id: str) -> Configuration:
-        """The configuration without one member. Its id is never used again."""
+        """The configuration without one member. Nobody may join under this id as long as it is among `retired`."""
         remaining = [member for member in self.members if member.member_id != member_id]
         return Configuration.of(remaining, (*self.retired, member_id)[-RETIRED_MAX:], self.spent)
 
@@ -83,7 +84,7 @@ class Configurations:
         return self._changes[-1].log_index
 
     def at(self, log_index: int) -> Configuration:
-        """The configuration that held at a position, which must be at or after the base."""
+        """The configuration that held at a position; the base for a position before the base."""
         return next(change.configuration for change in reversed(self._changes) if self._is_at(change, log_index))
 
     def _is_at(self, change: ConfigurationChange, log_index: int) -> bool:

@@ -1,7 +1,7 @@
 """The only interface between the directory and the log that replicates it.
 
-The code above this file sees bytes in and bytes out, and never the library below it. So another replicated log can
-replace it (paper, section 4.3: "standard consensus techniques").
+The code above this file sees bytes in and bytes out, and never the library below it. So another library can replace
+this one (paper, section 4.3: "standard consensus techniques").
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ class StateMachine(Protocol):
         """Whether the state's feature level allows this command in the log. Callable on any thread."""
 
     def apply(self, index: int, command: bytes) -> bytes:
-        """Apply the committed command at log position `index` (grows, may skip) and return its encoded result.
+        """Apply the committed command at log position `index`, and return its encoded result.
 
-        Deterministic: no clock, no randomness. An invalid command yields an encoded refusal. Raises ReleaseTooOld if
-        the state reaches a feature level that this release does not know. Then the log stops.
+        `index` grows from call to call, perhaps with gaps. Deterministic: no clock, no randomness. An invalid command
+        yields an encoded refusal. Raises ReleaseTooOld if the state reaches a feature level that this release does not
+        know. Then the log stops.
         """
 
     def digest(self) -> tuple[int, bytes]:
@@ -204,8 +205,8 @@ class ReplicatedLog(Protocol):
         """Remove a member. If this replica is that member, hand over to another leader. Returns the log position of the
         change.
 
-        Idempotent: the removal of a non-member succeeds. Raises the errors of `add_member`; NotLeading after a
-        hand-over.
+        Idempotent: the removal of a non-member succeeds. Raises the errors of `add_member`. After a hand-over it raises
+        NotLeading; then ask the new leader for the removal.
         """
 
     async def hand_over(self, *, timeout: float) -> bool:

@@ -34,10 +34,10 @@ class RaftNetwork(Protocol):
         """Send the messages in order, each at most once. Never blocks."""
 
     def has_room(self, member_id: str) -> bool:
-        """Whether the queue to this member accepts another piece of a snapshot."""
+        """Whether the queue to this member accepts more entries or pieces of a snapshot."""
 
     def drop(self, member_id: str, why: str) -> None:
-        """End the stream of a member that breaks the protocol, and log it. Never blocks."""
+        """End the stream of a member that breaks the protocol, refuse it for a while, and log that. Never blocks."""
 
     def follow(self, roster: MemberRoster) -> None:
         """From now on keep a link to every peer and to nobody else. Never blocks."""
@@ -45,10 +45,10 @@ class RaftNetwork(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MemberRoster:
-    """The members that a replica talks to, and those that it knows.
+    """The members that a replica knows.
 
-    `members` are those of the newest configuration in the log. `removed` are those that the newest applied
-    configuration names as removed for good.
+    `members` are those of the newest configuration in the log. `peers`, by id, are the other nodes to which the replica
+    keeps links. `removed` has the ids of those that the newest applied configuration names as removed for good.
     """
 
     members: tuple[Member, ...]
@@ -78,8 +78,9 @@ class RaftReplica:
     ) -> None:
         """Load the state from the store. Blocks.
 
-        `run_in_background` has another thread encode and decode snapshots. Tests pass `rules` with faults. Raises
-        StoreDamaged, LibraryMismatch, and the errors of the state machine for an unreadable snapshot.
+        `wake` is called after each arrival, so that the next step comes soon. `run_in_background` has another thread
+        encode and decode snapshots. Tests pass `rules` with faults. Raises StoreDamaged, LibraryMismatch, and the
+        errors of the state machine for an unreadable snapshot.
         """
         self._settings = settings
         self._network = network
@@ -282,7 +283,7 @@ class RaftReplica:
         return bool(is_self or self._node.transport.is_reachable(leader.id))
 
     def _commits_alone(self) -> bool:
-        """Whether this leader has no other voters, but entries to commit. No message would cause the step for that."""
+        """Whether this leader is the only voter, and has entries to commit. No message will cause the step for that."""
         node = self._node
         waiting = node.commit_index < self._log.last_index
         return bool(waiting and not node.other_voters and node.is_leader)

@@ -28,13 +28,18 @@ _POSITIVE = (
 class RaftTiming:
     """The periods of the log. With the defaults the log serves again within 5 s after the loss of a leader."""
 
+    # The longest time between two steps of the log's thread.
     tick_seconds: float = 0.03
     heartbeat_seconds: float = 0.1
     election_timeout_min_seconds: float = 1.0
     election_timeout_max_seconds: float = 2.0
+    # A leader that no majority has answered for this time stops leading.
     leader_fallback_seconds: float = 2.0
+    # The longest pause before a link opens its stream again.
     reconnect_seconds: float = 0.5
+    # A link ends a stream on which the peer has not answered for this time.
     link_silence_seconds: float = 3.0
+    # A follower repeats its request for the position of a read after this time.
     read_retry_seconds: float = 0.5
 
     def __post_init__(self) -> None:
@@ -55,8 +60,11 @@ class ReplicationSettings:
     replica, which they will add. Once the log has a configuration, that configuration counts. `data_dir` is the folder
     of this replica's store; None keeps everything in memory, for development. `create` allows a new store in a folder
     without one. Use False if a store must exist, because a member that lost its disk must come back under a new id.
-    `inbox_items_max` messages and `inbox_bytes_max` bytes of each other member may wait for this replica. A leader
-    keeps `kept_log_bytes_max` of the log entries that a snapshot has replaced, for slow members.
+    At most `proposals_max` commands and `reads_max` reads wait. The log takes a snapshot when it has more than
+    `snapshot_every_entries` entries, or `snapshot_every_seconds` after the last one. `inbox_items_max` messages and
+    `inbox_bytes_max` bytes of each other member may wait for this replica, and `link_queue_bytes_max` bytes for the
+    link to a member. A leader keeps `kept_log_bytes_max` of the log entries that a snapshot has replaced, for slow
+    members.
     """
 
     self_member: Member

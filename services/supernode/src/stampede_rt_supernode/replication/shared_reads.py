@@ -1,7 +1,7 @@
 """Confirmed reads of one event loop. Reads that come while one is under way share the next one.
 
-A read costs the log's thread one step and the members one round of messages, however many callers wait for it. The
-position of a read holds for all reads that began before it.
+A read costs the log's thread one step and the members one round of messages, however many callers wait for it. Its
+position is valid for every call that began before the read.
 """
 
 from __future__ import annotations

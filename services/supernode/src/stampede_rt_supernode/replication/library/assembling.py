@@ -29,7 +29,7 @@ class Assembly:
     def allocate(self, rules: type) -> Any:
         """A node without state.
 
-        Attach the objects that its methods need before `construct`: the library's constructor calls back.
+        Attach the objects that its methods need before `construct`: the library's constructor calls these methods.
         """
         node_class: Any = type("RaftNode", (rules, self._library.SyncObj), {})
         return node_class.__new__(node_class)

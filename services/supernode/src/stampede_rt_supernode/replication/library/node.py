@@ -93,7 +93,8 @@ class LibraryNode:
     # The commit index in the leader's last message.
     leader_commit_index = _Private[int]("leaderCommitIndex")
     last_applied = _Private[int]("raftLastApplied")
-    # A leader's knowledge of each member.
+    # A leader's knowledge of each member: the next entry to send to it, the last entry that it has acknowledged, and
+    # when it last answered.
     next_index = _Private[dict[MemberNode, int]]("raftNextIndex")
     match_index = _Private[dict[MemberNode, int]]("raftMatchIndex")
     last_response_time = _Private[dict[MemberNode, float]]("lastResponseTime")
@@ -219,7 +220,7 @@ class LibraryNode:
         super()._SyncObj__sendAppendEntries()  # type: ignore[misc]
 
     def take_snapshot_if_due(self) -> None:
-        """Begin a snapshot if the log has grown long, and continue a snapshot under way."""
+        """Continue a snapshot under way. If there is none, begin one when the log is long, or the last one is old."""
         super()._SyncObj__tryLogCompaction()  # type: ignore[misc]
 
     def on_connected(self, node: MemberNode) -> None:

@@ -92,7 +92,7 @@ class LibrarySerializer:
         self._received: StoredSnapshot | None = None
 
     def checkSerializing(self) -> tuple[int, int | None]:
-        """The state of the present snapshot, and the first entry that the log keeps once the snapshot is adopted."""
+        """The state of the present snapshot, and, once it is adopted, the position of the log's first entry."""
         first = self._keeper.go_on_taking()
         if first is not None:
             return _SUCCESS, first.log_index
@@ -116,7 +116,7 @@ class LibrarySerializer:
         return None, snapshot.last, snapshot.previous, []
 
     def cancelTransmisstion(self, id_: Any) -> None:
-        """Next time, send this member the snapshot from the beginning."""
+        """Stop sending to this member. The next time, its snapshot begins from the first piece."""
         self._keeper.cancel_sending(id_.id)
 
 

@@ -32,12 +32,13 @@ logger = logging.getLogger(__name__)
 ASK_OTHERS_SECONDS = 5.0
 OUTDATED_FOLLOWS = "This member goes on until then, and ends"
 REFUSED_FOLLOWS = "This member follows the leader until then, but does not vote, and ends for good"
-# A link accepts pieces of a snapshot only while fewer bytes than this wait in it.
+# The leader queues more entries and pieces of a snapshot on a link only while fewer bytes than this wait there.
 ROOM_BYTES = 4 << 20
 
 # The text that gRPC puts before the words of a refusal.
 _STATUS = re.compile(r"^(refused: )?(StatusCode\.)?[A-Z_]+: ")
 
+# How often `close` cancels the links that have not ended, and how long it waits for them each time.
 CANCELLATIONS_MAX = 5
 CANCEL_AGAIN_SECONDS = 1.0
 
@@ -59,6 +60,7 @@ class PeerLinks:
         self._links: dict[str, PeerLink] = {}
         self._reports = SparseReports()
         self._tasks: dict[str, asyncio.Task[None]] = {}
+        # The tasks of dropped links that have not ended yet.
         self._ending: set[asyncio.Task[None]] = set()
         self._deliver: Callable[[NetworkEvent], None] | None = None
         self._introduce: Introduce | None = None
@@ -133,7 +135,7 @@ class PeerLinks:
                 self.on_refusal_confirmed(self.refusals.why)
 
     def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
-        """Note that a member refuses this one. Returns whether that has confirmed the refusal."""
+        """Note in `refusals` that a member refuses this one. Returns True if this confirms the first refusal there."""
         is_new, was_confirmed = member_id not in refusals.by, refusals.confirmed is not None
         others, leader_id = self.see()
         is_confirmed = refusals.refused(member_id, why, others=others, leader_id=leader_id)
@@ -159,7 +161,7 @@ class PeerLinks:
                     link.greet_anew()
 
     def drop(self, member_id: str, why: str) -> None:
-        """End the stream of a member that breaks the protocol. Called on the tick thread."""
+        """End the stream of a member that breaks the protocol, and refuse it for a while. Called on the tick thread."""
         self._bridge.post(lambda: self.on_fault(member_id, why))
 
     def release(self, messages: Sequence[Outgoing]) -> None:
@@ -168,7 +170,7 @@ class PeerLinks:
         self._bridge.post(lambda: self._enqueue(encoded))
 
     def has_room(self, member_id: str) -> bool:
-        """Whether the member's queue has room for pieces of a snapshot. Called on the tick thread."""
+        """Whether the link to a member has room for more entries or pieces of a snapshot. Called on the tick thread."""
         link = self._links.get(member_id)
         return link is not None and link.queued_bytes < ROOM_BYTES
 

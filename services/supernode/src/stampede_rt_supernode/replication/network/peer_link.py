@@ -35,9 +35,12 @@ Dial = Callable[[str], grpc.aio.Channel]
 # Makes the hello to a member, given the id of that member.
 Introduce = Callable[[str], pb.RaftHello]
 
+# A request has REQUEST_MESSAGES_MAX messages at most. The message that reaches REQUEST_BYTES ends it.
 REQUEST_MESSAGES_MAX = 256
 REQUEST_BYTES = 1 << 20
+# How long the peer may take to answer the hello.
 HELLO_SECONDS = 2.0
+# The characters of a peer's reason that are logged and remembered.
 REASON_CHARACTERS_MAX = 500
 
 # The options of a channel to a member. Without them gRPC waits up to two minutes before it tries a dead peer again, and
@@ -54,7 +57,7 @@ _stub_class: Any = raft_service_pb2_grpc.RaftServiceStub
 
 
 class LinkBroken(Exception):
-    """The stream ended, or this member ended it. The link starts again."""
+    """The stream ended, or this member ended it. The link opens a new stream after a pause."""
 
 
 class PeerLink:
@@ -70,6 +73,7 @@ class PeerLink:
         introduce: Introduce,
         reports: SparseReports,
     ) -> None:
+        """`on_refused` gets the reason each time that the stream cannot be opened, or ends."""
         self._reports = reports
         self.member = self._member = member
         self._on_refused = on_refused
@@ -79,7 +83,9 @@ class PeerLink:
         self._deliver = deliver
         self._queue: deque[tuple[pb.RaftMessage, int]] = deque()
         self.queued_bytes = 0
+        # Whether the peer has accepted the hello of the present stream.
         self._open = False
+        # True if the queue had no room for a message, so that the stream must end.
         self._overflow = False
         # When this member sent the first request since the peer's last answer, in the loop's time.
         self._unanswered_since: float | None = None
@@ -87,11 +93,12 @@ class PeerLink:
         self._told: tuple[Member, ...] = ()
         # True if an empty request is due, so that the peer answers.
         self._probe_due = False
+        # True if the stream must end, so that the next one begins with a new hello.
         self._greet_anew = False
         self._work = asyncio.Event()
 
     def greet_anew(self) -> None:
-        """End the stream, if there is one, so that the member decides again whether it accepts this one."""
+        """End the stream, if there is one. At the next stream's hello the peer decides again whether to accept it."""
         if self._open:
             self._greet_anew = True
             self._work.set()
@@ -109,7 +116,7 @@ class PeerLink:
         self._work.set()
 
     async def run(self) -> None:
-        """Keep the stream open until cancelled."""
+        """Keep the stream open until cancelled. Opens it again after each break."""
         pause = self._settings.timing.reconnect_seconds
         while True:
             try:
@@ -120,8 +127,8 @@ class PeerLink:
             await asyncio.sleep(pause * random.uniform(0.5, 1.0))
 
     def _report(self, reason: str) -> None:
-        """Log the reason for a missing link once, not at each attempt, nor at each new start of the member."""
-        # Some texts contain log positions, which differ each time.
+        """Log the reason why there is no stream, but the same reason at most once in ten minutes."""
+        # Compares the grounds of a refusal, because its text may contain log positions, which differ each time.
         if self._reports.is_due((self._member.member_id, grounds_of(reason) or reason), time.monotonic()):
             level = logging.INFO if UNKNOWN in reason else logging.WARNING
             logger.log(level, "no link to member %s at %s: %s", self._member.member_id, self._member.address, reason)
@@ -181,7 +188,7 @@ class PeerLink:
         raise LinkBroken(f"the peer ended the stream: {await call.details()}")
 
     async def _watch(self) -> None:
-        """End a stream without answers, because the network may drop everything for many minutes."""
+        """End the stream if the peer does not answer. A network may drop all messages for many minutes unnoticed."""
         limit = self._settings.timing.link_silence_seconds
         while True:
             await asyncio.sleep(limit / 4)

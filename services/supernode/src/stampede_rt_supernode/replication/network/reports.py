@@ -1,4 +1,4 @@
-"""Remembers recent log messages, so that the log does not repeat them. Pure."""
+"""Remembers recent log messages of this process, so that it does not repeat them. Pure."""
 
 from __future__ import annotations
 

@@ -38,10 +38,11 @@ from stampede_rt_supernode.replication.wire.buffered_transport import Introduced
 from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.records import MalformedMessage, encode_members
 
+# How long a caller may take to send its hello.
 HELLO_SECONDS = 5.0
 # How long this member refuses a member that breaks the protocol.
 EXPELLED_SECONDS = 5.0
-# How often a sender gets an answer, as a sign that its messages arrive.
+# The shortest time between two answers to a sender. An answer shows the sender that its messages arrive.
 ANSWER_SECONDS = 0.5
 
 logger = logging.getLogger(__name__)
@@ -57,7 +58,7 @@ class RaftServicer:
         self._settings = settings
         self._stores = stores
         self._replica = replica
-        # Member id -> why this member refused its store at its latest hello.
+        # Id of another member -> why this member refused the other's store at the latest hello.
         self._refused: dict[str, str] = {}
         # Member id -> until when it is refused, on the monotonic clock, and why.
         self._expelled: dict[str, tuple[float, str]] = {}
@@ -90,9 +91,9 @@ class RaftServicer:
         await self._explain(reader, context)
 
     def refused(self) -> dict[str, str]:
-        """The members whose stores were refused at their latest hello, and why.
+        """By id: the members whose stores were refused at their latest hello, and why.
 
-        Leaves out members that have a stream as well.
+        Leaves out a member that has a stream, because the refused caller was then a copy of it.
         """
         members = {member.member_id for member in self._replica.roster.members} - self._readers.keys()
         return {member_id: why for member_id, why in self._refused.items() if member_id in members}
@@ -170,7 +171,7 @@ class RaftServicer:
         await context.abort(refusal.code, refusal.why)
 
     def _note_outcome(self, hello: pb.RaftHello, refusal: HelloRefusal | None, peer: str) -> None:
-        """Remember that a member may not come back with its present store, and log it once.
+        """If this member has refused the caller's store, remember and log that. If not, forget an earlier refusal.
 
         `peer`: the caller's address.
         """
@@ -193,9 +194,7 @@ class RaftServicer:
         logger.warning("refused a caller at %s: %s; %s", peer, refusal.why, advice)
 
     def _tell_of_another_cluster(self, hello: pb.RaftHello) -> None:
-        """Log once that a member of another cluster calls, for example because this one was started without
-        its folder.
-        """
+        """Log that a member of another cluster calls. For example, this member was started without its folder."""
         own = self._settings.self_member.member_id
         if self._reports.is_due((hello.member_id, hello.cluster_id), time.monotonic()):
             logger.warning(

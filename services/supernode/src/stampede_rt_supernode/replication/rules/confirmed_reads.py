@@ -1,10 +1,12 @@
 """Confirmed reads. Each one finds a log position that includes every write acknowledged before the read.
 
-No read adds an entry to the log.
-The leader notes its commit index, starts a new round, and waits until a majority has answered a message of that round
-or a later one in the leader's own term. Then no other node has led during the read (Raft dissertation, section 6.4). A
-follower asks the leader for the position. Many reads share one round and one request. The library has no such reads.
-Its `lastResponseTime` is not enough, because replies to messages from before the read update it.
+No read adds an entry to the log. The leader notes its commit index, starts a new round, and waits until a majority has
+answered a message of that round or a later one in the leader's own term. This proves that there was no newer leader
+when the round began (Ongaro's dissertation, section 6.4). A follower asks the leader for the position. Many reads share
+one round and one request.
+
+The library has no such reads. Its `lastResponseTime` does not suffice, because replies to messages from before the read
+update it, too.
 """
 
 from __future__ import annotations
@@ -19,7 +21,10 @@ from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, Read
 
 @dataclass(slots=True)
 class ConfirmedRead:
-    """One read under way. `done` is called once: with the applied index, or with None after `deadline`."""
+    """One read under way. `done` is called once: with the applied index, or with None after `deadline` or at the end.
+
+    `deadline` is by the replica's clock.
+    """
 
     deadline: float
     done: Callable[[int | None], None]
@@ -38,7 +43,7 @@ class _Round:
 
 @dataclass(slots=True)
 class _Asked:
-    """The reads that wait for the leader's answer to one request."""
+    """The reads that wait for the leader's answer to one request. At `give_up_at` they begin again."""
 
     request_id: int
     reads: list[ConfirmedRead]
@@ -51,7 +56,7 @@ class _Asked:
 
 
 class ReadingNode(Protocol):
-    """The node, as reads need it."""
+    """The attributes and methods of the node that reads use."""
 
     leader: MemberNode | None
     commit_index: int
@@ -82,19 +87,23 @@ class ConfirmedReads:
         retry_seconds: float,
         first_request_id: int,
     ) -> None:
+        """A follower repeats its request to the leader after `retry_seconds` without an answer."""
         self._node = node
         self._transport = transport
         self._clock = clock
         self._retry_seconds = retry_seconds
         self._next_request_id = first_request_id
-        # The newest round. The leader puts it in every append message, and the replies echo it.
+        # The number of the newest round. The leader puts it in every append message, and the replies echo it.
         self.round = 0
+        # The reads that have no round and no request yet.
         self._new: list[ConfirmedRead] = []
         # The latest request of each member: a member that asks again has given up its earlier request.
         self._new_requests: dict[MemberNode, int] = {}
+        # The rounds that wait for a majority, the oldest first.
         self._rounds: list[_Round] = []
         # By member id: the newest round that the member has echoed in the present term.
         self._echoes: dict[str, int] = {}
+        # The present request to the leader; None if there is none.
         self._asked: _Asked | None = None
         # (log position, reads): the reads that wait until this replica has applied the position.
         self._confirmed: list[tuple[int, list[ConfirmedRead]]] = []
@@ -108,7 +117,7 @@ class ConfirmedReads:
         self._new_requests[node] = message.request_id
 
     def on_reply(self, member_id: str, message: ReadIndexReply) -> None:
-        """Take in a member's reply. If the member cannot tell a position, the reads that wait for it begin again."""
+        """Take in a member's reply. If it has no position, the reads that wait for the reply begin again."""
         if self._asked is not None and self._asked.is_answered_by(member_id, message.request_id):
             asked, self._asked = self._asked, None
             if message.read_index > 0:
@@ -121,7 +130,10 @@ class ConfirmedReads:
         self._echoes[member_id] = max(round_number, self._echoes.get(member_id, 0))
 
     def on_leader_lost(self) -> None:
-        """Begin all reads again, because requests and answers of the last leadership do not count."""
+        """Begin all unconfirmed reads again.
+
+        Requests and answers may be lost, and those of a former leadership do not count.
+        """
         self._echoes.clear()
         rounds, self._rounds = self._rounds, []
         for each in rounds:
@@ -132,7 +144,10 @@ class ConfirmedReads:
             self._asked = None
 
     def start_round(self) -> bool:
-        """Begin the waiting reads, if possible. Returns True if the leader must send a message to all members now."""
+        """Begin the waiting reads, if possible.
+
+        Returns True if this node leads and must send a message to all members now.
+        """
         if self._asked is not None and self._clock() >= self._asked.give_up_at:
             self._new.extend(self._asked.reads)
             self._asked = None

@@ -1,12 +1,13 @@
-"""Compares digests of the applied results at one position, to find whether this replica's state is that of most
-members.
+"""Compares the members' digests of the applied results at one position.
+
+So each replica finds out whether its state is that of most members.
 
 Replicas apply the same commands in the same order. So they reach the same state, as long as they agree on the effect of
 each command. But a release that does not know a command refuses it, and the log does not show the difference.
 
 The leader names a position for a while. The members answer with their digests at that position. The leader tells all
-members the digest that more than half of them have. A member with another digest has diverged, the leader included.
-While no digest has a majority, a member that differs from the leader is only in doubt (decision 0111). Pure.
+members the digest that more than half of them have. A member with another digest has diverged, even if it leads. While
+no digest has a majority, a member that differs from the leader is only in doubt (decision 0111). Pure.
 
 A state from a snapshot of an earlier release has no digest. Its replica takes over the leader's digest as soon as the
 replica is at the position of that digest. From there on its digests are compared, too.
@@ -19,9 +20,10 @@ from collections.abc import Callable, Collection
 
 from stampede_rt_supernode.replication.wire.messages import NO_DIGEST, StateDigest
 
+# How many of its own digests a replica remembers: those of the latest positions.
 DIGESTS_MAX = 4096
-# The leader names a position until all members have answered, but for ASKED_SECONDS_MIN at least, and for
-# ASKED_SECONDS_MAX at most.
+# The leader names a newer position once all connected members have answered for the last one. It waits
+# ASKED_SECONDS_MIN at least. After ASKED_SECONDS_MAX it no longer waits for missing answers.
 ASKED_SECONDS_MIN, ASKED_SECONDS_MAX = 0.5, 5.0
 
 
@@ -29,14 +31,16 @@ class Digests:
     """The latest digests of this replica, and the leader's latest statements. Tick thread only."""
 
     def __init__(self, adopt: Callable[[bytes], None]) -> None:
-        """`adopt` sets the digest of this replica's state machine if that has none."""
+        """`adopt` sets the digest of this replica's state machine, if the state machine has none."""
         self._adopt = adopt
-        # The position at which this replica's state differs from that of most members; 0 if it did not. Never reset.
+        # The first position at which this replica's state was found to differ from that of most members; 0 if none was
+        # found. Never reset.
         self.diverged_at = 0
-        # The position at which this replica's state differs from the leader's while no digest has a majority; 0 if it
-        # does not differ.
+        # The first position at which this replica's state differs from the leader's, while no digest has a majority; 0
+        # if it does not differ.
         self.doubtful_at = 0
-        # This replica's digest at the position that the leader named last, once this replica has reached it.
+        # The answer to the leader: the latest position that the leader has named and this replica has reached, and this
+        # replica's digest there.
         self.answer: StateDigest = NO_DIGEST
         self._own: dict[int, bytes] = {}  # by position, ascending
         self._told: StateDigest | None = None  # the leader's digest at a position that this replica has yet to reach
@@ -51,7 +55,11 @@ class Digests:
             self.told(*told)
 
     def told(self, index: int, digest: bytes) -> None:
-        """Take in the leader's digest at `index`. Ignores a position whose digest this replica does not have."""
+        """Compare the leader's digest at `index` with this replica's own.
+
+        If this replica has not reached `index` yet, it compares them when it gets there. It keeps one such digest, and
+        ignores others meanwhile. It also ignores a position whose digest it no longer has.
+        """
         own = self._own.get(index)
         last = next(reversed(self._own), 0)
         if own is None:
@@ -66,7 +74,7 @@ class Digests:
             self.doubtful_at = 0 if own == digest or self.diverged_at else self.doubtful_at or index
 
     def told_of_most(self, index: int, digest: bytes) -> None:
-        """Take in the digest at `index` of more than half of all members."""
+        """Compare this replica's digest at `index` with `digest`, which more than half of all members have there."""
         own = self._own.get(index)
         if not digest or not own:
             return
@@ -81,21 +89,27 @@ class Digests:
 
 
 class DigestPoll:
-    """The digests of the members at the position that this leader names. New for each leadership. Tick thread only."""
+    """The digests of the members at the position that this leader names. Tick thread only.
+
+    Each time that a node begins to lead, it begins with an empty poll.
+    """
 
     def __init__(self) -> None:
+        # The position that this leader names at present, and its own digest there.
         self.asked: StateDigest = NO_DIGEST
         # By member id: the first position at which the member's state differed from this leader's. Empty as soon as a
         # digest has a majority.
         self.doubts: dict[str, int] = {}
         # By member id: the member's digest at the named position.
         self._held: dict[str, bytes] = {}
+        # When this leader began to name the position, by the clock of `ask`.
         self._since = float("-inf")
 
     def ask(self, now: float, state: StateDigest, others: Collection[str]) -> None:
         """Name the position of `state` from now on, if the leader has named the last position for long enough.
 
-        `state`: the leader's present position and digest. `others`: the ids of the members whose answers it awaits.
+        `now` is in seconds. `state`: the leader's present position and digest. `others`: the ids of the connected
+        members, for whose answers the leader waits.
         """
         age = now - self._since
         waited = age >= ASKED_SECONDS_MIN and (age >= ASKED_SECONDS_MAX or self._held.keys() >= set(others))
@@ -104,7 +118,7 @@ class DigestPoll:
             self._held.clear()
 
     def answered(self, member_id: str, answer: StateDigest, voters: Collection[str]) -> None:
-        """Take in the answer of a member. `voters`: all other voters."""
+        """Take in the answer of a member. `voters`: the ids of all other voters."""
         index, digest = answer
         if not digest or index != self.asked[0]:
             return

@@ -1,8 +1,9 @@
 """Elections, and the full set of rules.
 
-Every election begins with a trial (PreVote; Ongaro's dissertation, section 9.6): no term changes before a majority
-would vote for the candidate. Without a trial, a member that cannot hear the leader raises its term again and again.
-When the others hear it, its higher term ends the term of a working leader. The library has no trials.
+An election begins with a trial (PreVote; Ongaro's dissertation, section 9.6): a member asks the others whether they
+would vote for it. It raises its term only if a majority would. Without a trial, a member that cannot hear the leader
+raises its term again and again. When the others hear that member, its higher term ends the term of a working leader.
+The library has no trials. A member that the leader has asked to lead needs no trial.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from stampede_rt_supernode.replication.wire.messages import (
 # Every leader begins its term with an entry, so only failed elections put the term ahead of the log's last term. More
 # than this many failed elections are not believable: at one a second they would take twelve days.
 TERMS_AHEAD_MAX = 1 << 20
-# A term that is at most this far ahead of the own term is accepted, too, so that elections go on from any term that
+# A term that is at most this far ahead of this member's term is accepted, too. So elections go on from any term that
 # this member has reached. A hostile member that raises the term by this number with each message needs a hundred
 # thousand years to use up the numbers.
 TERMS_STEP_MAX = 1000
@@ -42,7 +43,7 @@ TERM_MAX = 1 << 61
 class RaftRules(Following, Leading):
     """Passes every message to its rule, and votes. Tick thread only."""
 
-    # The term, and the ids of the members that have voted for this node in it. A repeated vote counts once.
+    # A term, and the ids of the members that have voted for this node in that term. A repeated vote counts once.
     _votes: tuple[int, set[str]] = (0, set())
 
     def receive(self, node: MemberNode, message: Message) -> None:
@@ -79,7 +80,7 @@ class RaftRules(Following, Leading):
     def _check_term(self, member_id: str, message: Message) -> None:
         """Refuse a term that elections cannot explain, because it would leave too few terms for later elections.
 
-        A newcomer without entries accepts any term, because it cannot compare it.
+        A newcomer without entries accepts any term, because its log has no term to compare with.
         """
         claimed, (last_term, _) = _claimed_term(message), self.log_end()
         term_max = max(last_term + TERMS_AHEAD_MAX, self.term + TERMS_STEP_MAX)
@@ -88,7 +89,7 @@ class RaftRules(Following, Leading):
             raise PeerAtFault(member_id, f"names term {claimed}, but this member is in term {self.term}")
 
     def _note_promise(self, member_id: str, message: Message) -> None:
-        """Note the term that a member has reached, and the committed entries that a leader holds, as its promise.
+        """Note as the member's promise the term that it has reached, and, if it leads, the committed entries.
 
         The member has written both to its disk before it sent the message. `note_promises` notes the committed entries
         that followers hold.
@@ -106,7 +107,7 @@ class RaftRules(Following, Leading):
     def _on_command_answer(self, node: MemberNode, message: ForwardedCommandReply) -> None:
         """Take in the leader's answer to a forwarded command. The caller then waits for the command's commit.
 
-        If too many callers wait for commits already, this one gets an unknown fate at once.
+        If too many callers wait for commits already, this caller gets an unknown fate at once.
         """
         if node != self.leader:
             return
@@ -116,9 +117,9 @@ class RaftRules(Following, Leading):
             super().receive(node, message)
 
     def _on_timeout_now(self, node: MemberNode, message: TimeoutNow) -> None:
-        """Stand for election at once, because the leader wants this node to lead.
+        """Stand for election in this step, because the leader wants this node to lead.
 
-        As safe as an early election timeout.
+        This is as safe as an election timeout that ends early.
         """
         may_lead = self.is_voter() and not self.stands_aside()
         if message.term == self.term and node == self.leader and may_lead:
@@ -152,12 +153,12 @@ class RaftRules(Following, Leading):
 
 
 class PreVoteElections(RaftRules):
-    """The full set of rules: corrected handlers, and a trial before every election. Tick thread only."""
+    """The full set of rules: the handlers of RaftRules, and the trial before an election. Tick thread only."""
 
     # A node that has heard the leader within this time votes in no trial.
     leader_alive_seconds: float
 
-    # The term of the present trial, and the members that would vote for this node in it.
+    # The term of the present trial, and the ids of the members that would vote for this node in that term.
     _pre_vote: tuple[int, set[str]] = (0, set())
     # The last term in which a majority would vote for this node.
     _pre_vote_won_term: int = 0
@@ -170,8 +171,8 @@ class PreVoteElections(RaftRules):
         if not due or self.is_leader:
             return
         if not self.is_voter() or self.stands_aside():
-            # Nobody may vote for a node that is not yet a voter, or was removed. A node with a diverged state must not
-            # lead.
+            # Nobody may vote for a node that is not yet a voter, or was removed. A node with a diverged state, or with
+            # a store that another member refuses, must not lead.
             self.put_off_election()
             self._lose_leader()
             return
@@ -189,7 +190,7 @@ class PreVoteElections(RaftRules):
             self.transport.send(node, request)
 
     def _lose_leader(self) -> None:
-        """Forget the leader after an election timeout without a message. It gets no more commands or reads."""
+        """Forget the leader after an election timeout without a message. Commands and reads wait for the next one."""
         if self.leader is not None:
             self.leader = None
             self.give_up_forwarded()
@@ -227,7 +228,7 @@ class PreVoteElections(RaftRules):
             self._pre_vote_won_term = self.term + 1
 
     def send_now(self) -> None:
-        """Send to every member now, if this node leads."""
+        """Send every member its missing entries, or a heartbeat, now, if this node leads."""
         if self.is_leader:
             self.send_append_entries()
 

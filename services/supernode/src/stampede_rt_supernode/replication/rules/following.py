@@ -16,7 +16,7 @@ from stampede_rt_supernode.replication.wire.messages import AppendEntries, Appen
 class Following(Membership):
     """Handles the messages of leaders. Tick thread only."""
 
-    # The sender of the snapshot that is being opened.
+    # The id of the member that has sent the snapshot that is being opened.
     _snapshot_from: str = ""
 
     def _on_append(self, node: MemberNode, message: FromLeader) -> None:
@@ -26,7 +26,7 @@ class Following(Membership):
             return
         self._follow(node, message.term)
         self.leader_commit_index = message.commit_index
-        # Only a known member may say that this node's state has diverged, which keeps the node from leading.
+        # A node whose state has diverged must not lead. So the digests of a stranger do not count.
         if not self.is_stranger(node.id):
             self.digests.told(*message.digest)
             self.digests.told_of_most(*message.digest_of_most)
@@ -63,7 +63,7 @@ class Following(Membership):
         elif held is None:
             self._reply(node, message, next_index=self.log.last_index + 1, reset=True)
         elif held.term != previous_term:
-            # Committed entries agree with every leader. Later ones may not.
+            # The committed entries are the same at every leader. Later entries may differ.
             self._reply(node, message, next_index=self.commit_index + 1, reset=True)
         else:
             self._merge(entries)
@@ -73,7 +73,7 @@ class Following(Membership):
             self._reply(node, message, next_index=matched + 1, success=True)
 
     def _merge(self, entries: Sequence[Entry]) -> None:
-        """Add the missing entries. Cuts entries off only at a real conflict.
+        """Add the missing entries. Cuts this log off only where it holds another entry at the same position.
 
         The library cuts off everything after the previous entry. If messages come late or twice, that removes
         acknowledged entries.
@@ -101,8 +101,8 @@ class Following(Membership):
         The library uses that commit index, and so commits whatever its log holds. It also acknowledges a snapshot that
         it failed to load. Under this rule a damaged snapshot changes nothing, and its sender counts as faulty.
         """
-        # While this node opens one snapshot, it ignores the pieces of another. If this node still needs that one later,
-        # the leader sends it again.
+        # While this node opens one snapshot, it ignores the pieces of another. If this node still lacks entries
+        # afterwards, the leader sends the pieces again.
         if not self.keeper.is_opening and (received := self.keeper.take_in(message.chunk)) is not None:
             self._snapshot_from = node.id
             self.keeper.open(received)
@@ -111,7 +111,8 @@ class Following(Membership):
     def install_opened(self) -> None:
         """Continue to open a received snapshot, if there is one.
 
-        The answer to the leader's next message acknowledges the snapshot. Raises PeerAtFault if it is unreadable.
+        The answer to the leader's next message acknowledges the snapshot. Raises PeerAtFault if the snapshot is
+        unreadable, and ReleaseTooOld if its feature level is unknown to this release.
         """
         try:
             last = self.keeper.install_opened(newer_than=self.last_applied, term_max=self.term)

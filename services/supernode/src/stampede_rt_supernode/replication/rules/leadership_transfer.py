@@ -1,4 +1,4 @@
-"""Hands the leadership over to a member that has the whole log (dissertation, section 3.10)."""
+"""Hands the leadership over to a member that has the whole log (Ongaro's dissertation, section 3.10)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from stampede_rt_supernode.replication.rules.membership import Membership
 
+# How long a leader looks for a successor.
 HAND_OVER_SECONDS = 1.0
 
 
@@ -19,7 +20,10 @@ class HandOver:
 
 @dataclass(slots=True)
 class _Leaving:
-    """The search for a successor. New proposals wait. Once a member has all entries, the leader asks it to lead."""
+    """The search for a successor, which ends at `until`. New proposals wait meanwhile.
+
+    Once a member has all entries, the leader asks this member to lead. `asked` is then True.
+    """
 
     until: float
     asked: bool = False
@@ -27,7 +31,7 @@ class _Leaving:
 
 
 class LeadershipTransfer:
-    """Looks for a successor while callers wait for it. Tick thread only."""
+    """Looks for a successor when callers ask for one. Tick thread only."""
 
     def __init__(
         self,
@@ -37,6 +41,10 @@ class LeadershipTransfer:
         *,
         alive_seconds: float,
     ) -> None:
+        """A member that has answered the leader within `alive_seconds` may become the successor.
+
+        `finish(call)` makes the call once the changes of this step are durable.
+        """
         self._node = node
         self._clock = clock
         self._finish_later = finish
@@ -49,7 +57,10 @@ class LeadershipTransfer:
         return self._leaving is not None
 
     def begin(self, wish: HandOver) -> None:
-        """Begin to look for a successor, or join the callers that wait for one."""
+        """Begin to look for a successor, or add the caller to those that wait for one.
+
+        Answers True without a search if this node does not lead, and False if no other member votes.
+        """
         if not self._node.is_leader or not self._node.voter_ids():
             self._answer([wish], not self._node.is_leader)
             return

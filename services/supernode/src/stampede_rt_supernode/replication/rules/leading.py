@@ -14,8 +14,9 @@ from stampede_rt_supernode.replication.wire.messages import (
     TimeoutNow,
 )
 
-# The most batches of entries that one member gets at a time.
+# The most batches of entries that one call of `send_append_entries` sends to one member.
 BATCHES_PER_ROUND = 4
+# The entry that reaches this size ends a batch.
 APPEND_BATCH_BYTES = 1 << 20
 
 
@@ -29,7 +30,7 @@ class Leading(Membership):
         if message.term != self.term or not self.is_leader:
             return
         if node not in self.match_index:
-            return  # removed meanwhile
+            return  # the member was removed meanwhile
         end = self.log.last_index
         next_index = min(message.next_index, end + 1)
         if message.success:
@@ -37,7 +38,7 @@ class Leading(Membership):
                 raise PeerAtFault(node.id, f"acknowledged up to {message.next_index - 1}, past {end}")
             match = max(self.match_index[node], next_index - 1)
             self.match_index[node] = match
-            # The position never falls, so that entries under way are not sent again.
+            # An acknowledgement never lowers `next_index`, so that entries under way are not sent again.
             self.next_index[node] = max(self.next_index[node], match + 1)
         elif message.reset:
             self.next_index[node] = max(next_index, self.match_index[node] + 1, 2)
@@ -62,9 +63,9 @@ class Leading(Membership):
                 self._send_entries(node)
 
     def step_down_if_diverged(self) -> None:
-        """Let another member lead if most members have another state than this leader.
+        """Stop leading if more than half of the members have the same state, and this leader has another.
 
-        Asks the member among them with the most entries to lead.
+        Asks one of these members to lead: the one that has acknowledged the most entries.
         """
         if not self.is_leader:
             return
@@ -80,7 +81,10 @@ class Leading(Membership):
         self.put_off_election()
 
     def _send_snapshot(self, node: MemberNode) -> bool:
-        """Send the next pieces of a snapshot. Returns True if the last one is among them."""
+        """Send the next pieces of a snapshot. Returns True if the last piece is among them.
+
+        If not, sends a heartbeat without a piece as well.
+        """
         while (chunk := self.keeper.next_chunk(node.id)) is not None:
             self._send_chunk(node, chunk)
             if chunk.is_last:

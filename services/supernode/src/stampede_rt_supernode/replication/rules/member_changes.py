@@ -1,9 +1,9 @@
 """Adds and removes members, one at a time: the leader's steps.
 
-An addition has three steps. The leader sends the newcomer the log until a round of catching up has taken less than an
-election timeout. Then the leader puts a configuration with the newcomer into the log. That configuration takes effect
-at once. The addition is done when its entry is committed (dissertation, section 4.2). A removal needs no first step. A
-leader does not remove itself: it hands over, and its successor removes it.
+An addition has three steps. The leader sends the newcomer the log until a round of catching up has taken less than the
+shortest election timeout. Then the leader puts a configuration with the newcomer into the log. That configuration takes
+effect at once. The addition is done when the configuration is committed (Ongaro's dissertation, section 4.2). A removal
+needs no first step. A leader does not remove itself: it hands over, and the caller asks its successor for the removal.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from stampede_rt_supernode.replication.rules.membership import Membership
 
 ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
 
-# The leader gives up a newcomer without progress for this time, so that others can join.
+# The leader gives up a newcomer that has made no progress for this time, so that others can join.
 STALLED_SECONDS = 30.0
-# A newcomer without progress for this time gives way to another newcomer that waits. A newcomer that the leader has
-# given up before gives way at once.
+# A newcomer that has made no progress for this time gives way to another newcomer that asks. A newcomer that the leader
+# has given up before gives way without delay, until it makes progress.
 GIVES_WAY_SECONDS = 5.0
 # The leader gives up a newcomer that has not caught up in this time, even if it makes progress. At its next try this
 # newcomer gives way at once.
@@ -55,7 +55,8 @@ class MemberChange:
 class _Addition:
     """A newcomer, and all callers that wait for it. All times are by the node's clock.
 
-    The present round of catching up began at `round_began`. It ends when the newcomer has acknowledged `round_end`.
+    The addition began at `began`, and its present round of catching up at `round_began`. The round ends when the
+    newcomer has acknowledged `round_end`. `progress` has last changed at `progress_at`.
     """
 
     member: Member
@@ -70,7 +71,7 @@ class _Addition:
 
 @dataclass(slots=True)
 class _Committing:
-    """A configuration in the log that is not committed yet."""
+    """A configuration in the log that is not committed yet. It adds or removes the member `member_id`."""
 
     member_id: str
     log_index: int
@@ -79,7 +80,7 @@ class _Committing:
 
 
 class MemberChanges:
-    """All changes of one replica. Tick thread only.
+    """All changes of the members that one replica makes. Tick thread only.
 
     At most one configuration is uncommitted, and at most one newcomer catches up. A removal does not wait for the
     newcomer. Invariant: an uncommitted configuration and a newcomer exist only while this node leads.
@@ -100,9 +101,9 @@ class MemberChanges:
         self._round_seconds = round_seconds
         self._alive_seconds = alive_seconds
         self._addition: _Addition | None = None
-        # the newcomer that was given up last, for lack of progress; empty once a newcomer makes progress
+        # the id of the newcomer that was given up last for lack of progress; empty once it makes progress
         self._given_up_id = ""
-        # the newcomer that took too long; empty once another one begins to catch up
+        # the id of the newcomer that took too long; empty once another newcomer begins to catch up
         self._slow_id = ""
         self._committing: _Committing | None = None
         self._transfer = LeadershipTransfer(node, clock, finish, alive_seconds=alive_seconds)
@@ -118,7 +119,7 @@ class MemberChanges:
         return self._addition is None and self._committing is None and not self._transfer.under_way
 
     def add(self, change: MemberChange) -> None:
-        """Begin a change, join one under way, or refuse it."""
+        """Begin a change, or refuse it. If the same change is under way, its caller waits for that one."""
         if not self._node.is_leader:
             self._finish([change], NotLeading("this replica does not lead"))
         elif self._joins(change):
@@ -142,7 +143,7 @@ class MemberChanges:
         self._transfer.begin(wish)
 
     def advance(self) -> None:
-        """Take the next step of all that is under way."""
+        """Take the next step of all changes and of the hand-over that are under way."""
         if not self._leads_on():
             self._end(NotLeading("this replica no longer leads"))
             return
@@ -218,13 +219,13 @@ class MemberChanges:
                 return
             self._addition = None
             configuration = self._node.configuration().with_member(addition.member, addition.callers[0].ticket)
-            # First make the newcomer a voter, and then end its time as a learner. So this node keeps its
-            # acknowledgements.
+            # First make the newcomer a voter, and then end its time as a learner. So this node keeps the position that
+            # the newcomer has acknowledged.
             self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
 
     def _is_too_old(self, addition: _Addition) -> bool:
-        """Refuse a newcomer whose release does not know the cluster's feature level. Returns whether it refused."""
+        """Refuse the newcomer if its release does not know the cluster's feature level. Returns True if it does not."""
         newcomer, needed = addition.member.member_id, self._node.level_to_join()
         highest = self._node.known_levels().get(newcomer, 0)
         if highest >= needed:

@@ -1,13 +1,14 @@
-"""The members that this node counts, hears and sends to, always by the newest configuration in its log.
+"""The members whose votes this node counts, whose messages it hears, and to which it sends.
 
-There are three kinds. The *voters* are counted. The *learner* is sent the log, so that it can become a voter soon.
-Every other *known* node is heard, because a member that was away does not know the present leader yet (Ongaro's
-dissertation, section 4.1: servers accept requests from servers outside their configuration). A member whose removal is
-applied is not heard again.
+There are three kinds. The *voters* are the members of the newest configuration in the log; only their votes and
+acknowledgements count. The *learner* gets the log from the leader, so that it can become a voter soon. This node also
+hears every other *known* node, because a member that was away does not know the present leader yet (Ongaro's
+dissertation, section 4.1: servers accept requests from servers outside their configuration). It does not hear a member
+whose removal is applied.
 
-Known are the members in the log, and the members that one of these has named. A node that has only named itself is a
-*stranger*. This node hears strangers only while it is locked out: it has not heard a leader for so long that all
-members it knows may be gone.
+The members in the log are known, and so are the members that one of these has named. A node that only itself or another
+stranger has named is a *stranger*. This node hears strangers only while it is locked out: it has not heard a leader for
+so long that all members it knows may be gone.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from stampede_rt_supernode.replication.wire.buffered_transport import MemberNode
 from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 from stampede_rt_supernode.replication.wire.records import encode_configuration
 
+# The most members that this node remembers because a known member has named them.
 TOLD_MEMBERS_MAX = 64
+# The most strangers that this node remembers.
 STRANGERS_MAX = 16
 
 
@@ -56,7 +59,7 @@ class Membership(NodeState):
         super().open_snapshot()
         self.follow_log()
         if self.is_voter() and not self.other_voters:
-            # Nobody could object, so lead at once.
+            # This node is the only voter, so its first tick makes it the leader.
             self.election_deadline = float("-inf")
         else:
             self.put_off_election()
@@ -96,7 +99,7 @@ class Membership(NodeState):
             self._adopt()
 
     def on_introduced(self, member: Member) -> None:
-        """Remember an unknown node that says it is a member. This node hears it only while it is locked out."""
+        """Remember a stranger, which says that it is a member. This node hears strangers only while locked out."""
         if self._strangers.get(member.member_id) != member:
             _remember(self._strangers, (member,), STRANGERS_MAX)
             if self._hears_strangers:
@@ -121,7 +124,10 @@ class Membership(NodeState):
         return all(member.member_id != member_id for member in self.log.configurations.known_members())
 
     def on_disputed(self, member_id: str, why: str) -> None:
-        """Note that a member refuses this node's store, for the reason `why`. Empty: it accepts the store again."""
+        """Note that a member refuses this node's store, for the reason `why`. Ignores a stranger's refusal.
+
+        If `why` is empty, the member accepts the store again.
+        """
         if not why:
             self.disputed_by.pop(member_id, None)
         elif member_id in self.peers and not self.is_stranger(member_id):
@@ -142,7 +148,7 @@ class Membership(NodeState):
         return {self.self_member.member_id: at} if at else {}
 
     def set_learner(self, learner: Member | None) -> None:
-        """Begin or end to send the log to a node that is not a member yet."""
+        """Begin to send the log to `learner`, which is not a member yet. None ends the sending to the present one."""
         self.learner = learner
         self._adopt()
         if learner is not None:
@@ -151,7 +157,7 @@ class Membership(NodeState):
             self.match_index[node] = 0
 
     def append_configuration(self, configuration: Configuration) -> int:
-        """Put a configuration into the log, as the leader. It takes effect at once. Returns its position."""
+        """Put a configuration into the log, as the leader. It takes effect at once. Returns its log position."""
         log_index = self.log.last_index + 1
         self.log.append(encode_configuration(configuration), log_index, self.term)
         self.follow_log()
@@ -178,10 +184,10 @@ class Membership(NodeState):
         peers = {**strangers, **self._told, **{member.member_id: member for member in known}}
         if self.learner is not None:
             peers[self.learner.member_id] = self.learner
-        # A removal that is not committed may be undone, even by the removed member.
+        # Drops a member only when its removal is applied. Until then a new leader, even the member itself, may undo it.
         for member_id in self.log.configurations.at(self.last_applied).retired:
             peers.pop(member_id, None)
-        # All present members, even if a hostile leader has added a removed one again.
+        # Keeps all present members, even if a hostile leader has added a removed member again.
         peers.update({member.member_id: member for member in current.members})
         peers.pop(self.self_member.member_id, None)
         for member_id in self.peers.keys() - peers.keys():
@@ -228,7 +234,10 @@ class Membership(NodeState):
         return self.can_confirm_reads() and self.log.configurations.current_index <= self.commit_index
 
     def known_levels(self) -> dict[str, int]:
-        """By member id: the highest feature level that the member's release knows, as it told. Includes this member."""
+        """By member id: the highest feature level that the member's release knows, as the member said.
+
+        Includes this member.
+        """
         return {**self.transport.highest_levels, self.self_member.member_id: self.state_machine.highest_level}
 
     def level_to_join(self) -> int:
@@ -272,7 +281,7 @@ class Membership(NodeState):
         return None if entry is None else entry.term
 
     def alive_voters(self, *, within_seconds: float) -> set[str]:
-        """The ids of all other voters that have answered this leader within the time."""
+        """The ids of all other voters that have answered this leader within the last `within_seconds`."""
         since = self.clock() - within_seconds
         heard = self.last_response_time
         return {node.id for node in self.other_voters if heard.get(node, float("-inf")) > since}

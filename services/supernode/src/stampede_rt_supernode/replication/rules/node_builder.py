@@ -33,8 +33,9 @@ def build_node(
 ) -> PreVoteElections:
     """Returns a node with its transport, snapshot keeper and reads. The node has not opened its snapshot yet.
 
-    `rules` is the class of our rules. It comes before the library's class in the method resolution order. Raises
-    LibraryMismatch.
+    `has_room` tells whether the link to a member accepts more entries or pieces of a snapshot. `rules` is the class of
+    our rules. It comes before the library's class in the method resolution order. Raises LibraryMismatch if another
+    version of the library is installed.
     """
     assembly = Assembly(clock=clock, random_source=random_source)
     self_id = settings.self_member.member_id
@@ -52,7 +53,8 @@ def build_node(
         log, state_machine, has_room, run_in_background=run_in_background, chunk_bytes=settings.snapshot_piece_bytes
     )
     node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2
-    # Request ids begin at a random number. So a late answer to a former process of this member fits no new request.
+    # Request ids begin at a random number. So a late answer to a former process of this member does not have the id of
+    # a new request.
     first_request_id = int(random_source.random() * 2**52)
     node.transport = BufferedTransport(others)
     node.reads = ConfirmedReads(

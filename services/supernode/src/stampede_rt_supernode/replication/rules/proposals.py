@@ -1,4 +1,4 @@
-"""Commands on their way into the log, and the meaning of the library's outcomes for their callers."""
+"""Commands on their way into the log, and the outcomes that the callers get."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ Outcome = bytes | LogUnavailable | Ambiguous
 
 
 class Proposal:
-    """One command. `done` is called at most once, on the tick thread.
+    """One command. `done` is called at most once, on the tick thread. `deadline` is by the replica's clock.
 
-    The tick thread sets `handed_over` when it gives the command to the library. The caller sets `abandoned` when it
-    waits no longer. Each thread reads the other's field after it has written its own. So a caller that finds
-    `handed_over` False knows that the library will never get the command.
+    The tick thread sets `handed_over` when it gives the command to the library, and `finished` when nothing more will
+    be done with the proposal. The caller sets `abandoned` when the caller no longer waits. Each thread writes its own
+    field before it reads the other's. So a caller that finds `handed_over` False knows that the library will never get
+    the command.
     """
 
     __slots__ = ("abandoned", "command", "deadline", "done", "finished", "handed_over")
@@ -32,7 +33,9 @@ class Proposal:
 
 
 class Proposals:
-    """Waits for a leader, hands commands over, and turns the library's answers into outcomes. Tick thread only.
+    """Keeps commands until there is a leader, hands them to the library, and turns its answers into outcomes.
+
+    Tick thread only.
 
     Invariant: `_handed` counts the unfinished proposals in the library, at most `handed_max`.
     """
@@ -44,6 +47,11 @@ class Proposals:
         *,
         handed_max: int,
     ) -> None:
+        """`hand_over` gives a command to the library.
+
+        `finish(call)` makes the call once the changes of this step are durable. The library holds `handed_max`
+        unfinished proposals at most.
+        """
         self._hand_over = hand_over
         self._finish_later = finish
         self._handed_max = handed_max
@@ -59,7 +67,7 @@ class Proposals:
         heapq.heappush(self._deadlines, (proposal.deadline, self._sequence, proposal))
 
     def advance(self, *, leader_reachable: bool, now: float) -> None:
-        """Give up proposals whose time is over, and hand over the waiting ones if a leader can take them."""
+        """Give up the proposals whose time is over. If the leader is reachable, hand the waiting ones over."""
         while self._deadlines and (self._deadlines[0][0] <= now or self._deadlines[0][2].finished):
             self._expire(heapq.heappop(self._deadlines)[2])
         for _ in range(len(self._waiting)):

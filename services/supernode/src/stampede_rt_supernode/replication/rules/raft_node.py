@@ -1,7 +1,7 @@
-"""The common parts of the corrected rules of Raft.
+"""The common parts of our rules of Raft, which correct faults of PySyncObj 0.3.17 ("the library").
 
-The rules are in following.py, leading.py and elections.py. They follow the Raft paper (Ongaro and Ousterhout 2014,
-figures 2 and 13). Each rule names the fault of PySyncObj 0.3.17 that it corrects.
+The rules for messages are in following.py, leading.py and elections.py. They follow the Raft paper (Ongaro and
+Ousterhout 2014, figures 2 and 13). If a rule corrects a fault of the library, its text names the fault.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ class NodeState(LibraryNode):
     """The state that all rules read and change. Tick thread only."""
 
     transport: BufferedTransport
+    # Whether the link to the member with this id accepts more entries or pieces of a snapshot.
     has_room: Callable[[str], bool]
     keeper: SnapshotKeeper
     digests: Digests
+    # The other members' digests, as this node has collected them since it began to lead.
     poll: DigestPoll
     reads: ConfirmedReads
 
@@ -41,9 +43,9 @@ class NodeState(LibraryNode):
     last_leader_contact: float = float("-inf")
 
     def open_snapshot(self) -> None:
-        """Load the stored snapshot before the first tick.
+        """Load the stored snapshot, if there is one. Call it before the first tick.
 
-        Raises its errors: a node without its state must not take part.
+        Raises the errors of `SnapshotKeeper.restore`: a node without its state must not take part.
         """
         self.skip_own_restore()
         last = self.keeper.restore()
@@ -99,6 +101,9 @@ class NodeState(LibraryNode):
         return 2 * count > len(self.other_voters) + 1
 
     def can_confirm_reads(self) -> bool:
-        """Whether this node leads and has applied an entry of its own term. Before that it may lack older commits."""
+        """Whether this node leads and has applied an entry of its own term.
+
+        Before that, a new leader does not know which of its older entries are committed.
+        """
         own = self.first_index_of_term
         return self.is_leader and own is not None and own <= self.last_applied

@@ -1,4 +1,4 @@
-"""Requests for a snapshot now. The log also takes snapshots by itself when it has grown long."""
+"""Requests for a snapshot now. The log also takes snapshots by itself: when it is long, and at regular times."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class SnapshotRequest(NamedTuple):
 
 
 class SnapshotRequests:
-    """Has snapshots taken until one covers the position that was applied at the request. Tick thread only."""
+    """Has snapshots taken until one covers the position that was applied when the request came. Tick thread only."""
 
     def __init__(self, node: NodeState, log: RaftLog, finish: Callable[[Callable[[], None]], None]) -> None:
         self._node = node
@@ -34,7 +34,7 @@ class SnapshotRequests:
         self._waiting.append((self._node.last_applied, request))
 
     def advance(self) -> None:
-        """Answer the requests that the present snapshot covers, and have another snapshot taken for the rest."""
+        """Answer the requests whose positions the present snapshot covers. Have another one taken for the others."""
         snapshot = self._log.snapshot
         if snapshot is not None:
             covered = [one for since, one in self._waiting if since <= snapshot.last_log_index]

@@ -32,7 +32,7 @@ class BackupHeader:
 
 @dataclass(frozen=True, slots=True)
 class Backup:
-    """A backup to be sent, without a second copy of the record."""
+    """The bytes of a backup, ready to be sent. `head` is all that comes before the snapshot's record."""
 
     head: bytes
     record: bytes
@@ -52,7 +52,7 @@ class Backup:
 
 
 def make_backup(header: BackupHeader, record: bytes) -> Backup:
-    """The file for a snapshot. Takes a while for a large one."""
+    """The backup that holds the snapshot `record`. Takes a while for a large record."""
     head = MAGIC + json.dumps(asdict(header)).encode() + b"\n"
     digest = hashlib.sha256(head)
     digest.update(record)
@@ -60,9 +60,9 @@ def make_backup(header: BackupHeader, record: bytes) -> Backup:
 
 
 def read_backup(path: Path) -> tuple[BackupHeader, StoredState]:
-    """The origin of a backup, and the state of a member that has only its snapshot. Blocks.
+    """Read a backup. Returns its origin, and the state of a member that has only the backup's snapshot. Blocks.
 
-    Raises StoreDamaged for a file that is no backup or not complete, and OSError.
+    Raises StoreDamaged if the file is no backup, is cut off or damaged, or is of another version. Raises OSError.
     """
     data = path.read_bytes()
     if not data.startswith(MAGIC):

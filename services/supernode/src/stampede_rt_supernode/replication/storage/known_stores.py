@@ -1,9 +1,10 @@
-"""The id of the store with which each member has come. A member that lost its disk must not come back under its old id.
+"""Remembers the id of each member's store, because a member that lost its disk must not come back under its old id.
 
-Such a member would have forgotten its vote and the entries that it acknowledged, and could elect a leader that lacks
-them. Its own empty store does not show the loss. But the others remember the id of its former store. They also remember
-the term and entries that it has reported (`store.Promise`), and so recognise an older copy of its store. A member whose
-refusal for one of these reasons is confirmed notes that in its folder, and does not start again.
+Such a member has forgotten its vote and the entries that it acknowledged. It could vote for a leader that lacks these
+entries. Its own empty store does not show the loss. But the others remember the id of its former store. They also
+remember the term and entries that it has reported (`store.Promise`), and so recognise an older copy of its store. If
+the refusal of a member for one of these reasons is confirmed, the member notes that in its own folder, and does not
+start again.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any
 from stampede_rt_supernode.replication.storage.store import REJOIN, StoreDamaged
 
 FILE_NAME = "replicated_log.stores"
-# the most remembered nodes that are not members
+# the most nodes that are remembered although they are not members
 OTHERS_MAX = 32
 ID_BYTES = 8
 STORE_ID_BYTES_MAX = 64
@@ -36,6 +37,7 @@ class KnownStores:
     def __init__(
         self, own: str = "", known: Mapping[str, str] | None = None, path: Path | None = None, refused: str = ""
     ) -> None:
+        # The id of this member's own store; empty without a folder.
         self.own = own
         # Why others refuse this store; empty as long as they accept it.
         self.refused = refused
@@ -45,7 +47,10 @@ class KnownStores:
 
     @classmethod
     def open(cls, data_dir: Path | None, *, had_store: bool) -> KnownStores:
-        """Read the notes in the folder, or, for a new store, begin them. Blocks. Raises StoreDamaged or OSError."""
+        """Read the notes in the folder. Begins new notes if there are none, or if the store is new (not `had_store`).
+
+        Blocks. Raises StoreDamaged or OSError.
+        """
         if data_dir is None:
             return cls()
         path = data_dir / FILE_NAME
@@ -71,10 +76,10 @@ class KnownStores:
                 self._write()
 
     def note(self, member_id: str, store_id: str, members: Collection[str]) -> None:
-        """Remember an admitted member's store for good. Blocks at the first time. Raises OSError.
+        """Remember the store of an admitted member for good. Blocks if the member is new. Raises OSError.
 
-        `members`: the members in the log. Of other nodes only the last few are kept, and none replaces the entry of a
-        member.
+        `members`: the ids of the members in the log. Of the nodes that are not members, only the last OTHERS_MAX are
+        remembered.
         """
         with self._mutex:
             if self._path is None or not store_id or member_id in self._known:

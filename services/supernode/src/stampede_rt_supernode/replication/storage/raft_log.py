@@ -1,7 +1,7 @@
 """The log over a store: a list in memory, and the changes that are not on disk yet.
 
-Nothing is durable before `sync` returns. All changes since the last sync become durable together. The tick loop calls
-`sync` before any message or result leaves the process, which is also the group commit.
+Nothing is durable before `sync` returns. All changes since the last sync become durable together (group commit). The
+tick thread calls `sync` before any message or result leaves the process.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from stampede_rt_supernode.replication.storage.store import (
 )
 from stampede_rt_supernode.replication.wire.records import decode_configuration
 
-# The most promises. There are never so many members, so promises of non-members go first.
+# The most promises that the log remembers. There are never so many members, so it drops only promises of non-members.
 PROMISES_MAX = 64
-# The bytes of an entry beside its command.
+# The memory that an entry takes beside its command, in bytes, as an estimate.
 ENTRY_BYTES = 200
 
 
@@ -33,7 +33,11 @@ class RaftLog:
     """Log, term, vote and commit index. Entries have no gaps. `log[0]` is the first held entry."""
 
     def __init__(self, store: Store, *, kept_bytes_max: int = 0) -> None:
-        """`kept_bytes_max`: the most bytes of replaced entries that the log keeps for slow members."""
+        """Load the state of `store`. Blocks. Raises StoreDamaged.
+
+        `kept_bytes_max`: the most bytes of entries that the log keeps for slow members after a snapshot has replaced
+        them.
+        """
         state = store.load()
         self._kept_bytes_max = kept_bytes_max
         self._store = store
@@ -59,7 +63,7 @@ class RaftLog:
         self._dirty = False
 
     def track_members(self, base: Configuration) -> None:
-        """Set the configuration before the first entry. The configurations in the entries follow it."""
+        """Set the configuration that held before the first entry, and read the later ones from the entries."""
         self.configurations = Configurations(base)
         for entry in self._entries:
             self._note_configuration(entry)
@@ -113,7 +117,7 @@ class RaftLog:
 
     @property
     def voted_for(self) -> str | None:
-        """The vote in that term."""
+        """The id of the member for which this one has voted in the latest term; None if it has not voted."""
         return self._voted_for
 
     def set_term(self, term: int, voted_for: str | None) -> None:
@@ -128,7 +132,10 @@ class RaftLog:
         return self._promises
 
     def note_promise(self, member_id: str, term: int, held: int) -> None:
-        """Remember a greater promise. It reaches the disk together with the next other change, or with a flush."""
+        """Raise the promise of a member to this term and this last entry, where they are greater.
+
+        The promise reaches the disk together with the next other change, or after `flush_promises`.
+        """
         known = self._promises.get(member_id, Promise(0, 0))
         if term > known.term or held > known.held:
             # A new dictionary, because other threads read the former one.
@@ -150,7 +157,7 @@ class RaftLog:
         self._dirty = self._dirty or self._promises_changed
 
     def end(self) -> tuple[int, int]:
-        """The (term, last index) of this log. Each hello of this member states them."""
+        """The latest term, and the position of the last entry. The hellos of this member state both."""
         return self._term, self.last_index
 
     def entry_at(self, log_index: int) -> Entry | None:
@@ -185,12 +192,12 @@ class RaftLog:
         return found
 
     def keep_after(self, log_index: int) -> None:
-        """Free the kept entries at or before a position: no member needs them."""
+        """Free the kept entries at or before a position, because no member needs them any more."""
         while self._kept and self._kept[0].log_index <= log_index:
             self._let_go_oldest()
 
     def _keep(self, entries: list[Entry]) -> None:
-        """Keep entries that a snapshot has replaced, in memory only. If they are too many, free the oldest."""
+        """Keep entries that a snapshot has replaced, in memory only. Frees the oldest beyond the limit in bytes."""
         for entry in entries:
             if self._kept and self._kept[-1].log_index + 1 != entry.log_index:
                 self.keep_after(entry.log_index)
@@ -212,13 +219,13 @@ class RaftLog:
     def adopt_snapshot(
         self, snapshot: StoredSnapshot, previous: Entry, last: Entry, configuration: Configuration
     ) -> None:
-        """Let the log begin with the last two entries of a snapshot. `configuration` held at the last one.
+        """Let the log begin with the last two entries of a snapshot. `configuration` is the one that held at `last`.
 
-        All pieces must be written before. Entries after `last` stay if this log holds exactly the same `last`, because
-        they may be acknowledged already. The snapshot's seal and the log reach the disk together.
+        Pass all pieces to `write_piece` before. Entries after `last` stay if this log holds exactly the same `last`,
+        because they may be acknowledged already. The snapshot's seal and the log reach the disk together.
         """
         held_before = self.entry_at(previous.log_index) is not None
-        # Compares whole entries, because a hostile leader may have made others of the same terms.
+        # Compares whole entries, because a hostile leader may have made different entries with the same terms.
         if self.entry_at(last.log_index) == last and self.entry_at(previous.log_index) in (None, previous):
             keep_from = last.log_index + 1 - self._entries[0].log_index
             tail = self._entries[keep_from:]

@@ -1,6 +1,6 @@
 """Makes a new cluster from the data of one member of a lost cluster, or from a backup, if a majority is gone for good.
 
-The new cluster takes over the data of that member. Data that only the others had is lost, acknowledged or not. The new
+The new cluster takes over the data of that member or backup. Other data is lost, even if it was acknowledged. The new
 cluster has another id, so that an old member that comes back cannot disturb it.
 """
 
@@ -18,11 +18,13 @@ from stampede_rt_supernode.replication.wire.records import decode_configuration,
 
 
 def restore_from(source: Path, new_dir: Path, state_machine: StateMachine, *, founder: Member, cluster_id: str) -> int:
-    """Write a store of one member into `new_dir`, with the data of `source`. Returns its last log position.
+    """Write the store of a new cluster into `new_dir`, with the data of `source`.
 
-    `source` is a backup, or the data folder of an old member, which must be stopped. `source` stays unchanged. First,
-    this function applies all data to `state_machine`, which nobody may use afterwards. So it refuses data that this
-    release cannot read, before it writes anything. Blocks. Raises ReleaseTooOld, StoreRefused, StoreDamaged or OSError.
+    Returns the last log position in `source`. `founder` is the only member of the new cluster, whose id is
+    `cluster_id`. `source` is a backup, or the data folder of an old member, which must be stopped. `source` stays
+    unchanged. First, this function applies all data to `state_machine`, which nobody may use afterwards. So it refuses
+    data that this release cannot read, before it writes anything. Blocks. Raises ReleaseTooOld, StoreRefused,
+    StoreDamaged or OSError.
     """
     if source.is_file():
         header, state = read_backup(source)

@@ -1,7 +1,7 @@
 """Receives a leader's snapshot: its pieces come, a worker thread decodes them, and they go to the disk and the log.
 
-The tick thread does this in steps. With 100,000 channels the decoding alone takes half a second. If one step did all,
-this member would answer no leader and confirm no read for that time, and would count as lost.
+The tick thread does its part in steps. With 100,000 channels the decoding alone takes half a second. If one step did
+all of it, this member would answer no leader and confirm no read for that time, and would count as lost.
 """
 
 from __future__ import annotations
@@ -96,17 +96,17 @@ class SnapshotReceiver:
                 restore = self._state_machine.prepare_restore(snapshot.state)
             except ReleaseTooOld as error:
                 return error  # the snapshot is sound, so its sender is not at fault
-            except Exception as error:  # noqa: BLE001 - a peer has made it, and whatever it holds must end nobody
+            except Exception as error:  # noqa: BLE001 - a peer has made it, and no content may end this process
                 return UnreadableSnapshot(f"it cannot be read: {error!r}")
             return _Decoded(replace(received, last_log_index=snapshot.last.log_index), snapshot, restore)
 
         self._opening = _Opening(self._run_in_background(decode))
 
     def advance(self, *, newer_than: int, term_max: int) -> Entry | None:
-        """Continue: write one piece to the disk at a time. Returns the last entry once state and log begin with the
-        snapshot.
+        """Continue to open the snapshot: each call writes at most one piece to the disk.
 
-        A snapshot that ends at or before `newer_than` is dropped, because it would undo applied entries. Raises
+        Returns None until the state machine and the log have taken the snapshot over, and then the last entry that it
+        covers. A snapshot that ends at or before `newer_than` is dropped, because it would undo applied entries. Raises
         UnreadableSnapshot for an invalid snapshot, or one of a later term than `term_max`, and ReleaseTooOld. Then the
         log is unchanged.
         """

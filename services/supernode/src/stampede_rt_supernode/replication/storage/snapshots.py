@@ -56,7 +56,7 @@ class SnapshotKeeper:
         # The pieces that this step may still send, for all members together. The library would send all at once.
         self._chunks_left = chunks_per_step
         self._run_in_background = run_in_background
-        # The snapshot that is being taken; None if none is.
+        # The snapshot that is being taken; None if there is none.
         self._taking: _Taking | None = None
         # Member id -> the snapshot that this node is sending to the member.
         self._sending: dict[str, _Sending] = {}
@@ -67,7 +67,11 @@ class SnapshotKeeper:
         self._chunks_left = self._chunks_per_step
 
     def go_on_taking(self) -> Entry | None:
-        """Continue to take the snapshot under way. Returns None until it is adopted, and then the log's first entry.
+        """Continue to take the snapshot under way.
+
+        Returns None while the snapshot is under way. When the log has adopted it, returns the log's first entry, which
+        is the last but one that the snapshot covers. If a leader has sent a newer snapshot meanwhile, drops this one,
+        and also returns the last but one entry that it covers.
 
         Another thread encodes the snapshot. Then each step writes one piece, so that no step takes long. The seal and
         the log's new beginning reach the disk together. Raises the errors of the encoding.
@@ -100,7 +104,7 @@ class SnapshotKeeper:
         return self.is_taking or self.is_opening
 
     def begin_taking(self, *, previous: Entry, last: Entry) -> None:
-        """Begin a snapshot as of the last applied entry."""
+        """Begin a snapshot as of `last`, the last applied entry. `previous` is the entry before it."""
         configuration = self._log.configurations.at(last.log_index)
         encode_state = self._state_machine.begin_snapshot()
 
@@ -112,7 +116,7 @@ class SnapshotKeeper:
         self._taking = _Taking(self._run_in_background(encode), previous, last, configuration)
 
     def open_at_once(self, stored: StoredSnapshot) -> records.SnapshotContents:
-        """Open a snapshot into the state machine, whatever the log holds."""
+        """Replace the state machine's state by a snapshot, whatever the log holds. Returns the snapshot's parts."""
         snapshot = records.decode_snapshot(stored.record)
         self._state_machine.prepare_restore(snapshot.state)()
         return snapshot
@@ -154,7 +158,7 @@ class SnapshotKeeper:
         return last
 
     def end_sending(self) -> None:
-        """Drop all snapshots that are being sent, because this member leads no more."""
+        """Drop all snapshots that are being sent, because this member no longer leads."""
         self._sending.clear()
 
     def next_chunk(self, member_id: str) -> SnapshotChunk | None:
@@ -179,7 +183,10 @@ class SnapshotKeeper:
         )
 
     def _sending_to(self, member_id: str) -> _Sending | None:
-        """The snapshot for a member: the present one, or an older one while the log after it is kept."""
+        """The snapshot that is being sent to a member; None without a snapshot.
+
+        Begins with the present snapshot if none is being sent, or if the entries after that one are no longer kept.
+        """
         sending, present = self._sending.get(member_id), self._log.snapshot
         if sending is not None and sending.snapshot.last_log_index >= self._log.first_sendable:
             return sending
@@ -194,5 +201,5 @@ class SnapshotKeeper:
         return sending.sent_bytes if sending is not None else 0
 
     def cancel_sending(self, member_id: str) -> None:
-        """Next time, send this member the snapshot from the beginning."""
+        """Stop sending to this member. The next time, its snapshot begins from the first piece."""
         self._sending.pop(member_id, None)

@@ -1,12 +1,13 @@
 """The store on disk: one SQLite database for log, term, vote, commit index and snapshot.
 
-Write-ahead log with `synchronous=FULL`: a commit is on the disk when it returns. All data has checksums. The first and
-the last entry are recorded with term and vote, and every commit is counted. So damage is found when the store is
-opened, and damaged data is never applied.
+SQLite keeps a write-ahead log with `synchronous=FULL`, so a commit is on the disk when it returns. All data has
+checksums. The row of term and vote also holds the positions of the first and the last entry, and the number of commits.
+So the store finds damage when it is opened, and damaged data is never applied.
 
-A snapshot is written in pieces, in commits of its own. The commit that seals it also drops the entries that it
+A snapshot is written in pieces, over several commits. The commit that seals it also drops the entries that it
 replaces. Until then the former snapshot is complete. After that each commit deletes a few pieces of the former
-snapshot. So whenever the process is killed, one snapshot is sealed, and the log begins where that snapshot ends.
+snapshot. So, once there is a first snapshot, one snapshot is sealed whenever the process is killed, and the log begins
+where that snapshot ends.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from stampede_rt_supernode.replication.storage.store import (
 from stampede_rt_supernode.replication.storage.watermark import Watermark
 
 FORMAT_VERSION = 3
+# How many pieces of former snapshots one commit deletes.
 OLD_PIECES_PER_COMMIT = 2
 DATABASE_NAME = "replicated_log.sqlite3"
 WATERMARK_NAME = "replicated_log.watermark"
@@ -65,7 +67,10 @@ _UNREADABLE = (sqlite3.Error, TypeError, ValueError, AttributeError, OverflowErr
 
 
 class _HardState(NamedTuple):
-    """The row that every commit writes anew: term, vote, and the first and last entry of the log."""
+    """The row that every commit writes anew: term, vote, and the positions of the first and last entry of the log.
+
+    `commits` is the number of commits so far, this one included. `promises` is JSON.
+    """
 
     term: int
     voted_for: str | None
@@ -83,7 +88,7 @@ class _HardState(NamedTuple):
 
 def make_private(path: Path) -> None:
     """Make the database readable only by the user of the process. SQLite gives its journals the same mode."""
-    # an existing file may be open, and to close a second descriptor of it would release SQLite's locks
+    # `touch` opens and closes the file. If SQLite has the file open, that would release SQLite's locks on it.
     if not path.exists():
         path.touch(mode=0o600)
     for file in path.parent.glob(f"{path.name}*"):
@@ -91,7 +96,7 @@ def make_private(path: Path) -> None:
 
 
 def holds_store(data_dir: Path) -> bool:
-    """Whether a replica has ever kept its log in this folder."""
+    """Whether this folder has the database of a replica's log."""
     return (data_dir / DATABASE_NAME).exists()
 
 
@@ -133,8 +138,8 @@ class SqliteStore:
             )
         data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         self._watermark = Watermark(data_dir / WATERMARK_NAME)
-        # Whether the store was used before, so that it must not be empty. The first use forces the notes to the disk
-        # before all else.
+        # Whether the store was used before, so that it must not be empty. At the first use the member writes the notes
+        # (KnownStores) before it joins the network, and the first commit writes the watermark.
         notes = data_dir / NOTES_NAME
         self._was_used = not create or notes.exists() or self._watermark.read() > 0
         with contextlib.ExitStack() as undo:
@@ -169,7 +174,7 @@ class SqliteStore:
         if not has_schema:
             if self._was_used:
                 raise StoreDamaged(f"{self._path} is empty, but held a log before: {REJOIN}")
-            # A crash within the very first transaction leaves a file without a schema. Nothing was promised then.
+            # A crash within the very first transaction leaves a file without a schema. Nothing was acknowledged then.
             for statement in _SCHEMA.split(";")[:-1]:
                 self._db.execute(statement)
             self._db.execute("INSERT INTO identity VALUES (1, ?, ?, ?)", (FORMAT_VERSION, cluster_id, member_id))
@@ -265,9 +270,9 @@ class SqliteStore:
         return StoredSnapshot(last_log_index=seal.last_log_index, record=record, sha256=seal.sha256)
 
     def commit(self, changes: StoreChanges) -> None:
-        """Perform one transaction, which is on the disk when this returns.
+        """Perform one transaction, which is on the disk when this call returns.
 
-        After sqlite3.Error its outcome is unknown.
+        Raises sqlite3.Error; then the outcome of the transaction is unknown.
         """
         db = self._db
         db.execute("BEGIN IMMEDIATE")

@@ -14,7 +14,7 @@ PIECE_BYTES = 1 << 20
 
 
 class Promise(NamedTuple):
-    """What the store of another member must hold: a term of at least `term`, and the committed entries up to `held`.
+    """The least that the store of another member must hold: the term `term`, and the committed entries up to `held`.
 
     The member has reported both after it had written them to its disk. Both only grow. A store of that member with less
     is an older copy.
@@ -36,11 +36,11 @@ class StoreDamaged(RuntimeError):
 
 
 class StoreRefused(RuntimeError):
-    """The folder cannot serve this replica: it has no store, another member's store, or a store in use."""
+    """The folder cannot serve this replica. For example, it has no store, another member's store, or a store in use."""
 
 
 class SnapshotPiece(NamedTuple):
-    """A part of an encoded snapshot. It counts once the seal is on the disk, too."""
+    """A part of an encoded snapshot. It counts only once the seal of the snapshot is also on the disk."""
 
     last_log_index: int
     number: int
@@ -57,7 +57,7 @@ class StoredSnapshot:
 
     @classmethod
     def of(cls, last_log_index: int, record: bytes) -> StoredSnapshot:
-        """The snapshot of a record, with its checksum. Takes a while for a large one."""
+        """The snapshot that an encoded `record` makes, with its checksum. Takes a while for a large record."""
         return cls(last_log_index=last_log_index, record=record, sha256=hashlib.sha256(record).digest())
 
     @property
@@ -93,7 +93,7 @@ class SnapshotSeal(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StoredState:
-    """All data that survives a crash. `entries` have no gaps and are in order; empty in a new store."""
+    """All data that survives a crash. `entries` is in order and without gaps, and empty in a new store."""
 
     entries: list[Entry] = field(default_factory=list)
     term: int = 0
@@ -107,9 +107,9 @@ class StoredState:
 class StoreChanges:
     """The changes that one sync makes durable, all or nothing.
 
-    `entries` replace the entries at or after `replace_from`. Then the store drops the entries before `first_index`. The
-    log now ends with the entry of `last_index` and `last_term`. The pieces of a snapshot come in earlier commits than
-    its seal, or in the same one. `promises` are those of the other members, by id.
+    `entries` replace the stored entries at or after `replace_from`; with None these stay. Then the store drops the
+    entries before `first_index`. The last stored entry then has `last_index` and `last_term`. The pieces of a snapshot
+    come in earlier commits than its seal, or in the same one. `promises` are those of the other members, by id.
     """
 
     replace_from: int | None

@@ -5,8 +5,8 @@ lost in silence. So every commit is also counted, in the database and in this fi
 the file is damaged.
 
 The file is forced to the disk about once a second, not with every commit. After a power failure its number may
-therefore be too low by the commits of about a second. If only some of these commits are lost, the check does not notice
-it. It detects every greater loss.
+therefore be too low by the commits of about a second. If the database has lost only some of these commits, the check
+does not notice the loss. It detects every greater loss.
 """
 
 from __future__ import annotations

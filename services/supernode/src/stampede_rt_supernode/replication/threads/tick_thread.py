@@ -21,13 +21,15 @@ from stampede_rt_supernode.replication.interface import ReleaseTooOld
 
 logger = logging.getLogger(__name__)
 
+# As in sysexits(3), EX_SOFTWARE: the log has failed.
 EXIT_CODE = 70
 # As in sysexits(3), EX_IOERR: the data folder cannot be written.
 EXIT_DISK = 74
 # The exit code if the cluster is at a feature level that this release does not know. The user can mend that.
 EXIT_TOO_OLD = 1
-# A longer step waits for a disk that hangs. After this time the other members have a new leader.
+# If a step takes longer, the disk counts as hanging. After this time the other members have elected a new leader.
 STUCK_SECONDS = 3.0
+# The time between two looks of the second thread at the present step.
 LOOK_SECONDS = 0.5
 
 

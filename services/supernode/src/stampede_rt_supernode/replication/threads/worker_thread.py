@@ -24,7 +24,7 @@ class Result(Protocol[T_co]):
 
 
 class RunInBackground(Protocol):
-    """Has another thread do work. The thread does one work after the other."""
+    """Has another thread do work. That thread finishes each call's work before it begins the next."""
 
     def __call__(self, work: Callable[[], T], /) -> Result[T]:
         """Begin the work. Never blocks."""

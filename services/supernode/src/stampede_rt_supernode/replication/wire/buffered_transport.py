@@ -1,7 +1,7 @@
 """The node's transport, without a network: events come in through `deliver`, and messages leave through an outbox.
 
-Both ends are on the tick thread. The owner of the network empties the outbox after each sync. So no message leaves
-before its contents are on stable storage.
+Both ends are on the tick thread. The replica empties the outbox after each sync of the log. So no message leaves before
+its contents are on stable storage.
 """
 
 from __future__ import annotations
