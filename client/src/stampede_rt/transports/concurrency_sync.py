@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 import os
+import sys
 import threading
 import time
 import weakref
@@ -109,8 +110,11 @@ class BackgroundTask:
 def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) -> None:
     """Run an operation that takes gRPC's locks on its own thread, and wait for it for at most `limit_s`.
 
-    If a signal handler raises an exception inside gRPC's code, a lock of gRPC may stay locked for ever.
+    If a signal handler raises an exception inside gRPC's code, a lock of gRPC may stay locked for ever. Does nothing
+    while the interpreter ends: a thread that starts then never runs, and its start would wait for it for ever.
     """
+    if sys.is_finalizing():
+        return
     thread = threading.Thread(target=operation, name="stampede ends a call", daemon=True)
     try:
         thread.start()
@@ -164,6 +168,11 @@ def when_dropped(owner: object, operation: Callable[[], object]) -> None:
     _dropped.start()
     finalizer = weakref.finalize(owner, _dropped.operations.put, operation)
     finalizer.atexit = False
+
+
+def run_later(operation: Callable[[], object]) -> None:
+    """Run `operation` on a thread of the library. Returns at once, whatever locks the caller holds."""
+    _dropped.operations.put(operation)
 
 
 class BackgroundStart:

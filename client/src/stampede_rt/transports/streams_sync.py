@@ -12,7 +12,7 @@ import grpc.experimental
 from stampede_rt.errors import Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
-from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
+from stampede_rt.transports.concurrency_sync import run_later, when_dropped, within_limit
 from stampede_rt.transports.grpc_options import SAID_MAX, SILENCE_S_MAX
 from stampede_rt.transports.watchdog import Watchdog
 
@@ -59,6 +59,11 @@ class ServerStream(Generic[Response]):
                 raise silent(self._target) from None
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error
+        except GeneratorExit:  # the reader left. Python may delete the iterator anywhere, also at the interpreter's end
+            self._cancelled = True
+            if self._forks == forking.forks():
+                run_later(self._call.cancel)
+            raise
         except BaseException:  # an interrupt ends this call; a later step of the reader begins a new one
             self._end_call()
             raise

@@ -8,8 +8,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
+
+from stampede_rt.transports.concurrency_sync import within_limit
 
 IDLE_S = 30.0
+CALL_LIMIT_S = 0.1  # how long one function may delay the functions of other limits
 _log = logging.getLogger("stampede_rt")
 
 
@@ -59,10 +63,9 @@ class Watchdog:
 
     def _watch(self) -> None:
         while (on_overdue := self._next_overdue()) is not None:
-            try:  # without the lock: the function takes gRPC's locks, and callers of `limit` must not wait for these
-                on_overdue()
-            except Exception:  # noqa: BLE001  # a defect at one limit must not stop the others
-                _log.exception("an overdue call could not be cancelled")
+            # Without the lock, because the function takes gRPC's locks, and callers of `limit` must not wait for these.
+            # With a limit, because an interrupt may have left a lock of gRPC taken for ever.
+            within_limit(partial(_call, on_overdue), CALL_LIMIT_S)
 
     def _next_overdue(self) -> Callable[[], object] | None:
         """Wait until a block is overdue, and return its function. None: the thread must end."""
@@ -88,3 +91,10 @@ class Watchdog:
         with self._changed:
             self._closed = True
             self._changed.notify()
+
+
+def _call(on_overdue: Callable[[], object]) -> None:
+    try:
+        on_overdue()
+    except Exception:  # noqa: BLE001  # a defect at one limit must not stop the others
+        _log.exception("an overdue call could not be cancelled")

@@ -45,10 +45,23 @@ def test_a_limit_is_set_while_another_is_being_called_back() -> None:
         others.start()
         others.join(LIMIT_S)
         assert not others.is_alive()
-        assert not called.is_set()
         release.set()
         assert called.wait(LIMIT_S)
         other.__exit__(None, None, None)
+    watchdog.close()
+
+
+def test_a_function_that_never_returns_does_not_keep_the_others_from_being_called() -> None:
+    watchdog, reached, release, called = Watchdog(), threading.Event(), threading.Event(), threading.Event()
+
+    def stuck() -> None:
+        reached.set()
+        release.wait()
+
+    with watchdog.limit(0.01, stuck), watchdog.limit(0.02, called.set):
+        assert reached.wait(LIMIT_S)
+        assert called.wait(LIMIT_S)
+    release.set()
     watchdog.close()
 
 
