@@ -16,5 +16,5 @@ READ_ITEMS = 20_000  # that one subscriber reads from the oldest on
 REPLACED_ITEMS = 200_000
 PUTS_PER_TURN = 20
 MORE_OBJECTS = 40_000
-WATCHES = 2000  # as many as one caller may have
+WATCHES = 1000
 WATCHED_CHANGES = 5
