@@ -225,6 +225,12 @@ class ForkedProcess(StampedeError, RuntimeError):
     reason = "FORKED_PROCESS"
 
 
+class WrongEventLoop(StampedeError, RuntimeError):
+    """A program used an awaited connection on another event loop than its own. Only the client raises this error."""
+
+    reason = "WRONG_EVENT_LOOP"
+
+
 class VersionMismatch(StampedeError):
     """The two sides speak versions that do not work together."""
 

@@ -52,6 +52,7 @@ from stampede_rt.errors import (
     VersionMismatch,
     WatchRestart,
     WrongCluster,
+    WrongEventLoop,
 )
 from stampede_rt.pickling import ClusterReference
 from stampede_rt.security.tls import TlsFiles
@@ -186,6 +187,7 @@ __all__ = [
     "Watch",
     "WatchRestart",
     "WrongCluster",
+    "WrongEventLoop",
     "__version__",
     "connect",
     "last",

@@ -6,7 +6,7 @@ from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.errors import Unavailable
 from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports import forking
-from stampede_rt.transports.concurrency_async import Mutex
+from stampede_rt.transports.concurrency_async import EventLoopCheck, Mutex
 from stampede_rt.transports.grpc_async import ServerEndpoint
 
 ENDPOINTS_MAX = 1024
@@ -21,6 +21,7 @@ class EndpointPool:
     def __init__(self, credentials: Credentials) -> None:
         forking.opened(self)
         self._forks = forking.forks()
+        self._event_loop = EventLoopCheck()
         self.credentials = credentials
         self.metadata = CallMetadata(credentials.secret)
         self._material = credentials.material()
@@ -48,11 +49,12 @@ class EndpointPool:
         return self._forks != forking.forks()
 
     def check_process(self) -> None:
-        """Raise ForkedProcess in a forked child.
+        """Raise ForkedProcess in a forked child, and WrongEventLoop on another event loop than the connection's.
 
         Call this before taking a lock, which the child may have inherited locked.
         """
         forking.check(self._forks)
+        self._event_loop.check()
 
     def _look_at_certificates(self) -> None:
         material = self.credentials.material()

@@ -144,11 +144,11 @@ class Session:
         return getattr(self._reopening, kind), arguments
 
     def check_process(self) -> None:
-        """Raise ForkedProcess in a forked child."""
+        """Raise ForkedProcess in a forked child, WrongEventLoop on another event loop."""
         self.endpoints.check_process()
 
     def check(self) -> None:
-        """Raise ForkedProcess, or Unavailable if the connection is closed."""
+        """Raise ForkedProcess, WrongEventLoop, or Unavailable if the connection is closed."""
         self.check_process()
         if self.closed:
             raise connection_closed()
@@ -315,7 +315,7 @@ class ChannelLocator:
         self.session.cache.forget(self.state.info.channel_id)
 
     def check(self) -> None:
-        """Raise ForkedProcess, or Unavailable if the connection is closed."""
+        """Raise ForkedProcess, WrongEventLoop, or Unavailable if the connection is closed."""
         self.session.check()
 
     def explain(self, error: StampedeError) -> None:

@@ -31,7 +31,7 @@ class Locator(Protocol):
         ...
 
     def check(self) -> None:
-        """Raise ForkedProcess, or Unavailable if the connection is closed."""
+        """Raise ForkedProcess, WrongEventLoop, or Unavailable if the connection is closed."""
         ...
 
     def explain(self, error: StampedeError) -> None:

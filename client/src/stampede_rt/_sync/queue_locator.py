@@ -137,7 +137,7 @@ class QueueLocator:
         self._session.cache.forget(self._state.info.queue_id)
 
     def check(self) -> None:
-        """Raise ForkedProcess, or Unavailable if the connection is closed."""
+        """Raise ForkedProcess, WrongEventLoop, or Unavailable if the connection is closed."""
         self._session.check()
 
     def explain(self, error: StampedeError) -> None:

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Self, TypeVar
 from weakref import WeakValueDictionary
 
-from stampede_rt.errors import InvalidArgument
+from stampede_rt.errors import InvalidArgument, WrongEventLoop
 
 Result = TypeVar("Result")
 _CALLERS = frozenset((0,))
@@ -121,6 +121,30 @@ def thread_id() -> int:
 
 def begin_if_blocking(operation: Callable[[], Awaitable[None]]) -> None:
     """Do nothing. The first await of the handle runs `operation`. The blocking client runs it now."""
+
+
+class EventLoopCheck:
+    """Remembers the event loop of its first check, and refuses every other loop.
+
+    gRPC's connections and asyncio's locks belong to one loop. On another one their users would wait for ever.
+    """
+
+    def __init__(self) -> None:
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def check(self) -> None:
+        """Raise WrongEventLoop on another event loop. Does nothing where no loop runs."""
+        try:
+            running = asyncio.get_running_loop()
+        except RuntimeError:
+            return
+        if self._loop is None:
+            self._loop = running
+        elif running is not self._loop:
+            raise WrongEventLoop(
+                "this connection belongs to another event loop; connect once on each loop, or send coroutines to the "
+                "connection's loop with asyncio.run_coroutine_threadsafe"
+            )
 
 
 class BackgroundTask:

@@ -175,6 +175,13 @@ def run_later(operation: Callable[[], object]) -> None:
     _dropped.operations.put(operation)
 
 
+class EventLoopCheck:
+    """Checks nothing, because any thread may use a blocking connection."""
+
+    def check(self) -> None:
+        """Do nothing."""
+
+
 class BackgroundStart:
     """A handle that starts in the background. In the blocking client it has started when its method returns."""
 

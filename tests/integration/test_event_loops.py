@@ -1,0 +1,71 @@
+"""An awaited connection on another event loop than its own: each use says so at once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1)
+
+Use = Callable[[Any], Awaitable[Any]]
+
+
+class Things:
+    """A connection and its handles, each used before."""
+
+    def __init__(self, rt: aio.Connection) -> None:
+        self.rt = rt
+
+    async def prepare(self) -> None:
+        self.channel = await self.rt.channel("loops/channel", max_age="60s")
+        self.queue = await self.rt.queue("loops/queue")
+        self.group = await self.rt.group("loops/group", [self.channel])
+        await self.channel.put(b"0")
+        await self.channel.newest()
+        self.subscription = self.channel.subscribe(start=st.OLDEST)
+        await anext(self.subscription)
+
+
+USES: dict[str, Use] = {
+    "put": lambda of: of.channel.put(b"1"),
+    "newest": lambda of: of.channel.newest(),
+    "stats": lambda of: of.channel.stats(),
+    "channel": lambda of: of.rt.channel("loops/other"),
+    "hosts": lambda of: of.rt.hosts(),
+    "send": lambda of: of.rt.send("loops/peer", b"1"),
+    "enqueue": lambda of: of.queue.put(b"1"),
+    "take": lambda of: of.queue.get(timeout=1),
+    "next": lambda of: anext(of.subscription),
+    "subscribe": lambda of: anext(of.channel.subscribe()),
+    "cuts": lambda of: anext(of.group.subscribe()),
+    "watch": lambda of: anext(of.rt.watch()),
+}
+
+
+@pytest.mark.parametrize("use", USES)
+async def test_a_use_on_another_event_loop_is_refused_and_disturbs_nothing(cluster: LocalCluster, use: str) -> None:
+    async with aio.connect(cluster.address) as rt:
+        things = Things(rt)
+        await things.prepare()
+
+        def elsewhere() -> None:
+            async def run() -> None:
+                async with asyncio.timeout(20):
+                    await USES[use](things)
+
+            with pytest.raises(st.WrongEventLoop, match="connect once on each loop"):
+                asyncio.run(run())
+
+        await asyncio.to_thread(elsewhere)
+        async with asyncio.timeout(20):
+            await things.channel.put(b"2")
+            assert (await things.channel.newest()).payload == b"2"
+            things.subscription.close()
