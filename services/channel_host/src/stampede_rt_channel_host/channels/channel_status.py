@@ -12,13 +12,13 @@ from stampede_rt_channel_host.core.channel import ConsumerStanding, Pieces
 
 
 def channel_status(hosted: HostedChannel, now: Callable[[], int]) -> Pieces[channel_pb2.ChannelStatus]:
-    """The status as of the last piece. The numbers of items that consumers have waiting may be a little older."""
+    """The status as of the last piece. Only the numbers of items that consumers have still to consume may be older."""
     consumers = yield from hosted.channel.counting_consumers(now())
     return _status(hosted, consumers, now())
 
 
 def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: int) -> channel_pb2.ChannelStatus:
-    counters = _counters(hosted, now)  # first, because it brings the bounds up to `now`
+    counters = _counters(hosted, now)  # first, because this call also frees outdated items, which changes the bounds
     channel = hosted.channel
     return channel_pb2.ChannelStatus(
         record=channel_message(hosted.record),

@@ -1,4 +1,6 @@
-"""Performs one request to consume items, in pieces: thousands of unordered seqs each need an entry of their own."""
+"""Performs one request to consume items, in pieces. A request may name thousands of seqs that are not adjacent, and the
+channel keeps an entry for each of them.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +14,17 @@ SEQS_PER_PIECE = 256
 
 
 def consuming(store: ChannelStore, request: pb.ConsumeRequest) -> Pieces[pb.ConsumeResponse]:
-    """Consume items for one consumer, and let in the puts that waited for room.
+    """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
-    An invalid request consumes nothing. Raises StaleBinding, InvalidArgument, ChannelFull, and IncarnationLost if the
-    seqs belong to another incarnation.
+    An invalid request consumes nothing. Raises InvalidArgument, StaleBinding if the host does not serve the channel,
+    ChannelFull if all consumer places are taken, and IncarnationLost if the seqs belong to another incarnation.
     """
     hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
     yield from hosted.channel.catching_up(store.now())
     hosted.channel.check_consumption(request.consumer_id, seqs, lease_nanos)
     while len(seqs) > SEQS_PER_PIECE:
         part, seqs = seqs[:SEQS_PER_PIECE], seqs[SEQS_PER_PIECE:]
+        # the lease of the request may be 0, which gives the place up: only the last piece may do that
         items += _find(store, request).consume(request.consumer_id, part, max(lease_nanos, LEASE_NANOS)).items
         yield
     last = _find(store, request).consume(request.consumer_id, seqs, lease_nanos)

@@ -1,7 +1,7 @@
-"""Encodes messages that carry runs by hand.
+"""Encodes the messages that carry runs, without the generated classes.
 
-The host copies the stored bytes once, into the message, and never parses them. The result equals the serialized
-messages of `raw_run.proto`. The tests compare the two.
+The host copies the stored bytes of a whole run once, into the message, and does not parse them. The result equals the
+serialized messages of `raw_run.proto`. The tests compare the two.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from stampede_rt.v1 import error_pb2
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, drained
 
-MESSAGE_BYTES_MAX = 2**20  # the bytes of runs in one message; a single item may be larger
+MESSAGE_BYTES_MAX = 2**20  # of runs in one message; a message with a single run may be larger
 MESSAGE_RUNS_MAX = 512  # a limit, so that a message of many small runs is made within two milliseconds
 
 _LENGTH_DELIMITED = 2
@@ -30,7 +30,7 @@ _SUBSCRIBE_RUNS = bytes((3 << 3 | _LENGTH_DELIMITED,))
 
 
 class EncodedMessage(NamedTuple):
-    """One message of an answer, and the number of payload bytes in it. `is_last`: the answer ends with it."""
+    """One message of an answer, and the number of payload bytes in it. `is_last`: the answer has no further message."""
 
     encoded: bytes
     payload_bytes: int
@@ -81,7 +81,7 @@ def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
 
 
 class SharedMessages:
-    """The last message that a channel's subscriptions sent. All readers that keep up get the same message.
+    """The last message that a channel's subscriptions sent. A reader that is to get the same items gets the same bytes.
 
     Keeps one message at most.
     """
@@ -93,7 +93,7 @@ class SharedMessages:
     def encode(
         self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
     ) -> EncodedMessage:
-        """A SubscribeResponse with the runs and the encoded fields `about`. Keeps it for other readers."""
+        """A SubscribeResponse with the runs and the encoded fields `about`. Keeps it if there are several `readers`."""
         key = (slices, about, without_payloads)
         if key == self._key and self._message is not None:  # runs compare by identity
             return self._message

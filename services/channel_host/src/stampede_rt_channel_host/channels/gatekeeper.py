@@ -75,7 +75,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     async def ConfigureChannel(  # noqa: N802
         self, request: pb.ConfigureChannelRequest, context: Context
     ) -> pb.ConfigureChannelResponse:
-        """Change the set-up in the directory, then at this host. The change holds when the call returns."""
+        """Change the policy in the directory, then at this host. The change holds when the call returns."""
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
         hosted = await self._store.configure(
@@ -109,7 +109,7 @@ def _check_id(channel_id: bytes) -> None:
 
 
 def _first_sent_s(context: Context) -> float:
-    """When the caller made the request, by `age_clock_s`. Raises InvalidArgument."""
+    """When the caller made the request, in seconds of `age_clock_s`. Raises InvalidArgument for a malformed age."""
     return age_clock_s() - request_age_nanos(context.invocation_metadata()) / 1e9
 
 

@@ -44,7 +44,7 @@ class GetCall:
 
 
 class GetPlans:
-    """The plans of one stream, PLANS_MAX at most. When there are more, the object forgets all of them."""
+    """The plans of one stream, PLANS_MAX at most. Before one more comes, the object forgets all of them."""
 
     def __init__(self) -> None:
         self._plans: dict[bytes, GetPlan] = {}

@@ -1,4 +1,7 @@
-"""Serves one stream of gets: many calls at once, each with its own answer. A get that needs no wait starts no task."""
+"""Serves one stream of gets: many calls at once, each with its own answer.
+
+Only a long answer, and a get that waits in a group, take a task of their own.
+"""
 
 from __future__ import annotations
 
@@ -37,9 +40,11 @@ from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.quotas.working import CallerWork
 from stampede_rt_runtime.rpc import Context
 
-CALLS_MAX = 1024
+CALLS_MAX = 1024  # calls under way on one stream
 POLLS_PER_PIECE = 4
-"""So many gets are looked at in one step when there is room for their answers. Each look takes up to a millisecond."""
+"""The number of gets that one piece looks at again when there is room for their answers. A look takes up to a
+millisecond.
+"""
 
 
 class _Begun:
@@ -51,9 +56,9 @@ class _Begun:
         self.call_id = call_id
         self.plan = plan
         self.hosted = hosted
-        self.pending: Pending | None = None  # of a blocking get
+        self.pending: Pending | None = None  # of a get that may wait; else None
         self._begun_at = now
-        self._polled_at: int | None = None  # the channel's count of changes at the last poll
+        self._polled_at: int | None = None  # `hosted.changes` at the last poll; None: that poll no longer counts
 
     def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
         """Look at the channel for a blocking get. Returns the answer, or when to look again, or unfinished work."""
@@ -88,13 +93,14 @@ class GetStream:
         self._stream = stream
         self._account = current_account()
         self._work = CallerWork(self._account)
-        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: its answer is being sent
+        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: its answer is still to be sent
         self._plans = GetPlans()
         self._idle = asyncio.Event()
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
+        # how many calls the caller's quota counts for this stream
         self._under_way = self._account.hold(Quota.WAITING_CALLS)
         self._held_back: dict[int, _Begun] = {}  # released gets that wait for room in the outbox
-        self._is_polling = False  # work is under way that looks at them again
+        self._is_polling = False  # whether `_polling_again` is under way
 
     async def run(self) -> None:
         """Serve until the caller has closed its side and every call is answered.
@@ -187,7 +193,7 @@ class GetStream:
         self._outbox.kick()
 
     def _check_served(self, plan: GetPlan, found: object) -> None:
-        """Raises StaleBinding if the channel has left this host, and frees the answer found there."""
+        """Raises StaleBinding if the channel has left this host. In that case it first frees the answer `found`."""
         try:
             self._store.find(plan.channel_id, plan.epoch)
         except StampedeError:
@@ -210,7 +216,7 @@ class GetStream:
         try:
             began, wait_nanos = self._store.now(), plan.wait_nanos
             found = await self._groups.read(ask, hosted, plan.query, wait_nanos)
-            # reads again when there is room to send the answer, so that no answer is kept meanwhile
+            # while there is no room to send the answer, keep none in memory: drop it, and read again when there is room
             while not self._outbox.has_room:
                 self._let_go(found.answer)
                 del found
@@ -228,12 +234,12 @@ class GetStream:
 
     def _releaser(self, begun: _Begun) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
-            self._calls[begun.call_id] = None  # the get waits no more; the call is under way until its answer is sent
+            self._calls[begun.call_id] = None  # the get waits no more, but its answer is still to be sent
             begun.released()
             if isinstance(outcome, StampedeError):
                 self._refuse(begun.call_id, outcome)
             elif self._held_back or not self._outbox.has_room:
-                # `_room_came` polls the get again, so that no answer is kept meanwhile
+                # drop this outcome: `_room_came` polls the get again, so that no answer stays in memory meanwhile
                 self._held_back[begun.call_id] = begun
             else:
                 self._go_on(begun, outcome, self._store.now())
@@ -313,7 +319,7 @@ def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
 
 
 def _kept_bytes(answer: ReadAnswer) -> int:
-    """The memory that the stored runs of an answer occupy, counted up to COUNTED_BYTES_MAX."""
+    """The bytes that the stored runs of an answer occupy; COUNTED_BYTES_MAX if they are more than that."""
     kept_bytes = 0
     for part in answer.slices:
         kept_bytes += len(part.run.body) + ITEM_OVERHEAD_BYTES

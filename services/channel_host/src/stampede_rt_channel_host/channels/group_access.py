@@ -19,7 +19,8 @@ from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor
 class GroupAsk:
     """The group through which a get reads.
 
-    `floor`: the highest cut that the reader has seen. `at`: the cut to read at.
+    `floor`: the highest cut that the reader has seen; None: it has seen no cut. `at`: the cut to read at; None: the
+    present cut.
     """
 
     group_id: bytes
@@ -28,7 +29,7 @@ class GroupAsk:
 
 
 class GroupAnswer(NamedTuple):
-    """An answer, and the cut at which the group read it."""
+    """An answer, and the cut at which the group read it; None: the group had no cut yet."""
 
     answer: ReadAnswer
     cut: int | None
@@ -56,7 +57,11 @@ class Cursor(Protocol):
 
 
 class GroupAccess(Protocol):
-    """Reads and subscriptions through a group. All methods raise GROUP_NOT_FOUND, INVALID_ARGUMENT, IncarnationLost."""
+    """Reads and subscriptions through a group.
+
+    All methods raise InvalidArgument if the channel is no member of the group, and IncarnationLost for a position of
+    another incarnation. `read` and `subscribe` raise GROUP_NOT_FOUND, too.
+    """
 
     def read_now(
         self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
@@ -66,7 +71,8 @@ class GroupAccess(Protocol):
     async def read(self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
         """Wait for the answer.
 
-        `wait_nanos` bounds the wait for items, beside the wait for the cut; below 0: without limit.
+        `wait_nanos` bounds the wait, below 0: without limit. A wait for a cut that the reader has seen already may take
+        longer than a very short `wait_nanos`.
         """
 
     def subscribe(

@@ -7,8 +7,8 @@ from collections import OrderedDict
 from stampede_rt.errors import PermissionDenied
 from stampede_rt_runtime.access.control import owner_name
 
-HOLDERS_MAX = 65_536
-HOLDERS_OF_ONE_MAX = 1024
+HOLDERS_MAX = 65_536  # ids of all callers
+HOLDERS_OF_ONE_MAX = 1024  # ids of one caller
 
 Key = tuple[bytes, int]  # the id of a channel or queue, and a consumer or taker id there
 
@@ -16,11 +16,12 @@ Key = tuple[bytes, int]  # the id of a channel or queue, and a consumer or taker
 class Holders:
     """The caller of each consumer id and taker id. An id alone proves nothing: listings of leases show the ids.
 
-    The number of entries of one caller is bounded. A caller that uses too many ids loses its own oldest entries.
+    A caller that uses more than HOLDERS_OF_ONE_MAX ids loses its own oldest entries. If all callers together use more
+    than HOLDERS_MAX ids, the oldest entry of all goes.
     """
 
     def __init__(self) -> None:
-        self._owners: OrderedDict[Key, str] = OrderedDict()  # the key used first comes first
+        self._owners: OrderedDict[Key, str] = OrderedDict()  # the oldest key first; "": a member or an operator
         self._of_owner: dict[str, OrderedDict[Key, None]] = {}
 
     def __len__(self) -> int:
@@ -29,7 +30,8 @@ class Holders:
     def check(self, thing_id: bytes, holder_id: int, what: str) -> None:
         """Check that the caller may act under `holder_id` at a channel or queue. The first caller of an id owns it.
 
-        `what` names the id in the error, such as "consumer". Raises PermissionDenied.
+        Members of the cluster and operators may act under every id. `what` names the id in the error, such as
+        "consumer". Raises PermissionDenied.
         """
         key, caller = (thing_id, holder_id), owner_name()
         owner = self._owners.get(key)

@@ -23,7 +23,8 @@ _orders = itertools.count()
 class HostedChannel:
     """One channel at this host.
 
-    `record` is the latest record from the directory. Requests must name its epoch. The core has the same incarnation.
+    `record` is the latest record from the directory. The core has the incarnation of the record. Requests must name
+    `epoch`: that of the record, or 0 if the store must ask the directory before it serves the channel again.
     """
 
     def __init__(
@@ -79,20 +80,23 @@ class HostedChannel:
         self._touched()
 
     def advance(self, instant: int) -> int:
-        """Promise that no item before `instant` will come. Returns the highest promise so far. Raises InFuture."""
+        """Promise that no item before `instant` will come. Returns the latest promised instant.
+
+        Raises InFuture if `instant` is too far ahead of the host's clock.
+        """
         now = self._now()
         advanced = self.channel.advance(instant, now)
         self.changed(now)
         return advanced
 
     def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Consumed:
-        """Consume items for one consumer, and let in the puts that waited for room.
+        """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
-        Raises InvalidArgument, ChannelFull.
+        Raises InvalidArgument, ChannelFull if all consumer places are taken.
         """
         now = self._now()
         consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos)
-        self.puts.changed(now)  # this also announces the change
+        self.puts.changed(now)  # this also calls `_touched`
         return consumed
 
     def changed(self, now: int) -> None:
@@ -111,7 +115,7 @@ class HostedChannel:
         yield from self.gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, but for good: the host gives the channel up, and its memory budget counts it no more."""
+        """As `ending`, but for good: the host gives the channel up, frees its items, and counts its memory no more."""
         self._charge.set(0)
         self._charge = Charge(MemoryBudget(0))
         self._on_touched = _ignore

@@ -16,15 +16,16 @@ STATUSES_PER_PIECE = 32
 
 
 class Page(NamedTuple):
-    """Channels by name. `has_more`: other channels follow."""
+    """Channels, sorted by name. `has_more`: whether other channels with matching names follow."""
 
     channels: list[channel_pb2.ChannelStatus]
     has_more: bool
 
 
 def page_of(store: ChannelStore, matches: Callable[[str], object], after: str, size: int) -> Pieces[Page]:
-    """At most `size` channels with matching names after the name `after`, each with its status when the host looked at
-    it.
+    """At most `size` channels whose names match and follow the name `after`.
+
+    Each status is as of the moment at which the host looked at that channel.
     """
     shown: list[channel_pb2.ChannelStatus] = []
     while found := store.named_after(after, NAMES_PER_PIECE):

@@ -16,7 +16,7 @@ Thing = TypeVar("Thing")
 
 
 class ChannelObserver(Protocol):
-    """A subscription, as its channel sees it."""
+    """A stream, a group or a set of blocked gets that hears of the changes of a channel or group."""
 
     def wake(self) -> None:
         """There may be items to send."""
@@ -26,10 +26,10 @@ class ChannelObserver(Protocol):
 
 
 class Backlog(Generic[Thing]):
-    """A list of things to look at, each once: the first ones at once, the others in pieces.
+    """A list of things to look at. `add` looks at the first few things itself, and `begin` at the others, in pieces.
 
-    A thing that waits keeps its place if it is added again. `look` may add and drop things. `begin` does long work that
-    nobody waits for (`PieceScheduler.begin`).
+    A thing that waits keeps its place if it is added again, and is looked at once. `look` may add and drop things.
+    `begin` does long work that nobody waits for (`PieceScheduler.begin`).
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class Observers:
         self._to_wake.drop(observer)
 
     def wake(self) -> None:
-        """Wake all observers: the first few at once, the others a few in each turn of the event loop."""
+        """Wake all observers: the first few before this call returns, the others in pieces."""
         if self._observers:
             self._to_wake.add(self._observers)
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """Tell `error` to the present observers, in pieces."""
+        """Call `end` of the present observers with `error`, in pieces."""
         return self._ending([*self._observers], error)
 
     def _ending(self, observers: Sequence[ChannelObserver], error: StampedeError) -> Pieces[None]:

@@ -1,4 +1,4 @@
-"""The only writer of a stream of answers. The reader's loop and released gets both hand it their answers."""
+"""The only writer of a stream of answers. The loop that reads the requests adds answers, and so do released gets."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Outbox:
         self, call_id: int, messages: Iterator[EncodedMessage], on_sent: Callable[[int], None], kept_bytes: int = 0,
         slices: Sequence[Slice] = (),
     ) -> None:  # fmt: skip
-        """Queue an answer that was made of `slices`. `flush` or `kick` writes it. After `close` nobody does."""
+        """Queue an answer that was made of `slices`. `flush` or `kick` writes it. After `close`, only free it."""
         if self._is_closed:
             self._begin(emptying(slices))
             return
@@ -94,16 +94,16 @@ class Outbox:
         self._on_end(call_id)
 
     def kick(self) -> None:
-        """Write the queued answers in the background."""
+        """Let a task write the queued answers."""
         if self._answers and not self._writing:
             self._writing = True
             self._task = self._stream.spawn(self._write_all())
 
     async def flush(self) -> None:
-        """Write the answers that the reader's loop has queued.
+        """Write the queued answers. The loop that reads the requests calls this after each request.
 
-        Writes a single message at once, without a task. Leaves more messages to the background. Waits only while the
-        queue is full, which slows the caller down.
+        If one answer is queued, writes its first message itself, without a task. Leaves all other messages to a task.
+        Also waits while the queue is full, which slows the caller down.
         """
         if len(self._answers) == 1 and not self._writing:
             self._writing = True

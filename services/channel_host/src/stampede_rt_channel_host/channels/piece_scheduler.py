@@ -14,9 +14,10 @@ Result = TypeVar("Result")
 
 
 class PieceScheduler:
-    """Gives all long works of a host their turns.
+    """Performs the long work of a host, piece by piece.
 
-    Each turn of the event loop performs one piece of one work, however many works there are.
+    It performs at most one piece in each turn of the event loop, however much work there is. The first pieces, which
+    `do` and `begin` perform in the call itself, come in addition.
     """
 
     def __init__(self) -> None:
@@ -25,12 +26,12 @@ class PieceScheduler:
         self._begun: set[asyncio.Task[None]] = set()
 
     async def do(self, pieces: Pieces[Result]) -> Result:
-        """Perform the work, and return its result. Performs the first piece at once; most works have only one."""
+        """Perform the work, and return its result. The first piece waits for no turn; most work has only this piece."""
         found = first_of(pieces)
         return await self.finish(found.rest) if isinstance(found, Unfinished) else found
 
     def begin(self, pieces: Pieces[None]) -> None:
-        """Perform the first piece at once, and the others in turn. Does not wait for them."""
+        """Perform the first piece in this call, and the other pieces in later turns. Does not wait for those."""
         found = first_of(pieces)
         if isinstance(found, Unfinished):
             task = asyncio.create_task(self._finish(found.rest, CallerWork(unlimited())), name="long work")

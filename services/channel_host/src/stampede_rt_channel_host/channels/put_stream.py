@@ -25,14 +25,15 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.working import CallerWork
 from stampede_rt_runtime.rpc import Context
 
-# also the most acks in one message, which stays below its size limit even with 256 refused items in each
+# The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
+# the message stays below its size limit.
 ACKS_QUEUED_MAX = 256
-REQUEST_BYTES_MAX = 4 * 2**20
-_FRAMING_BYTES_MAX = 4096
+REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
+_FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 
 
 class _Put(NamedTuple):
-    """One run of a request. `wait_nanos` None: it may wait without limit."""
+    """One run of a request. `wait_nanos` None: the run may wait without limit."""
 
     first_number: int
     wait_nanos: int | None
@@ -51,7 +52,11 @@ class _Came(NamedTuple):
 
 
 class PutStream:
-    """Serves one stream. A run that waits for room blocks the later runs. Each waits no longer than its own limit."""
+    """Serves one stream. A run that waits for room blocks the later runs.
+
+    The limit of each run counts from the arrival of its request. If it is over when the run's turn comes, the run is
+    accepted or refused without a further wait.
+    """
 
     def __init__(self, store: ChannelStore, context: Context, stream: OpenStream) -> None:
         self._store = store
@@ -85,7 +90,7 @@ class PutStream:
             self._requests.close()
 
     def _read_request(self, raw: Any, came_s: float) -> _Came | None:
-        """Decode a request; None at the end.
+        """Decode a request; None at the end of the stream.
 
         A waiting run keeps only its own bytes in memory, not the whole request's.
         """
@@ -116,7 +121,7 @@ class PutStream:
                 self._work.end()
                 await self._room.wait()
                 self._work.begin()
-            self._acks.append(ack)  # two statements, because the writer takes the list during the await
+            self._acks.append(ack)  # after the await, during which the writer may replace the list
         self._news.set()
         self._work.end()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
@@ -143,7 +148,7 @@ class PutStream:
             return refused(put.first_number, run.items if run else 0, error, now)
         if ack is not None:
             return ack
-        self._news.set()  # send the acks that came before this one now
+        self._news.set()  # let the writer send the earlier acks while this run waits
         try:
             with self._account.waiting(run.charged_bytes):
                 self._requests.go_on()

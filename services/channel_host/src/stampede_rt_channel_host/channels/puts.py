@@ -20,15 +20,15 @@ from stampede_rt_channel_host.core.judging import Judged, Judging
 WAITING_PUTS_MAX = 10_000
 PUTS_PER_PIECE = 128
 ITEMS_OFFERED_MAX = 128
-"""The most items of waiting runs that one call offers.
+"""The most items of waiting runs that one call of `changed` offers.
 
-The last of these runs is offered whole, even beyond the limit.
+It offers the last of these runs whole, even beyond the limit.
 """
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: the timer must not fire again and again
 
 
 class IncomingRun:
-    """One run on its way into a channel. `wait_nanos` None: it may wait without limit."""
+    """One run on its way into a channel. `wait_nanos` None: the run may wait without limit."""
 
     __slots__ = (
         "_done", "_encoded", "_timer", "ack", "first_number", "items", "judging", "offer", "producer_id", "wait_nanos",
@@ -133,7 +133,7 @@ class ChannelPuts:
         on_touched: Callable[[], None],
         may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`may_serve`: whether the channel may accept waiting puts now, that is, whether the host holds its lease."""
+        """`may_serve`: whether the channel may accept waiting puts now. It may not while the host has no lease."""
         self._channel = channel
         self._memory = memory
         self._now = now
@@ -166,8 +166,8 @@ class ChannelPuts:
     def put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
         """Judge a run. Returns its ack, or None if it waits for room.
 
-        If None: await `run.wait(self.give_up)`, and call `withdraw` if that wait is cancelled. Raises Overloaded, or
-        InvalidArgument if the run's numbers overlap another run's.
+        If None: await `run.wait(self.give_up)`, and call `withdraw` if that wait is cancelled. Raises Overloaded if too
+        many puts wait, or if memory is used up. Raises InvalidArgument if the run's numbers overlap another run's.
         """
         try:
             return self._put(run, now)
@@ -197,7 +197,7 @@ class ChannelPuts:
 
     def count_unread(self, length_bytes: int, error: StampedeError, now: int) -> None:
         """Count a run of `length_bytes` bytes that the host could not read because of `error`."""
-        if isinstance(error, ItemTooLarge):  # the core counts it under a reason of its own
+        if isinstance(error, ItemTooLarge):  # the core counts such items apart from malformed ones
             self._channel.put(Offer(times=None, durations=None, lengths=(length_bytes,)), now, _seal_nothing)
         else:
             self._channel.reject_malformed(1)
@@ -205,7 +205,7 @@ class ChannelPuts:
     def changed(self, now: int) -> None:
         """Offer the waiting runs again, in order, because there may be room.
 
-        If there are very many, the rest follow a moment later.
+        If these runs have very many items, the host offers the last ones a moment later.
         """
         offered = 0
         while self._line and self._may_offer:
@@ -257,7 +257,7 @@ class ChannelPuts:
             self.changed(now)
 
     def ending(self, error: StampedeError) -> Pieces[None]:
-        """Refuse the waiting runs in pieces, and all runs that come meanwhile. The host gives the channel up."""
+        """Refuse the waiting runs in pieces, and all runs that come meanwhile: the host stops serving the channel."""
         if self._timer is not None:
             self._timer.cancel()
         self._ending = error
@@ -296,7 +296,7 @@ class ChannelPuts:
             run.finish(refused(run.first_number, run.items, error, now, self._channel.incarnation))
 
     def _recognise(self, run: IncomingRun, now: int) -> bool:
-        """Whether the run is a repetition of an answered one. Gives it the former ack, without a wait.
+        """Whether the run is a repetition of an answered run. If so, the run gets the former ack, without a wait.
 
         If only the first items of the run were judged before, the run continues after them.
         """

@@ -15,7 +15,7 @@ from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import Quota
 
 AHEAD_REQUESTS_MAX = 1024
-AHEAD_BYTES_MAX = 4 * 2**20  # the last request may exceed it
+AHEAD_BYTES_MAX = 4 * 2**20  # the last request may exceed this limit
 
 
 class ReadAhead:
@@ -35,7 +35,7 @@ class ReadAhead:
         self._bytes = 0
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None
-        self._wanted = False
+        self._wanted = False  # whether `next` has been called since `go_on`: the task then begins no further read
         self._news = asyncio.Event()
 
     async def next(self) -> tuple[Any, float]:
@@ -67,7 +67,7 @@ class ReadAhead:
                     break
                 self._count(len(raw))
                 del raw  # so that the request is not kept in memory while the next one is read
-        except Exception as error:  # noqa: BLE001  # it is for whoever asks next
+        except Exception as error:  # noqa: BLE001  # `next` raises it
             self._failure = error
         finally:
             self._task = None
@@ -88,7 +88,7 @@ class ReadAhead:
         self._in_flight.set(self._bytes)
 
     def close(self) -> None:
-        """Stop reading."""
+        """Stop reading, and forget the requests that were read ahead."""
         self._came.clear()
         self._count(-self._bytes)
         if self._task is not None:

@@ -1,4 +1,4 @@
-"""The sentences with which a host refuses requests for channels that it does not serve. Pure."""
+"""The errors with which a host refuses requests for channels that it does not serve. Pure."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def parse(kind: _Message[M], raw: bytes, name: str) -> M:
 
 
 def opening_of(raw: Any, kind: _Message[M], name: str) -> M:
-    """Decode the first request of a stream, which must have `open`. Raises InvalidArgument."""
+    """Decode the first request of a stream. Raises InvalidArgument if it is missing, invalid, or without `open`."""
     request: Any = None if raw is EOF else parse(kind, raw, name)
     if request is None or not request.HasField("open"):
         raise InvalidArgument(f"the first {name} of the stream has no open; send it before anything else")
@@ -43,7 +43,7 @@ def opening_of(raw: Any, kind: _Message[M], name: str) -> M:
 
 
 def query_of(request: pb.GetRequest) -> Query:
-    """The query of a get. Raises InvalidArgument, InvalidInterval."""
+    """The query of a get. Raises InvalidArgument or InvalidInterval for a missing or invalid field."""
     if not request.HasField("interval"):
         raise InvalidArgument("the get has no interval; set its start and end")
     return Query(
@@ -58,9 +58,9 @@ def query_of(request: pb.GetRequest) -> Query:
 
 
 def wait_nanos_of(request: pb.GetRequest) -> int:
-    """How long the get may wait, in nanoseconds: 0 not at all, -1 as long as the stream lives.
+    """How long the get may wait, in nanoseconds. 0: not at all. -1: as long as the stream lives.
 
-    Raises InvalidArgument.
+    Raises InvalidArgument for a number below -1.
     """
     if request.wait_nanos < -1:
         raise InvalidArgument(f"wait_nanos is {request.wait_nanos}; it is 0 or more, or -1 for no limit")
@@ -120,7 +120,7 @@ def saved_to(saved: SavedCursor) -> pb.SubscriptionCursor:
 
 
 def group_of(request: pb.GetRequest) -> GroupAsk | None:
-    """The group through which the get reads; None: it reads the whole channel."""
+    """The group through which the get reads; None: the get reads the whole channel."""
     if not request.HasField("group_id"):
         return None
     return GroupAsk(

@@ -41,8 +41,9 @@ CHANNELS_MAX = 100_000
 CHANNELS_PER_PIECE = 256
 RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
 _ID_END = b"\xff" * 17  # above every id
-DROPS_REMEMBERED_MAX = 1024
-LOOKUPS_MAX = 3  # the store asks again if the host registered while it waited for the answer
+DROPS_REMEMBERED_MAX = 1024  # ids of the latest requests that deleted a channel
+# the most questions to the directory for one `bind`: the store asks again if the host registered during a question
+LOOKUPS_MAX = 3
 
 
 class ChannelStore:
@@ -50,7 +51,7 @@ class ChannelStore:
     know in the caller's version.
 
     `lease_held` says whether the host may serve at this moment. `scheduler` does long work in pieces. `limits` ends
-    the waits of all blocked gets.
+    the waits of all blocked gets. `consumers` remembers which caller uses which consumer id.
     """
 
     def __init__(
@@ -73,9 +74,9 @@ class ChannelStore:
         self._channels: dict[bytes, HostedChannel] = {}
         self._names: Any = SortedList()  # the name of each channel, with the channel's id
         self._single_flight = SingleFlight()
-        self._drops: OrderedDict[bytes, None] = OrderedDict()
-        self._closing: StampedeError | None = None
-        self._registrations = 0
+        self._drops: OrderedDict[bytes, None] = OrderedDict()  # ids of the requests that deleted channels
+        self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
+        self._registrations = 0  # the number of registrations whose answers have come
         self.memory = memory
         self.refused_calls = refused_calls or RefusedCalls()
         self.sweep = Sweep(self.now)
@@ -86,7 +87,10 @@ class ChannelStore:
         return self._time.read(self._clock.boottime_nanos(), self._clock.time_unix_nano())
 
     def find(self, channel_id: bytes, epoch: int) -> HostedChannel:
-        """The channel, for one data request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH)."""
+        """The channel, for one data request.
+
+        Raises StaleBinding (NOT_HERE, WRONG_EPOCH), or Unavailable (SHUTTING_DOWN).
+        """
         self._check_lease()
         hosted = self._channels.get(channel_id)
         if hosted is None:
@@ -114,7 +118,8 @@ class ChannelStore:
     async def drop(self, channel_id: bytes, epoch: int, request_id: bytes, since_s: float) -> None:
         """Delete the channel in the directory and here; its readers hear CHANNEL_NOT_FOUND. Safe to repeat.
 
-        `since_s`: when the request was made, by `request_age.age_clock_s`.
+        `since_s`: when the caller made the request, in seconds of `request_age.age_clock_s`. Raises the errors of
+        `bind`, and those that the directory answers.
         """
         if request_id in self._drops:
             return
@@ -133,7 +138,11 @@ class ChannelStore:
     async def configure(
         self, channel_id: bytes, epoch: int, change: PolicyChange, request_id: bytes, since_s: float
     ) -> HostedChannel:
-        """Change the set-up in the directory, then here. Safe to repeat. Raises the refusal of the directory."""
+        """Change the policy in the directory, then here. Safe to repeat.
+
+        Raises the errors of `bind`, InvalidArgument for a policy that no channel can have, and the errors that the
+        directory answers.
+        """
         hosted = await self.bind(channel_id, epoch)
         check_access(AccessVerb.CONFIGURE, AccessKind.CHANNEL, hosted.record.name)
         current_account().change()
@@ -147,8 +156,8 @@ class ChannelStore:
     def registering(self, records: Iterable[RecordedChannel], *, all_told: bool) -> Pieces[None]:
         """Take in the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
 
-        The store drops the channels that went elsewhere, and takes over new epochs. `all_told` False: the answer was
-        cut. Then the store serves a channel that the answer does not name only after the next `bind` of it.
+        The store drops the channels that went elsewhere, and takes over new epochs. `all_told` False: the answer does
+        not name all channels of the host. The store then serves an unnamed channel again only after its next `bind`.
         """
         self._registrations += 1
         held = [(hosted, hosted.record.epoch) for hosted in self._channels.values()]
@@ -164,7 +173,10 @@ class ChannelStore:
             yield
 
     def _compare(self, hosted: HostedChannel, record: RecordedChannel | None, *, all_told: bool) -> None:
-        """Compare a channel that has not changed since the registration with the directory's record of it."""
+        """Adopt the directory's record of a channel that has not changed since the registration.
+
+        None: the answer has no record of the channel.
+        """
         if record is not None:
             self._adopt(record)
         elif all_told:
@@ -246,7 +258,7 @@ class ChannelStore:
         raise refusals.fenced(self._identity.name)
 
     def _adopt(self, record: RecordedChannel) -> HostedChannel:
-        """Serve the channel as the directory describes it. An older description than the one held changes nothing."""
+        """Serve the channel as the directory describes it. An older record than the held one changes nothing."""
         held = self._channels.get(record.channel_id)
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):

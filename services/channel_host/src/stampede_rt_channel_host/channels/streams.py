@@ -1,4 +1,6 @@
-"""The open streams of a host, which it can end with an error: channel deleted, lease lost, host shutting down."""
+"""The open streams of a host. The host ends a stream with an error, for example because its channel was deleted, the
+lease was lost, or the host shuts down.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,10 @@ class OpenStream:
             self._task.cancel()
 
     def spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Run `work` beside the handler. The handler cancels or awaits it. A failure of `work` ends the stream."""
+        """Run `work` beside the handler. A failure of `work` ends the stream.
+
+        The handler must await or cancel the returned task.
+        """
         task = asyncio.create_task(work)
         task.add_done_callback(self._check)
         return task
@@ -86,7 +91,7 @@ class OpenStreams:
             self._changed.set()
 
     async def end_all(self, error: StampedeError) -> None:
-        """End every stream with `error`, refuse new ones with it, and wait until no stream is left."""
+        """End every stream with `error`, refuse new streams with the same error, and wait until no stream is left."""
         self._closing = error
         for streams in batched(list(self._streams), STREAMS_PER_TURN):
             for stream in streams:

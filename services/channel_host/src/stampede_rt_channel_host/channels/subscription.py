@@ -1,7 +1,7 @@
-"""Serves one subscription (paper, section 4.1: push). It has a cursor into the core and no queue.
+"""Serves one subscription (paper, section 4.1: push). A subscription has a cursor into the core, and no queue.
 
-Its writer takes all items that came during its last write. So an idle stream adds no delay, and a busy stream sends
-large messages.
+The items that came during one write go out in the next message, as far as its size limit allows. So an idle stream adds
+no delay, and a busy stream sends large messages.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.quotas.working import WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
-PROGRESS_SECONDS = 4.0  # the contract says at least every 5 s
-WRITE_SECONDS_MAX = 30.0
+# after this time without a message, the reader gets a progress message; the contract says at least every 5 s
+PROGRESS_SECONDS = 4.0
+WRITE_SECONDS_MAX = 30.0  # if the reader takes nothing for this time during a write, the subscription ends
 
 
 class _All:
@@ -79,7 +80,7 @@ class _Newest:
 
 
 class Subscription:
-    """Serves one subscription. A `ChannelObserver` of its channel: everything happens on the event loop."""
+    """Serves one subscription. Observes its channel or group as a `ChannelObserver`, on the event loop."""
 
     def __init__(
         self, hosted: HostedChannel, store: ChannelStore, groups: GroupAccess, context: Context, stream: OpenStream
@@ -90,15 +91,16 @@ class Subscription:
         self._context = context
         self._stream = stream
         self._news: asyncio.Future[bool] | None = None
-        # a reader that begins with held items is told once when it has received all of them
+        # whether the reader began with held items, and must still get the progress that tells the end of those items
         self._owes_progress = False
+        # the latest advance, cursor and count of skipped items that the reader has got
         self._told_advance: int | None = None
         self._told_cursor: SavedCursor | None = None
         self._told_skipped = 0
         self._work = current_work()
-        self._owes_cursor = False
+        self._owes_cursor = False  # whether the last message had no cursor, because there was none to continue from
         self._credit = Credit(self._look)
-        self._silent_at_s = 0.0  # loop time at which the next sign of life is due, whatever wakes the stream before
+        self._silent_at_s = 0.0  # loop time at which a progress message is due; only a write postpones it
 
     def wake(self) -> None:
         """There may be items to send."""
@@ -116,7 +118,10 @@ class Subscription:
     async def run(self, request: pb.SubscribeRequest) -> None:
         """Serve until the stream ends, or until the reader has closed its side and its credit is spent.
 
-        `request` is the first one. Raises InvalidArgument, IncarnationLost, Overloaded.
+        `request` is the first request of the stream. Raises InvalidArgument for an invalid request, IncarnationLost for
+        a cursor of another incarnation, StaleBinding if the channel has left the host, and the errors of `GroupAccess`.
+        Raises Overloaded if the channel has too many subscriptions, or if the reader takes nothing for
+        WRITE_SECONDS_MAX.
         """
         begun = request.open
         if len(self._hosted.listeners) >= SUBSCRIPTIONS_MAX:
@@ -159,9 +164,9 @@ class Subscription:
             self._hosted.listeners.discard(self)
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
-        """Send the new items, or wait. Sends the progress after an advance and after a long silence.
+        """Send the new items, or wait. Send the progress after an advance and after a long silence.
 
-        Without credit it takes and sends nothing. When credit comes, the reader gets the state of that moment.
+        Without credit, take and send nothing. When credit comes, the reader gets the state of that moment.
         """
         if self._credit.left <= 0:
             await self._wait_for_news(None)
@@ -182,7 +187,7 @@ class Subscription:
             await self._write(self._standing(cursor))
         elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news(self._silent_at_s):
             self._owes_progress = False
-            self._told_advance = self._hosted.channel.advanced_to  # every item accepted before the advance is sent
+            self._told_advance = self._hosted.channel.advanced_to  # all items from before the advance are sent
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
             await self._write(progress.SerializeToString() + self._standing(cursor))
 
@@ -198,7 +203,7 @@ class Subscription:
         )
 
     def _about(self, part: SubscriptionBatch, cursor: Cursor, now: int) -> bytes:
-        """The encoded fields before a message's runs: a gap, changed counters, and the cursor."""
+        """The encoded fields before a message's runs: the gap, the progress if its counters changed, and the cursor."""
         about = pb.SubscribeResponse()
         if part.gap is not None:
             about.gap.CopyFrom(_gap(part.gap))
@@ -207,9 +212,9 @@ class Subscription:
         return about.SerializeToString() + self._standing(cursor)
 
     def _standing(self, cursor: Cursor) -> bytes:
-        """The cursor as an encoded response, if it has changed since the reader was last told; else no bytes."""
+        """The cursor as an encoded response, if it is not the one that the reader got last; else no bytes."""
         saved = cursor.saved
-        self._owes_cursor = saved is None  # inside a step there is none; it is due at the end of the step
+        self._owes_cursor = saved is None  # a group has no cursor while it shows the items up to a new cut
         if saved is None or saved == self._told_cursor:
             return b""
         self._told_cursor = saved
@@ -224,11 +229,11 @@ class Subscription:
         return progress
 
     def _advance_is_news(self) -> bool:
-        """Whether readers must hear of an advance: an item that they wait for can come no more."""
+        """Whether there is an advance that the reader does not know. After an advance, earlier items come no more."""
         return self._hosted.channel.advanced_to != self._told_advance
 
     async def _wait_for_news(self, until_s: float | None) -> bool:
-        """Wait for news. Returns True to look again, False if nothing was written until the loop time `until_s`."""
+        """Wait for news. Returns True when news comes, False at the loop time `until_s`. None: waits without limit."""
         loop = asyncio.get_running_loop()
         news: asyncio.Future[bool] = loop.create_future()
         self._news = news
@@ -252,7 +257,10 @@ class Subscription:
 
 
 def open_cursor(channel: ChannelCore, begun: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
-    """Begin at the stated place, as of `now`, in pieces. Raises InvalidArgument, IncarnationLost."""
+    """A cursor at the place that `begun` states, as of `now`, made in pieces.
+
+    Raises InvalidArgument for an unusable place, IncarnationLost for a place of another incarnation.
+    """
     where = beginning_of(begun)
     if is_newest(begun):
         return _Newest(channel, channel.subscribe_newest(now, **where))

@@ -15,14 +15,15 @@ from stampede_rt_channel_host.core.deadlines import Deadlines
 
 ROUND_SECONDS = 0.5
 CHANNELS_PER_STEP_MAX = 256
-ENTRIES_PER_STEP_MAX = 64
+ENTRIES_PER_STEP_MAX = 64  # a step ends after it has freed this many entries of the indexes of channels
 STEPS_PER_RECLAIM = 8
 
 
 class Sweep:
     """Frees outdated items in the channels of one host.
 
-    `now` is the host's clock. `looked_at` counts the looks at channels.
+    `now` is the host's clock. `looked_at` counts the calls of a channel's `collect` and
+    `next_deadline`.
     """
 
     def __init__(self, now: Callable[[], int]) -> None:
@@ -52,13 +53,13 @@ class Sweep:
             await _give_way()
 
     def reclaim(self) -> None:
-        """Collect in due channels at once, a bounded part, because a put needs the memory."""
+        """Collect a bounded part in due channels before this call returns, because a put needs the memory."""
         for _ in range(STEPS_PER_RECLAIM):
             if not self._step():
                 return
 
     def _step(self) -> bool:
-        """Collect a bounded part, however many channels are due. Returns True if more is left to do at once."""
+        """Collect a bounded part, however many channels are due. Returns True if more may be due now."""
         freed_entries = 0
         for _ in range(CHANNELS_PER_STEP_MAX):
             hosted = next(iter(self._touched), None) or self._deadlines.pop(self._now())

@@ -1,8 +1,9 @@
-"""The blocked gets of one channel. Each is looked at again when the channel changes, and at instants of its own.
+"""The blocked gets of one channel. The host looks at a get again after a change that may release it, and at the instant
+at which the clock may release it.
 
-Ten thousand blocked gets cost about 2 KiB each. They are sorted by the change that they need. So a change looks only at
-the gets that it may release. If these are many, they are looked at in pieces, in the channel's state right after the
-change. So no get misses the change that releases it (decision 0085).
+Ten thousand blocked gets take about 2 KiB of memory each. The host sorts them by the change that they need. So after a
+change it looks only at the gets that this change may release. If these gets are many, the host looks at them in pieces,
+in the channel's state right after the change. So no get misses the change that releases it (decision 0085).
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from stampede_rt_channel_host.core.channel import (
 )
 
 Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] | StampedeError
-"""`Unfinished`: the release of the get makes the first piece of a long answer. The receiver performs the rest."""
+"""`Unfinished`: the host has made the first piece of a long answer. The receiver of the outcome performs the rest."""
 
 WAITING_GETS_MAX = 20_000
 GETS_PER_PIECE = 32
 RELEASES_MAX = 64
-"""The most changes whose states are kept while gets are looked at.
+"""The most changes whose states the host keeps while it looks at gets.
 
-The last one also stands for the changes after it.
+A further change is joined to the last kept one, which then has the state after the further change.
 """
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: the timer must not fire again and again
 # the host's clock may also be faster: a far instant may come sooner than the loop's clock says
@@ -115,8 +116,9 @@ class _Release:
 
     def __init__(self, reach: Reach, arrivals: int) -> None:
         self.reach = reach
-        self.arrivals = arrivals
-        self.then: PolledThen | None = None
+        self.arrivals = arrivals  # the `arrival` of the last get before the change
+        self.then: PolledThen | None = None  # the state right after the change
+        # for each kind of need, the sort key of the last get that `take` has looked at
         self._last_keys: list[tuple[int, int] | None] = [None] * len(reach)
 
     def merge(self, later: _Release) -> None:
@@ -129,7 +131,7 @@ class _Release:
         self.arrivals = later.arrivals
 
     def take(self, by_need: list[Any], gets_max: int) -> list[WaitingGet]:
-        """The next gets that the change may release, in an order that removals do not disturb."""
+        """The next gets that the change may release, at most `gets_max`, by arrival. Gets may go between two calls."""
         found: dict[WaitingGet, None] = {}
         for position, (ordered, reached) in enumerate(zip(by_need, self.reach, strict=True)):
             if reached is None:
@@ -150,7 +152,7 @@ class WaitingGets:
     """The blocked gets of one channel, at most WAITING_GETS_MAX. One step releases gets in the order of arrival.
 
     `coming` tells how far new items reach. `cut` gives the instant up to which the channel is visible.
-    `looked_at` counts looks.
+    `looked_at` counts the looks at gets.
     """
 
     def __init__(
@@ -164,7 +166,7 @@ class WaitingGets:
     ) -> None:
         """`begin` does long work that nobody waits for (`PieceScheduler.begin`).
 
-        `limits` bounds the waits of all gets of the host; None: these gets have limits of their own.
+        `limits` bounds the waits of all gets of the host; None: these gets have a `TimeLimits` of their own.
         """
         self.looked_at = 0
         self._source = source
@@ -240,7 +242,7 @@ class WaitingGets:
                 yield
 
     def _keep(self, release: _Release, now: int) -> None:
-        """Keep a change after the earlier ones."""
+        """Keep a change and the state after it, until `_pieces` has looked at the gets that the change may release."""
         if len(self._releases) >= RELEASES_MAX:
             self._releases[-1].close()
             self._releases[-1].merge(release)
@@ -299,6 +301,7 @@ class WaitingGets:
             get.finish(found)
 
     def _put_aside(self, get: WaitingGet, wake: WakeAt) -> None:
+        """Sort a get that is not released by the needs and the instant of its last poll."""
         needs = wake.needs or Needs(BEFORE_ALL)
         if get not in self._waiting or needs != get.needs:
             self._leave(get)
@@ -310,6 +313,7 @@ class WaitingGets:
         self._note_instant(get, wake.instant)
 
     def _leave(self, get: WaitingGet) -> None:
+        """Take a get out of the orders by needs."""
         for ordered, need in zip(self._by_need, get.needs, strict=True):
             if need is not None:
                 ordered.remove(get)
