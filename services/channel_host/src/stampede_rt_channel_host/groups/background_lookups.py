@@ -11,8 +11,8 @@ from stampede_rt.errors import StampedeError
 
 logger = logging.getLogger(__name__)
 
-LOOKUPS_MAX = 1_000
-PAUSE_SECONDS = 0.2
+LOOKUPS_MAX = 1_000  # under way together
+PAUSE_SECONDS = 0.2  # between two questions about the same thing
 
 
 class BackgroundLookups:
@@ -26,7 +26,10 @@ class BackgroundLookups:
         self._closed = False
 
     def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
-        """Do `work`, unless a question about this thing is under way or was asked just now."""
+        """Do `work`, unless a question about this thing is under way or ended less than PAUSE_SECONDS ago.
+
+        `about`: an id; None: a question that is not about one id.
+        """
         if self._closed or about in self._asked or len(self._asked) >= LOOKUPS_MAX:
             work.close()
             return

@@ -1,7 +1,7 @@
 """One subscription to cut events at one host (paper, section 3.3, Figure 7; decision 0011).
 
-The deciding host ends each event with a boundary. The reader passes the boundary to the other hosts. They wait until
-their own cut has reached it, and answer with their own channels' items.
+The deciding host ends each event with a boundary. The reader passes the boundary to the other hosts. Each of
+them waits until its own cut has reached the boundary, and answers with the items of its own channels.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from stampede_rt_runtime.access.control import check_access
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
-BOUNDARIES_MAX = 256
+BOUNDARIES_MAX = 256  # that the host has received and not answered yet
 _TIMER_SECONDS_MIN = 0.0001
 
 
@@ -67,7 +67,12 @@ class CutEvents:
         self._cut: int | None = None  # of the last event
 
     async def run(self) -> None:
-        """Serve until the stream ends. Raises InvalidArgument, IncarnationLost, GROUP_NOT_FOUND, Unavailable."""
+        """Serve until the stream ends, or until the reader has closed its side and has got all that it asked for.
+
+        Raises InvalidArgument, GROUP_NOT_FOUND, IncarnationLost if the group began anew, Unavailable if the cut does
+        not come or other members are in the group, StaleBinding if a member has left the host, and Overloaded if the
+        reader is too slow.
+        """
         request = await self._context.read()
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
             raise InvalidArgument("the first request of a subscription to cuts has no open; send it before boundaries")
@@ -119,10 +124,11 @@ class CutEvents:
         )
 
     def _follow(self, group: HostedGroup) -> None:
-        """Follow members that came back to this host. Raises Unavailable once the group has other members.
+        """Follow the members at this host, also those that came back to it.
 
-        The new members may be at hosts to which the reader has no stream yet. So the reader must subscribe again, after
-        its last event.
+        Raises StaleBinding if a followed member has left the host, Unavailable if the group has other members now. The
+        new members may be at hosts to which the reader has no stream yet. So the reader must subscribe again, after its
+        last event.
         """
         if group.arrangement == self._arrangement:
             return
@@ -201,7 +207,7 @@ class CutEvents:
         return self._credit.is_final and not self._boundaries and (decider is None or self._credit.left <= 0)
 
     def _decided(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
-        """The due event, if the reader has credit. Without credit the cuts collect, and become one event."""
+        """The due event, if the reader has credit. Cuts that come while it has none become one event."""
         now = self._groups.channels.now()
         decider.note(group.cut.cut, now)
         if decider.wake_at() is None or self._credit.left <= 0:
@@ -209,7 +215,7 @@ class CutEvents:
         return decider.due(group.members(), now)
 
     def _handed(self, group: HostedGroup) -> Boundary | None:
-        """The next boundary, once this host's cut has reached it. A boundary from the reader raises no cut."""
+        """The next boundary, once this host's cut has reached it. A boundary from the reader does not raise the cut."""
         if not self._boundaries or not group.has_reached(self._boundaries[0].cut):
             return None
         self._room.set()
@@ -252,7 +258,7 @@ class CutEvents:
 
 
 def loss_message(loss: Loss) -> pb.CutLoss:
-    """The loss as the reader gets it. With overlap its end may lie beyond all possible times, so it is limited."""
+    """The loss as the reader gets it. Its end is the last possible time if an overlap puts it later."""
     return pb.CutLoss(
         before_unix_nano=clamp(loss.before),
         items=loss.items if loss.is_exact else None,

@@ -19,12 +19,12 @@ from stampede_rt_channel_host.groups.peers import Dial, PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
 FLOORS_MAX = 10_000  # of groups that this host has still to look up, over all hosts
-FLOORS_MAX_PER_HOST = 1000
+FLOORS_MAX_PER_HOST = 1000  # of these, told by one host
 GROUPS_PER_PIECE = 16
 
 
 class Exchange:
-    """A `Knowledge`.
+    """Implements `Knowledge`: gives the links the messages to send, and takes in the messages of other hosts.
 
     Calls `on_stale` with groups that are new here, or that other hosts know in a newer version. Calls `on_asked` with
     channels of this host that other hosts believe to be members of groups.
@@ -49,9 +49,9 @@ class Exchange:
         self._on_stale = on_stale
         self._on_asked = on_asked
         self._names: dict[bytes, str] = {}  # host id -> name, of the hosts of known groups
-        # The channels of other hosts that this host wants: by group and host.
+        # The channels of other hosts about which this host wants to hear: by group and host.
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
-        # By host: for each channel that this host wants, the number of its groups.
+        # By host: for each channel about which this host wants to hear, the number of its groups.
         self._wanted: dict[bytes, Counter[bytes]] = {}
         self._told_all: set[bytes] = set()  # hosts that have told all their times on the present link
         # Floors of groups that this host has still to look up: by group, then by host.
@@ -59,9 +59,9 @@ class Exchange:
         self._waiting_floors: Counter[bytes] = Counter()  # the number of floors in `_floors` of each host
 
     def share(self, group_id: bytes) -> None:
-        """Tell the links which channels this host wants of the other hosts, after a change of a group or its owners.
+        """Tell the links about which channels this host wants to hear, after a change of a group or of its owners.
 
-        The time grows with the hosts and channels of this group, not with the number of groups.
+        The duration of this call grows with the hosts and channels of this group, not with the number of groups.
         """
         group = self._table.groups.get(group_id)
         former, members = self._members.pop(group_id, {}), _by_host(group, self._identity.host_id)
@@ -82,7 +82,7 @@ class Exchange:
                 self._names.pop(host_id, None)
 
     def look(self, group: HostedGroup) -> None:
-        """Confirm the group's cut if all hosts have told theirs, and refresh it."""
+        """Confirm the group's cut if all hosts have told their cuts. Then refresh the group in any case."""
         group.unheard = {one for one in group.unheard if one not in self._told_all or not self.peers.is_linked(one)}
         if not group.unheard and not group.cut.is_confirmed:
             group.cut.confirm()
@@ -139,7 +139,7 @@ class Exchange:
                 news |= of_channel if is_news else of_channel & table.idling
         floors = map(floor_from_message, update.floors)
         news |= {floor.group_id for floor in floors if self._merge(host_id, floor)}
-        if not news:  # a sign of life: all unchanged channels have been silent until now
+        if not news:  # a sign of life: channels of the other host may have become idle
             news |= {one for one in table.idling if host_id in table.groups[one].targets}
         if is_first:
             self._told_all.add(host_id)
@@ -152,7 +152,10 @@ class Exchange:
             self.look(group)
 
     def _merge(self, host_id: bytes, floor: CutFloor) -> bool:
-        """Take in another host's floor. Returns True if it is higher. Asks the directory about new and newer groups."""
+        """Take in another host's floor. Returns True if this raised the cut.
+
+        Asks the directory about the group if it, or its version, is new here.
+        """
         group = self._table.groups.get(floor.group_id)
         if group is None or group.record.incarnation != floor.incarnation:
             self._keep_floor(host_id, floor)
@@ -164,7 +167,7 @@ class Exchange:
         return group.merge_floor(host_id, floor)
 
     def _keep_floor(self, host_id: bytes, floor: CutFloor) -> None:
-        """Keep the highest floor that the host has told, until the directory has answered."""
+        """Keep the host's highest floor until the directory has answered. Drops the floor beyond the limits."""
         floors = self._floors.get(floor.group_id, {})
         held = floors.get(host_id)
         if held is None:

@@ -1,4 +1,4 @@
-"""A member of a group at another host. A subscription to matches follows its items' keys, without the payloads."""
+"""A group's member at another host. A subscription to matches follows the times and seqs of the member's items."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ PAUSE_SECONDS = 0.2
 class FarMember:
     """One member at another host.
 
-    `track` holds the keys of the items that came from it. `epoch` and `target` are its epoch and its host's address,
-    as the directory told them last. Once `is_followed` is True, `track` gets every item that producers put.
+    `track` holds the keys of the member's items. `epoch` is the member's epoch, and `target` the address of its host,
+    as the directory told them last. `incarnation` is that of the member, 0 while it is unknown. Once `is_followed` is
+    True, `track` gets the key of every item that producers put.
     """
 
     def __init__(self, channel_id: bytes, since: int) -> None:
@@ -41,15 +42,15 @@ class FarMember:
         self._times = ChannelTimes(0, 0)
 
     def has_passed(self, instant: int, lateness_nanos: int) -> bool:
-        """Whether the member has passed the instant, judged only by what came on this subscription.
+        """Whether the member has passed the instant, judged only by the messages of this subscription.
 
-        So all items that came before are on the track already.
+        So the track already has all items that the member got before it passed the instant.
         """
         return self._times.has_passed(instant, lateness_nanos)
 
     async def keep(self, dial: Dial, on_news: Callable[[], None]) -> None:
         """Follow the member at its owner. If that fails, try again at the host that the directory names by then."""
-        while True:  # paced; ends when it is cancelled
+        while True:  # paced; ends by cancellation
             if self.target:
                 try:
                     await self._listen(dial, on_news)

@@ -1,4 +1,4 @@
-"""Encodes messages of GroupService that carry runs by hand. Stored bytes are copied once and never parsed.
+"""Encodes the messages of GroupService that carry runs. Does not parse the stored bytes of a whole run.
 
 A protobuf message is the sequence of its fields, in any order. So encoded fields and hand-made fields together are a
 message.
@@ -25,7 +25,7 @@ _MATCHED_ITEM = 3  # MatchedItem.item
 def cut_part(
     about: pb.CutPart, runs: Iterable[DeliveredSlice], late: Iterable[DeliveredSlice], *, without_payloads: bool
 ) -> bytes:
-    """A response with one part: the fields of `about`, and runs."""
+    """A response with one part: the fields of `about`, the runs `runs`, and the runs `late` of late items."""
     fields = [about.SerializeToString()]
     fields += [_field(_RUNS, _delivered(one, without_payloads)) for one in runs]
     fields += [_field(_LATE_RUNS, _delivered(one, without_payloads)) for one in late]
@@ -34,7 +34,7 @@ def cut_part(
 
 def matches(about: pb.SubscribeMatchesResponse, found: Iterable[FoundMatch], incarnations: dict[bytes, int],
             *, without_payloads: bool) -> bytes:  # fmt: skip
-    """A response with matches, and the fields of `about`."""
+    """A response with the matches `found`, and the fields of `about`. `incarnations`: those of the members."""
     fields = [_field(_MATCHES, _match(one, incarnations, without_payloads)) for one in found]
     return b"".join((*fields, about.SerializeToString()))
 

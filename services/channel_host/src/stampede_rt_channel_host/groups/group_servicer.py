@@ -23,14 +23,14 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.GroupService"
-# The longest time that a status waits for silent hosts. Its caller may want to learn which hosts are silent.
+# GetGroupStatus waits this long at most for silent hosts. Then it answers all the same, and names their members.
 SETTLE_SECONDS = 1.0
 
 
 class GroupServicer:
     """Serves GroupService. `streams` ends all open streams when the host ends.
 
-    A stream that carries runs has no response serializer: it sends the stored bytes as they are.
+    A stream that carries runs has no response serializer: its handler writes encoded messages.
     """
 
     def __init__(self, groups: GroupStore, dial: Dial, streams: OpenStreams) -> None:
@@ -75,7 +75,7 @@ class GroupServicer:
 
     @errors_as_status
     async def get_cut(self, request: pb.GetCutRequest, context: Context) -> pb.GetCutResponse:
-        """GroupService.GetCut: the cut, once it has reached the caller's floor.
+        """GroupService.GetCut: the cut, once it has reached `cut_floor_unix_nano` of the request.
 
         If the caller's wait ends first, the answer says `stalled`, and gives the cut that this host has.
         """

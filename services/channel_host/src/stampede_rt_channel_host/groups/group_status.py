@@ -41,7 +41,10 @@ def _member(member: CutMember, group: HostedGroup, groups: GroupStore, now: int)
 
 
 def _is_too_short(member: CutMember, group: HostedGroup, lead: int | None) -> bool:
-    """Whether a channel at another host keeps items for less than its lead. Only its stated max_age is known here."""
+    """Whether a member at another host keeps items for less time than its lead over the cut.
+
+    This host knows only the max_age that the member's policy states.
+    """
     record = group.channels.get(member.channel_id)
     if record is None or lead is None or record.policy.max_age_nanos is None:
         return False

@@ -27,7 +27,8 @@ class HostedGroup:
     """One group at this host.
 
     `record` is the latest record from the directory. `owners` gives each member's host, `targets` the addresses of the
-    live ones. `unheard`: live hosts of members that have not told their cut. Until they have, the group shows nothing.
+    live hosts. `unheard`: the live hosts that own members and have not told their cut. A new group shows nothing until
+    all of them have told it.
     The group wakes `listeners` and `gets` when it shows more or when members or owners change. It wakes `watchers` at
     all news of a member. `arrangement` grows whenever members, their hosts, or the members served here may have
     changed.
@@ -58,13 +59,14 @@ class HostedGroup:
         self._begin = begin
         self.unheard: set[bytes] = set()
         self.arrangement = 0
-        # loop time of the last question to the directory, and of the last request that named the group
+        # loop time of the last answer of the directory, and of the last request that named the group
         self.looked_up_s = 0.0
         self.named_s = 0.0
         self.is_stale = False  # the directory has, or may have, another version by now
         self._now = now
         self._on_moved = on_moved
         self._on_idle = on_idle
+        # at the last `changed`: the cut, whether it was confirmed, and the arrangement
         self._shown: tuple[int | None, bool, int] = None, False, 0
         self._idle_timer: asyncio.TimerHandle | None = None
         self.adopt(told)
@@ -96,7 +98,7 @@ class HostedGroup:
             raise began_anew(self.record)
 
     def merge_floor(self, host_id: bytes, floor: CutFloor) -> bool:
-        """Take in another host's floor, if it is plausible. Returns True if it is higher.
+        """Take in another host's floor, if it is plausible. Returns True if this raised the cut.
 
         A floor is plausible if the host owns a member and items can have that time by now. A member accepts items and
         advances up to its `max_future` ahead of its host's clock. A cut lies at most `max_lead` after them.
@@ -127,7 +129,7 @@ class HostedGroup:
         return untold if untold and not self.cut.is_confirmed else self.cut.waiting_on(self._now())
 
     def ownerless(self) -> list[bytes]:
-        """The members whose host has lost its lease. Nobody can put there until they have another host."""
+        """The members whose host has lost its lease. Nobody can put into them until they have another host."""
         return [channel_id for channel_id, host_id in self.owners.items() if host_id not in self.targets]
 
     def name_of(self, channel_id: bytes) -> str:
@@ -176,9 +178,9 @@ class HostedGroup:
                     reached.set_exception(error)
 
     async def reach(self, floor: int | None, timeout_s: float | None) -> bool:
-        """Wait until the group's cut is confirmed and has reached `floor`. Returns False after `timeout_s`, if given.
+        """Wait until the group's cut is confirmed and has reached `floor` (None: any cut). Returns True then.
 
-        Raises the error that ends the group.
+        Returns False after `timeout_s`; None: no limit. Raises the error that ends the group.
         """
         if self.has_reached(floor):
             return True
@@ -222,7 +224,7 @@ class HostedGroup:
         return self.cut.is_confirmed and (floor in (None, NOTHING_VISIBLE) or (cut is not None and cut >= floor))
 
     def floor(self) -> CutFloor | None:
-        """The floor of this host, as other hosts get it; None: there is no cut."""
+        """The cut at this host, as other hosts get it; None: there is no cut yet."""
         cut = self.cut.cut
         if cut is None:
             return None
@@ -234,7 +236,7 @@ class HostedGroup:
         )
 
     def _arm(self) -> None:
-        """Set the timer for the next member that becomes idle, which moves the cut without a put."""
+        """Set the timer for the next member of this host that becomes idle, which may move the cut without a put."""
         if self._idle_timer is not None:
             self._idle_timer.cancel()
             self._idle_timer = None

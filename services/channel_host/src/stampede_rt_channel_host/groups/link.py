@@ -1,8 +1,9 @@
 """One stream between two hosts that share a group: the times of channels, and the cuts (paper, section 4.1).
 
-Both sides do the same. A side sends a change at once, unless it is still writing its last message, or finished that
-less than PACE_SECONDS ago. In these cases it first collects changes, and then sends the latest state of each changed
-channel and group. So busy channels cost a bounded number of messages.
+Both sides do the same. A side sends a change without delay, unless it is still writing its last message, or finished
+that write less than PACE_SECONDS ago. In these cases it first collects changes. Then it sends the latest state of the
+changed channels and groups, up to ENTRIES_MAX of each in one message. So busy channels cost a bounded number of
+messages.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from stampede_rt_runtime.version import PROTOCOL_VERSION
 
 PACE_SECONDS = 0.005
 LIFE_SECONDS = 1.0  # a link without changes sends a sign of life this often
-BROKEN_AFTER_SECONDS = 5.0
+BROKEN_AFTER_SECONDS = 5.0  # a link on which the other host is silent for so long ends
 ENTRIES_MAX = 1024  # channels, and also groups, of one message
 INTEREST_MAX = 4096  # channels that one host may want to hear of
 
@@ -72,7 +73,7 @@ class HostLink:
         """`certified_name` is the name in the caller's certificate; empty without one, or if this side has made the
         call.
         """
-        self.host_id = b""  # of the other host, once it has sent its hello
+        self.host_id = b""  # of the other host; empty until it has sent its hello
         self._identity = identity
         self._cluster_id = cluster_id
         self._knowledge = knowledge
@@ -88,7 +89,8 @@ class HostLink:
     async def run(self, peer: bytes | None = None) -> None:
         """Serve until the other side ends the stream or is silent too long.
 
-        `peer` is the id that the other host must have. Raises the error that broke the stream.
+        `peer` is the id that the other host must have; None: it may be any host. Raises the error that broke the
+        stream. After both hellos this error comes in an exception group.
         """
         hello = pb.ExchangeHello(
             cluster_id=self._cluster_id,
@@ -105,7 +107,7 @@ class HostLink:
             writing.cancel()
 
     def want(self, channel_ids: Iterable[bytes]) -> None:
-        """Set the other host's channels of which this host wants to hear."""
+        """Set the other host's channels of which this host wants to hear. Ignores all but INTEREST_MAX of them."""
         self._interest = sorted(channel_ids)[:INTEREST_MAX]
         self._news.set()
 

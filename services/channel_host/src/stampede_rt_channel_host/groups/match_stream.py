@@ -42,12 +42,14 @@ class MatchStream:
         self._waiter = Waiter()
         self._credit = Credit(self._waiter.wake)
         self._near: dict[bytes, HostedChannel] = {}  # members at this host, the matched channel among them
+        # members at other hosts, each with the task that follows it
         self._far: dict[bytes, tuple[FarMember, asyncio.Task[None]]] = {}
 
     async def run(self) -> None:
         """Serve until the stream ends, or until the reader has closed its side and its credit is spent.
 
-        Raises InvalidArgument, StaleBinding, GROUP_NOT_FOUND, Unavailable.
+        Raises InvalidArgument, GROUP_NOT_FOUND, IncarnationLost if the group began anew, StaleBinding if the matched
+        channel has left the host, Unavailable if the group has no cut, Overloaded if the reader is too slow.
         """
         opening = await self._context.read()
         if not isinstance(opening, pb.SubscribeMatchesRequest) or not opening.HasField("open"):
@@ -93,7 +95,8 @@ class MatchStream:
         now = self._groups.channels.now()
         matcher = _matcher(hosted, request, now)
         arrangement, incarnation = 0, group.record.incarnation
-        # None: no response yet; the first response tells that every member is followed
+        # the counts `unmatched` and `dropped` that the reader has got; None: it has got no response yet
+        # the first response without a match tells the reader that the stream follows every member
         counted: tuple[int, int] | None = None
         while counted is None or not self._credit.is_over:
             if arrangement != group.arrangement:
@@ -119,7 +122,7 @@ class MatchStream:
             await self._send(about, found, group, hosted, without_payloads=request.without_payloads)
 
     def _arrange(self, group: HostedGroup, hosted: HostedChannel, since: int) -> dict[bytes, Track]:
-        """Every other member's track: in this host's memory, or followed at its own host."""
+        """The tracks of all members but the matched channel: in this host's memory, or followed at their hosts."""
         members, matched = group.cut.definition.members, hosted.record.channel_id
         owned = {channel_id: self._groups.own(channel_id) for channel_id in members}
         near = {channel_id: own.hosted for channel_id, own in owned.items() if own is not None} | {matched: hosted}

@@ -1,4 +1,4 @@
-"""Converts times of channels and floors of cuts from and to protobuf (`group.proto`)."""
+"""Converts the times of channels, and the cuts of groups (`CutFloor`), from and to protobuf (`group.proto`)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from stampede_rt_channel_host.core.group import ChannelTimes, CutFloor
 
 
 def times_to_message(channel_id: bytes, times: ChannelTimes, silent_nanos: int) -> group_pb2.ChannelTimes:
-    """The message with a channel's times, as its owner sends it."""
+    """The message with a channel's times, as its owner sends it. `silent_nanos`: since the last put or advance."""
     return group_pb2.ChannelTimes(
         channel_id=channel_id,
         epoch=times.epoch,
@@ -31,7 +31,7 @@ def times_from_message(told: group_pb2.ChannelTimes) -> ChannelTimes:
 
 
 def floor_to_message(floor: CutFloor) -> group_pb2.CutFloor:
-    """The message with a group's floor, as a host sends it."""
+    """The message in which a host tells other hosts its cut of a group."""
     return group_pb2.CutFloor(
         group_id=floor.group_id,
         incarnation=floor.incarnation,
@@ -41,5 +41,5 @@ def floor_to_message(floor: CutFloor) -> group_pb2.CutFloor:
 
 
 def floor_from_message(told: group_pb2.CutFloor) -> CutFloor:
-    """The floor in a message of a host."""
+    """The cut of a group that another host has told in a message."""
     return CutFloor(told.group_id, told.incarnation, told.cut_unix_nano, told.spec_version)

@@ -40,8 +40,8 @@ class PeerHost:
         self.wanted: frozenset[bytes] = frozenset()
         self.groups: set[bytes] = set()
         self.link: HostLink | None = None
-        self.unlinked = asyncio.Event()
-        self.task: asyncio.Task[None] | None = None
+        self.unlinked = asyncio.Event()  # set when the link has ended
+        self.task: asyncio.Task[None] | None = None  # keeps the link; None: the hosts share no group
 
 
 class PeerHosts:
@@ -67,7 +67,7 @@ class PeerHosts:
         """Note whether the host `host_id` shares the group with this one now. Drops a host that shares no group.
 
         `target`: the address of that host; None: unchanged. `wanted`: all channels about which this host wants to hear
-        from that host; empty: it shares no group.
+        from that host; empty: that host shares no group with this one.
         """
         peer = self._peers.get(host_id)
         if not wanted:
@@ -109,9 +109,9 @@ class PeerHosts:
                 peer.link.tell_floor(group_id)
 
     def greeted(self, link: HostLink) -> None:
-        """Begin to use a link whose other side has said who it is. It replaces an older link to the same host.
+        """Use a link from now on, because the other host has sent its id. The link replaces an older one to that host.
 
-        First name the channels that this host wants to hear about, and tell the cuts of the shared groups.
+        The link first names the channels that this host wants to hear about, and tells the cuts of the shared groups.
         """
         peer = self._peers.setdefault(link.host_id, PeerHost(link.host_id))
         peer.link = link
@@ -139,7 +139,7 @@ class PeerHosts:
             self._unlink(link)
 
     async def aclose(self) -> None:
-        """End all streams."""
+        """End the streams that this host opened, and open no more. Streams that other hosts opened stay."""
         tasks = [peer.task for peer in self._peers.values() if peer.task is not None]
         for task in tasks:
             task.cancel()
@@ -173,7 +173,7 @@ class PeerHosts:
         if peer is not None and peer.link is link:
             peer.link = None
             peer.unlinked.set()
-            if peer.task is None:  # no group is shared with it
+            if peer.task is None:  # the two hosts share no group
                 del self._peers[link.host_id]
 
     async def _keep(self, peer: PeerHost) -> None:

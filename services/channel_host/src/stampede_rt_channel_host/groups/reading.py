@@ -1,7 +1,7 @@
 """Gets and subscriptions of channels that name a group (paper, section 3.3).
 
 Each host computes the cut itself, so a read costs no further round trip. The host waits for the other hosts only if a
-reader has seen a later cut.
+reader has seen a later cut, or if they have not told their cuts of a new group yet.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
 from stampede_rt_runtime.access.control import check_access
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 
-STALL_SECONDS_MAX = 1.0
-SETTLE_SECONDS_MAX = 5.0
+STALL_SECONDS_MAX = 1.0  # the longest wait for the cut of a get that may not wait, or not so long
+SETTLE_SECONDS_MAX = 5.0  # the longest wait for the cut at the beginning of a subscription
 
 
 class GroupReads:

@@ -30,13 +30,13 @@ GROUPS_MAX = 10_000
 GROUPS_PER_PIECE = 16
 GROUPS_PER_LOOK = 256
 ROUND_SECONDS = 0.5
-LOOK_UP_SECONDS = 30.0  # the directory tells of changes by itself; this covers lost messages
-LOOK_UP_SECONDS_IN_TROUBLE = 0.5
-IN_USE_SECONDS = 60.0
+LOOK_UP_SECONDS = 30.0  # from one lookup of a group in use to the next; finds changes that the watch has missed
+LOOK_UP_SECONDS_IN_TROUBLE = 0.5  # the same, if the group may have changed or one of its hosts is silent
+IN_USE_SECONDS = 60.0  # a group without readers counts as in use for this time after the last request that named it
 
 
 class GroupStore:
-    """Every request that names a group gets it by `find`. Implements `Watched`."""
+    """Requests that name a group get it by `find`, or by `known` if they must not wait. Implements `Watched`."""
 
     def __init__(
         self,
@@ -118,9 +118,7 @@ class GroupStore:
         return refusals.not_here(self._identity.name, channel_id)
 
     def fence(self) -> None:
-        """End all waits and streams, because the lease ran out: readers must look for the channels
-        elsewhere, or wait.
-        """
+        """End all waits and streams, because the lease ran out. Readers look for the channels elsewhere, or wait."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def end_all(self, error: StampedeError) -> None:
@@ -133,7 +131,7 @@ class GroupStore:
     # Reports from the directory and from other hosts.
 
     async def missed(self) -> None:
-        """See `Watched`. The next round looks up all groups."""
+        """See `Watched`. The next round of `keep` looks up all groups."""
         for group in self._table.groups.values():
             group.is_stale = True
 
@@ -288,7 +286,7 @@ class GroupStore:
         self._changed_groups.add(self._table.groups_of(channel_id))
 
     def _ended(self, channel_id: bytes) -> None:
-        """Stop a channel that this host serves no more. Looks up its new owner soon."""
+        """Stop following a channel that this host serves no more. The next round of `keep` looks up its groups."""
         self._table.own.pop(channel_id, None)
         self._rearranged(channel_id)
         for group in self._table.groups_of(channel_id):

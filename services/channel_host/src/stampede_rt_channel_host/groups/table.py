@@ -11,7 +11,10 @@ from stampede_rt_channel_host.groups.own_channels import OwnChannel
 
 
 class HostedGroups:
-    """`own`: the members that this host owns and serves. `idling`: groups whose members may fall idle."""
+    """The table of groups, by id. `board` has the times of their members, also of those at other hosts.
+
+    `own`: the members that this host owns and serves. `idling`: groups whose members may become idle.
+    """
 
     def __init__(self) -> None:
         self.board = TimesBoard()

@@ -97,7 +97,7 @@ class GroupGets:
         scheduler: PieceScheduler,
         limits: TimeLimits,
     ) -> GroupGets:
-        """The object with the gets that already wait, or a new one."""
+        """The object that has the blocked gets of this channel through this group; a new one if no get waits."""
         waiting = group.gets.get(hosted)
         return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, scheduler, limits)
 
