@@ -1,5 +1,5 @@
 """The rules of access to queues and mailboxes. Rules name a mailbox by its peer's name. The caller that registered the
-peer owns the mailbox.
+peer owns the mailbox, and may take from it without a rule.
 """
 
 from __future__ import annotations
@@ -26,5 +26,5 @@ def check_queue_known(queue: RecordedQueue) -> None:
 
 
 def _is_owned(queue: RecordedQueue) -> bool:
-    """Whether the caller registered the mailbox's peer. Always False for callers whom rules do not judge."""
+    """Whether the caller registered the mailbox's peer. Always False for members of the cluster and operators."""
     return bool(queue.mailbox_owner) and queue.mailbox_owner == owner_name()

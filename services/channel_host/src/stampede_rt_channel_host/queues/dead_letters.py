@@ -1,8 +1,9 @@
 """Moves messages that failed too often, or that a taker gave up, to the dead-letter queue (paper, section 3.5).
 
-A message stays in its queue until the other queue has acknowledged it. The move is an enqueue like any other. Its
-producer id follows from the queue, and its numbers follow from the messages' seqs. So a move that any host repeats is
-stored only once. After a refusal the next try has another number, because the same number would get the same refusal.
+A message stays in its queue until the dead-letter queue has acknowledged it. The move is an enqueue like any other. The
+producer id of the move follows from the queue, and its number from the message's seq. So the dead-letter queue stores
+the message only once, even if another host repeats the move. After a refusal the next move of the message has another
+number, because the same number would get the same refusal.
 """
 
 from __future__ import annotations
@@ -45,9 +46,10 @@ _ENQUEUE = "/stampede_rt.v1.QueueService/Enqueue"
 
 
 class DeadLetterMover:
-    """Runs one task for each queue with messages to move. The task tries until all are moved, with growing pauses.
+    """Runs one task for each queue with messages to move. The task tries until all are moved, with longer and
+    longer pauses after failures.
 
-    `may_move` says whether the queue still belongs to this host. `on_defect` is called if a task dies.
+    `may_move` says whether the queue still belongs to this host. `on_defect` gets the error of a task that dies.
     """
 
     def __init__(
@@ -96,7 +98,10 @@ class DeadLetterMover:
                 pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
 
     async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
-        """Move some messages. Raises an error if some of them could not be moved. `refusals` counts by seq."""
+        """Move some messages. Raises an error if some of them could not be moved.
+
+        `refusals`: how often the dead-letter queue has refused each message, by seq.
+        """
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:
             raise Unavailable(f"the dead-letter queue {display_name(found.queue)} has no live host at present")
@@ -142,7 +147,8 @@ def _requests(
 def _run_of(item: Departure, content_type: str) -> bytes:
     """The message as its producer put it.
 
-    A message without a content type gets that of its queue, because the other queue's may differ.
+    A message without a content type gets that of its queue, because the dead-letter queue may
+    have another one.
     """
     alone = select_items(item.run.body, [item.position])
     if content_type and not item_pb2.ItemRun.FromString(alone).content_type:

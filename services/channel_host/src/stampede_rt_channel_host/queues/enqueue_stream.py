@@ -32,15 +32,20 @@ from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.quotas.working import CallerWork
 from stampede_rt_runtime.rpc import Context
 
-# also the most acks in one message, which stays below its size limit even with 256 refused messages in each
+# The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refusals, the
+# message stays below its size limit.
 ACKS_QUEUED_MAX = 256
-REQUEST_BYTES_MAX = 4 * 2**20
-_FRAMING_BYTES_MAX = 4096
+REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
+_FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 _ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # refusals that end the stream, as an invalid request does
 
 
 class EnqueueStream:
-    """Serves one stream. A run that waits for room blocks the later runs. Each waits no longer than its own limit."""
+    """Serves one stream. A run that waits for room blocks the later runs.
+
+    The limit of each run counts from the arrival of its request. If it is over when the run's turn comes, the host
+    refuses the run, unless the queue has room or can make room.
+    """
 
     def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
         self._store = store
@@ -60,7 +65,7 @@ class EnqueueStream:
     async def run(self) -> None:
         """Serve until the caller has closed its side and every run is acked.
 
-        Raises InvalidArgument, Overloaded, or an error that the host shuts down. Sends the acks of judged runs first.
+        Raises InvalidArgument, Overloaded, or Unavailable (SHUTTING_DOWN). Sends the acks of judged runs first.
         """
         writer = self._stream.spawn(self._write_acks())
         try:
@@ -81,7 +86,9 @@ class EnqueueStream:
         await writer
 
     def _read_request(self, raw: Any, came_s: float) -> tuple[deque[EnqueueRun], float] | None:
-        """The runs of a request, and the time at which it came; None at the end. Keeps no reference to the request."""
+        """The runs of a request, and the time at which it came; None at the end of the stream. Keeps no
+        reference to the request.
+        """
         if raw is EOF:
             return None
         request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")

@@ -29,7 +29,7 @@ from stampede_rt_channel_host.queues.refusals import display_name
 TAKERS_MAX = 4096
 STREAMS_PER_PIECE = 256
 _orders = itertools.count()
-FIRST_DELIVERY_IDS = range(1, 2**62)  # the last ids, too, fit in the signed integers of other languages
+FIRST_DELIVERY_IDS = range(1, 2**62)  # below 2**62, so that all later ids fit into a signed int64
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: the timer must not fire again and again
 
 
@@ -49,8 +49,9 @@ class TakerStream(Protocol):
 class HostedQueue:
     """One queue at this host.
 
-    `record` is the latest record from the directory. Requests must name its epoch. Its incarnation is the core's.
-    `on_departures` is called if messages wait for their move to the dead-letter queue.
+    `record` is the latest record from the directory. The core has the incarnation of the record. Requests must name
+    `epoch`: that of the record, or 0 if the store must ask the directory before it serves the queue again.
+    `on_departures` is called while messages wait for their move to the dead-letter queue.
     """
 
     def __init__(
@@ -76,8 +77,8 @@ class HostedQueue:
             first_delivery_id=random.choice(FIRST_DELIVERY_IDS),
             may_serve=may_serve,
         )
-        self.due: int | None = None
-        self.order = next(_orders)
+        self.due: int | None = None  # when the sweep looks at the queue; `Deadlines` sets it
+        self.order = next(_orders)  # decides between queues that are due at the same time
         self._deadlines = deadlines
         self._charge = memory.charge_for(record.created_by)
         self._now = now
@@ -89,16 +90,17 @@ class HostedQueue:
         self._is_forgotten = False
 
     def update(self, record: RecordedQueue) -> None:
-        """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable set-up."""
+        """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
         if record.spec_version != self.record.spec_version:
             self.queue.configure(QueueLimits.of(record.policy), self._now())
         self.record, self.epoch = record, record.epoch
         self._follow_up()
 
     async def enqueue(self, run: Enqueue, waiting: Callable[[], AbstractContextManager[None]]) -> None:
-        """Put a run. Waits, inside `waiting`, while the run waits for room. A cancellation withdraws the run.
+        """Put a run. While the run waits for room, this call waits in the context that `waiting` makes.
 
-        Raises InvalidArgument, Overloaded.
+        A cancellation withdraws the run. Raises InvalidArgument if the run's numbers overlap another run's, Overloaded
+        if memory is used up or too many runs wait.
         """
         done: asyncio.Future[None] | None = None
         try:
@@ -136,7 +138,7 @@ class HostedQueue:
             self.queue.reject_malformed()
 
     def attach(self, taker: TakerState, stream: TakerStream) -> None:
-        """Enter a stream that begins to take. `leave` must follow. Raises Overloaded."""
+        """Enter a stream that begins to take. `leave` must follow. Raises Overloaded beyond TAKERS_MAX streams."""
         if len(self._streams) >= TAKERS_MAX:
             raise Overloaded(f"queue {display_name(self.record)} has {TAKERS_MAX} takers, the limit; close some")
         self._streams[taker] = stream

@@ -21,9 +21,9 @@ ORIGIN_BYTES_MAX = 4096
 
 
 class EnqueueRun(NamedTuple):
-    """One run of a request. `wait_nanos` None: without limit.
+    """One run of a request. `wait_nanos` None: the run may wait without limit.
 
-    It refers only to its own bytes, so that a waiting run does not keep the whole request in memory.
+    The object refers only to the bytes of the run, so that a waiting run does not keep the whole request in memory.
     """
 
     first_number: int
@@ -40,7 +40,7 @@ class EnqueueRun(NamedTuple):
 
 
 def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float) -> Enqueue:
-    """The run as it came, not judged yet.
+    """The run as it came, not judged yet. `came_s`: the monotonic time at which its request came.
 
     Raises MalformedRun, or ItemTooLarge for a message larger than any queue can hold.
     """

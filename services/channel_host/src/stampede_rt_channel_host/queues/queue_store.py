@@ -30,11 +30,12 @@ logger = logging.getLogger(__name__)
 QUEUES_MAX = 100_000
 QUEUES_PER_PIECE = 256
 RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
-LOOKUPS_MAX = 3  # the store asks again if the host registered while it waited for the answer
+# the most questions to the directory for one `use`: the store asks again if the host registered during a question
+LOOKUPS_MAX = 3
 
 
 class QueueStore:
-    """A stream begins with `use`, which may ask the directory. Every later request on it gets the queue by `find`.
+    """Requests get the queue by `use`, which may ask the directory. Each run of an enqueue request gets it by `find`.
 
     Implements `Watched`. `lease_held` says whether the host may serve at this moment. `now` is the host's clock.
     `scheduler` does long work in pieces. `on_departures` is called with queues that have messages for their dead-letter
@@ -61,14 +62,14 @@ class QueueStore:
         self._on_departures = on_departures
         self._queues: dict[bytes, HostedQueue] = {}
         self._single_flight = SingleFlight()
-        self._closing: StampedeError | None = None
-        self._registrations = 0
+        self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
+        self._registrations = 0  # the number of registrations whose answers have come
         self.deadlines: Deadlines[HostedQueue] = Deadlines()
         self.in_use = asyncio.Event()  # set once a queue is used here
-        self.takers = Holders()
+        self.takers = Holders()  # which caller uses which taker id
 
     def find(self, queue_id: bytes, epoch: int) -> HostedQueue:
-        """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH)."""
+        """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH) or Unavailable (SHUTTING_DOWN)."""
         self._check_lease()
         hosted = self._queues.get(queue_id)
         if hosted is None:
@@ -94,8 +95,8 @@ class QueueStore:
         """Take in the directory's list of this host's queues at a registration, in pieces. The host serves nothing
         meanwhile.
 
-        Queues that are not in the list went elsewhere. If the list is not complete (`all_told` False), the store serves
-        such a queue only after the next `use` of it.
+        If the list is complete (`all_told`), the store drops the queues that are not in it. Else it serves such a queue
+        only after the next `use` of that queue.
         """
         self._registrations += 1
         held = [(hosted, hosted.record.epoch) for hosted in self._queues.values()]
@@ -111,7 +112,10 @@ class QueueStore:
             yield
 
     def _compare(self, hosted: HostedQueue, record: RecordedQueue | None, *, all_told: bool) -> None:
-        """Compare a queue that has not changed since the registration with the directory's record of it."""
+        """Adopt the directory's record of a queue that has not changed since the registration.
+
+        None: the list has no record of the queue.
+        """
         if record is not None:
             self._adopt(record)
         elif all_told:
@@ -178,7 +182,7 @@ class QueueStore:
             raise refusals.fenced(self._identity.name)
 
     def _knows(self, queue_id: bytes, epoch: int | None) -> bool:
-        """Whether no question to the directory is needed. An epoch below the known one is wrong in any case."""
+        """Whether the store can answer without the directory. An epoch below the known one is wrong in any case."""
         hosted = self._queues.get(queue_id)
         return hosted is not None and hosted.epoch > 0 and (epoch or 0) <= hosted.epoch
 

@@ -21,7 +21,7 @@ from stampede_rt_channel_host.core.queue import (
     Terminate,
 )
 
-CREDIT_MAX = 1024
+CREDIT_MAX = 1024  # messages that a taker may allow ahead
 SETTLEMENTS_MAX = 1024
 TAKER_NAME_BYTES_MAX = 128
 REASON_BYTES_MAX = 1024
@@ -41,7 +41,7 @@ def check_taker_id(taker_id: int) -> None:
 
 
 def taker_of(opened: pb.TakeOpen) -> TakerState:
-    """The taker of a request. Raises InvalidArgument."""
+    """The taker of a request. Raises InvalidArgument for an invalid id, lease or name."""
     check_queue_id(opened.queue_id)
     check_taker_id(opened.taker_id)
     lease_nanos = opened.lease_nanos if opened.HasField("lease_nanos") else None
@@ -53,7 +53,7 @@ def taker_of(opened: pb.TakeOpen) -> TakerState:
 
 
 def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]:
-    """The settlements of a taker. Raises InvalidArgument."""
+    """The settlements of a request. Raises InvalidArgument if one is invalid, or if there are too many."""
     settlements = [_settlement_of(message) for message in messages]
     if len(settlements) > SETTLEMENTS_MAX:
         raise InvalidArgument(
@@ -63,7 +63,7 @@ def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]
 
 
 def page_size_of(request: pb.ListPendingRequest) -> int:
-    """The number of deliveries that the request asks for. Raises InvalidArgument."""
+    """The number of deliveries that the request asks for. Raises InvalidArgument if it is above PAGE_SIZE_MAX."""
     if request.page_size > PAGE_SIZE_MAX:
         raise InvalidArgument(f"page_size is {request.page_size}; it is at most {PAGE_SIZE_MAX}")
     return request.page_size or PAGE_SIZE_MAX

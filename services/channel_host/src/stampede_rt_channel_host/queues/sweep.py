@@ -14,7 +14,8 @@ QUEUES_PER_STEP_MAX = 64
 async def sweep_queues_forever(store: QueueStore) -> NoReturn:
     """Twice a second, handle all queues in which something is due, a bounded number at a time.
 
-    Each queue has a timer of its own. But if the host's clock is faster than the loop's, the timer fires too late.
+    Each queue has a timer of its own. But if the host's clock is faster than the loop's, the timer fires too late. And
+    no timer is set for the time at which the queue may forget silent producers.
     """
     while True:  # paced
         await asyncio.sleep(ROUND_SECONDS)

@@ -27,15 +27,15 @@ from stampede_rt_channel_host.queues.requests import (
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.rpc import Context
 
-SIGN_OF_LIFE_SECONDS = 4.0  # the contract promises one every 5 s
-WRITE_SECONDS_MAX = 30.0
+SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
+WRITE_SECONDS_MAX = 30.0  # if the taker reads nothing for this time during a write, the stream ends
 
 
 class TakeStream:
     """Serves one stream, as a `TakerStream` of its queue. All of it runs on the event loop.
 
-    After the caller has closed its side, the stream goes on until its credit is used up. So a caller can take once:
-    give credit, close, and read to the end.
+    After the caller has closed its side, the stream goes on until its credit is used up. So a caller can take
+    a fixed number of messages: it gives that credit, closes its side, and reads to the end.
     """
 
     def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
@@ -44,13 +44,14 @@ class TakeStream:
         self._stream = stream
         self._batch: Batch | None = None
         self._results: list[queue_pb2.SettlementResult] = []
+        # the answer to `drain` is due; the taker drains; the caller has closed its side; the queue asks for a request
         self._owes_drained = self._drains = self._closed = self._asks = False
         self._news = asyncio.Event()
-        self._silent_at_s = 0.0  # loop time at which the next sign of life is due, whatever news come before
+        self._silent_at_s = 0.0  # loop time at which a sign of life is due; only a write postpones it
         self._room = asyncio.Event()
 
     def deliver(self, batch: Batch) -> None:
-        """Send a batch. The queue gives this stream the next batch only after that."""
+        """Send a batch. The queue gives this stream the next batch only after `HostedQueue.sent`."""
         self._batch = batch
         self._news.set()
 
@@ -64,7 +65,11 @@ class TakeStream:
         self._stream.end(error)
 
     async def run(self) -> None:
-        """Serve until the stream ends. Raises StaleBinding, QueueNotFound, InvalidArgument, Overloaded."""
+        """Serve until the stream ends, or until the caller has closed its side and its credit is used up.
+
+        Raises StaleBinding, QueueNotFound, InvalidArgument, PermissionDenied. Raises Overloaded if the queue has too
+        many takers, or if the taker reads nothing for WRITE_SECONDS_MAX.
+        """
         raw = await self._context.read()
         if raw is EOF:
             raise InvalidArgument("the stream ended without a request; begin with `open`")
