@@ -1,1 +1,1 @@
-"""Stampede RT: the service that stores channels (paper, section 4.1)."""
+"""Stampede RT: the service that stores channels and queues (paper, section 4.1)."""

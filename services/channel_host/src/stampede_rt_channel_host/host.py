@@ -1,4 +1,4 @@
-"""A whole channel host: its server, its channels, its registration at the directory.
+"""A whole channel host: its services, its channels and queues, its registration at the directory.
 
 It runs as a service of its own, or inside another process on that process's event loop.
 """
@@ -53,7 +53,8 @@ class ChannelHost:
     `dial` opens connections for that loop. `dial_for_lease` opens those of the lease, which has a thread of its own.
     `access` judges the callers of the same server; the host gives it the directory's rules. `refused_calls` counts the
     refused calls of that server. `on_serving` is called whenever the host starts or stops serving. `on_defect` gets the
-    error of a task of the host that died, and must end the host.
+    error of a task of the host that died, and must end the host. `explain`: see `Supernodes`. `home` is the cluster of
+    the host.
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class ChannelHost:
         self._entering: asyncio.Future[None] | None = None
 
     def _make_registration(self, supernodes: Supernodes, clock: HostClock, serving: ServingLoop) -> Registration:
-        """The registration. It performs work on channels on their loop, in the order in which the lease changed."""
+        """The registration. It hands work on channels to the serving loop, in the order in which the lease changed."""
 
         async def registered(response: directory_service_pb2.RegisterHostResponse) -> None:
             await serving.run(lambda: self._registered(response))

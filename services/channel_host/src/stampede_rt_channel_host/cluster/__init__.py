@@ -1,1 +1,1 @@
-"""A host as a member of a cluster: identity, registration, lease, gatekeeper, supernodes."""
+"""A host's place in a cluster: its identity, its registration and lease, and its calls to the directory."""

@@ -23,7 +23,7 @@ PAUSE_SECONDS = 0.5
 
 
 class AccessWatch:
-    """Hears of changes from the directory watch, as a `Watched`. Its task then asks for the access state."""
+    """Hears of changes from the directory watch, as a `Watched`. Then `keep` asks for the access state."""
 
     def __init__(self, supernodes: Supernodes, control: AccessControl) -> None:
         self._supernodes = supernodes

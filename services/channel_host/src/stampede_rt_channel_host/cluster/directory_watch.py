@@ -1,4 +1,4 @@
-"""Watches the directory for changes of the groups or queues in use at this host: set-ups, deletions, new owners."""
+"""Watches the directory for changes that concern this host: of groups, of queues, and of the rules of access."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _PAUSE_SECONDS_MIN, _PAUSE_SECONDS_MAX = 0.2, 5.0
 
 
 class Watched(Protocol):
-    """The groups or the queues of a host."""
+    """A part of the host that follows changes of the directory: its groups, its queues, or its access state."""
 
     in_use: asyncio.Event
-    """Set once the host uses one of them."""
+    """Set once this part needs the watch."""
 
     async def missed(self) -> None:
         """Ask the directory for the present state, because the watch may have missed changes. Raises Unavailable."""
@@ -53,7 +53,7 @@ async def watch_forever(
 
 
 async def _pass_on(responses: AsyncGenerator[directory_service_pb2.WatchResponse, None], watched: Watched) -> NoReturn:
-    """Pass changes on until the stream ends. First asks for the changes that came before the stream began."""
+    """Pass changes on until the stream ends. First lets `watched` ask for the present state."""
     await watched.missed()
     while True:  # ends with the stream
         for change in (await _next(responses)).changes:

@@ -54,7 +54,7 @@ class HomeCluster:
     def __init__(self, folder: Path | None = None) -> None:
         self._path = None if folder is None else folder / _CLUSTER_FILE
         self.cluster_id = _kept_text(self._path, "cluster id") if self._path and self._path.exists() else ""
-        self._noted = ""
+        self._noted = ""  # the id with which `note` was called last
         self._former: tuple[str, ...] = ()  # the clusters that the present one has replaced
 
     def judge(self, callers: str) -> StampedeError | None:
@@ -64,7 +64,7 @@ class HomeCluster:
         return wrong_cluster("this host", self.cluster_id, callers)
 
     def is_noted(self, cluster_id: str) -> bool:
-        """Whether `note` was called with this id in this process; an empty id needs no note."""
+        """Whether the last `note` in this process had this id. An empty id needs no note."""
         return cluster_id in ("", self._noted)
 
     def note(self, cluster_id: str, former: Iterable[str] = ()) -> None:
@@ -110,7 +110,10 @@ def _read(path: Path) -> bytes:
 
 
 def default_name() -> str:
-    """The machine's name in letters that the directory allows, and six random ones: a machine may run many hosts."""
+    """The machine's name in letters that the directory allows, and six random hexadecimal digits.
+
+    The digits are there because a machine may run many hosts.
+    """
     allowed = "abcdefghijklmnopqrstuvwxyz0123456789._-"
     machine = "".join(letter if letter in allowed else "-" for letter in socket.gethostname().lower())
     return f"{machine.lstrip('._-')[:100] or 'host'}-{secrets.token_hex(3)}"

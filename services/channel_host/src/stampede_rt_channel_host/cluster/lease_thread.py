@@ -89,7 +89,7 @@ class LeaseThread:
         raise AssertionError("keep never returns")
 
     async def leave(self) -> None:
-        """See `Registration.leave`; ends the thread. Idempotent; nothing to do for a host that never entered."""
+        """See `Registration.leave`. Then ends the thread. Idempotent. Does nothing for a host that never entered."""
         thread, self._thread = self._thread, None
         if thread is None:
             return

@@ -47,8 +47,8 @@ class Registration:
     """One host's place in the directory.
 
     `on_registered` gets the directory's answer to every registration. The host serves nothing under the registration
-    before `on_registered` has returned. `on_lease` gets True when the lease begins to hold, and False when it has run
-    out. While `has_hung` returns True, the host serves nothing, and `keep` does not renew the lease. `home` is the
+    before `on_registered` has returned. `on_lease` gets True when the lease begins to hold, and False when it has
+    ended. While `has_hung` returns True, the host serves nothing, and `keep` does not renew the lease. `home` is the
     cluster of the host; before its first registration, the host may enter any cluster.
 
     Call `enter`, `keep` and `leave` in this order, all on one event loop. Any thread may call `lease_held`.
@@ -89,7 +89,8 @@ class Registration:
         """Register for the first time, with a gatekeeper at `target`.
 
         Tries for `timeout_s`, even while another live host has the name: that host may be the predecessor of this one,
-        and its lease ends by itself. Raises the last failure. Raises a failure at once if a retry cannot help.
+        and its lease ends by itself. Raises the last failure. If a retry cannot help, raises the failure without
+        another try.
         """
         self._target = target
         deadline_s = time.monotonic() + timeout_s
@@ -141,7 +142,7 @@ class Registration:
             self._unrenewed_since_s = None
 
     async def leave(self) -> None:
-        """Deregister, so that other hosts may get the channels at once. If that fails, the lease ends by itself."""
+        """Deregister, so that other hosts get the channels before the lease ends. If that fails, it ends by itself."""
         self._has_left = True
         if self._fence is not None:
             self._fence.cancel()
@@ -228,7 +229,7 @@ class Registration:
         self._note_registered(len(response.channels))
 
     async def _note_cluster(self, response: RegisterHostResponse | RenewHostLeaseResponse) -> None:
-        """Note the cluster of the directory that answered: it may have taken the place of this host's cluster."""
+        """Note the cluster of the directory that answered. It may have replaced this host's former cluster."""
         if not self._home.is_noted(response.cluster_id):
             await asyncio.to_thread(self._home.note, response.cluster_id, response.former_cluster_ids)
 
@@ -270,6 +271,6 @@ class Registration:
 
 
 async def _pause(pause_s: float) -> float:
-    """Wait a random time between half of `pause_s` and `pause_s`. Returns the next pause, which is longer."""
+    """Wait a random time between half of `pause_s` and `pause_s`. Returns the next, longer pause."""
     await asyncio.sleep(pause_s * (0.5 + random.random() / 2))
     return min(2 * pause_s, _PAUSE_SECONDS_MAX)

@@ -30,7 +30,7 @@ from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
 logger = logging.getLogger(__name__)
 
 TRY_SECONDS_MAX = 1.5  # for one supernode, so that a hanging one does not use up the whole time
-BIND_SECONDS_MAX = 3.0
+BIND_SECONDS_MAX = 3.0  # for one front-end
 
 Dial = Callable[[str], grpc.aio.Channel]
 Explain = Callable[[str], Awaitable[StampedeError | None]]
@@ -40,7 +40,7 @@ Service = Callable[[grpc.aio.Channel], Any]
 class _Call(NamedTuple):
     """A call that may be made several times. `service` makes its stub.
 
-    `since_s`: when this call, or the first call with its request id, was made.
+    `since_s`: when this call, or the first call with its request id, was made, by `age_clock_s`.
     """
 
     method: str
@@ -50,7 +50,7 @@ class _Call(NamedTuple):
 
 
 class Supernodes:
-    """Calls the directory. The first to be asked is the leader, or else the supernode that answered last.
+    """Calls the directory. Asks the supernode first that answered last, and after each `bind` the leader.
 
     `explain` may give a better reason than gRPC for a failed connection to a front-end.
     """
@@ -101,8 +101,8 @@ class Supernodes:
             await self._rebind(backoff.deadline_s)
 
     async def stream(self, method: str, request: Any) -> AsyncGenerator[Any, None]:
-        """The responses of a streaming call of DirectoryService. Each call goes to another supernode than the one
-        before.
+        """The responses of a streaming call of DirectoryService. After a failure, the next call goes to another
+        supernode.
 
         Raises the error that ended the stream, or Unavailable. Close the iterator to end the call.
         """
@@ -133,7 +133,7 @@ class Supernodes:
     async def bind(self, deadline_s: float) -> None:
         """Ask the front-ends, one after the other, for the supernodes.
 
-        Raises Unavailable, VersionMismatch, and others.
+        Raises Unavailable if none answers, or an error that a repetition cannot cure, such as VersionMismatch.
         """
         failure: StampedeError = Unavailable("no front-end answered in time")
         for position, target in enumerate(self._frontends):
@@ -184,7 +184,7 @@ class Supernodes:
     async def _rebind(self, deadline_s: float) -> None:
         """Ask the front-ends for other supernodes, because all known ones failed.
 
-        If no front-end answers, keep these.
+        Keeps the known supernodes if no front-end answers.
         """
         try:
             await self.bind(deadline_s)
@@ -220,7 +220,7 @@ class Supernodes:
         return self._channels[target]
 
     async def aclose(self) -> None:
-        """Close all connections."""
+        """Close all connections to supernodes and front-ends."""
         channels, self._channels = list(self._channels.values()), {}
         for channel in channels:
             await channel.close(None)
