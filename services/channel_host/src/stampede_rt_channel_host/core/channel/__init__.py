@@ -1,22 +1,24 @@
 """The channel core: values and `now` in, values out (paper, sections 3.1 to 3.4).
 
-No module here reads a clock, waits, locks, or knows the wire. The code around it has these duties:
+No module here reads a clock, waits, locks, or knows the wire. The caller, which is the shell of channels, has these
+duties:
 
-- It makes one `ChannelCore` for each channel from its Policy and incarnation.
-- It passes `now` from one `HostTime` to every call.
-- Puts: it first asks `RetryWindow`, which recognises retried puts. Then it calls `channel.put(Offer(...), now, seal) ->
-  PutOutcome`. `seal` returns the bytes to store, once the first seq is known. If `outcome.waiting` is set, later puts
-  wait. It offers `offer.rest(waiting, now)` again after each change and at `outcome.retry_at`. `give_up_put` ends the
-  wait.
-- Reads: it calls `channel.read(Query(...), now) -> Answer`. A blocking get needs `begin`, `poll` and `give_up`. It
-  polls at once, after each change, and at the instant of `WakeAt`.
-- Subscriptions: it calls `subscribe_all` and then `since`, or `subscribe_newest` and then `latest`.
-- Consumption: it calls `consume` and `consumers`. `consumer_places` and `restore_consumers` move the places to another
-  owner.
-- Housekeeping: it calls `collect(now)` at `next_deadline(now)`, and again at once while `collect` returns True.
-- Long work: reads and subscriptions that begin with many items also come in pieces (`reading`, `polling`, `giving_up`,
-  `subscribing_all`). Others may use the channel between two pieces. The result is as of the first piece.
-- Counts: it calls `counters(now)`, and `reject_malformed` for items that never became an offer.
+- The caller makes one `ChannelCore` for each channel from its Policy and incarnation.
+- The caller passes `now` from one `HostTime` to every call.
+- Puts: the caller first asks `RetryWindow`, which recognises retried puts. Then the caller calls
+  `channel.put(Offer(...), now, seal) -> PutOutcome`. The channel calls `seal` with the first seq and gets the bytes to
+  store. If `outcome.waiting` is set, the caller holds later puts back, and offers `offer.rest(waiting, now)` again
+  after each change and at `outcome.retry_at`. `give_up_put` refuses the items whose wait is over.
+- Reads: the caller calls `channel.read(Query(...), now) -> ReadAnswer`. A blocking get needs `begin`, `poll` and
+  `give_up`. The caller polls right after `begin`, after each change, and at the instant of `WakeAt`.
+- Subscriptions: the caller calls `subscribe_all` and then `since`, or `subscribe_newest` and then `latest`.
+- Consumption: the caller calls `consume` and `consumers`. `consumer_places` and `restore_consumers` move the places to
+  another owner.
+- Housekeeping: the caller calls `collect(now)` at `next_deadline(now)`, and repeats the call while it returns True.
+- Long work: for reads and for the beginning of subscriptions there are methods that work in pieces (`reading`,
+  `polling`, `giving_up`, `subscribing_all`). Others may use the channel between two pieces. The result is as of the
+  first piece.
+- Counts: the caller calls `counters(now)`, and `reject_malformed` for items that never became an offer.
 
 "After each change" means after every put that accepted an item, every advance and every configure. Waiting puts are
 offered again after every consume, too.

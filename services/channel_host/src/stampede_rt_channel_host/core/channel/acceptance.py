@@ -1,8 +1,8 @@
 """Decides which items of an offer a channel accepts (paper, sections 3.2 and 3.4). Pure.
 
-A put of a run has the result of one put for each item, all at one instant. So the channel judges each item after it has
-taken in the items before it, and applies retention after each item. If the result is certainly the same, `Acceptance`
-takes in the whole run in one step. Otherwise it judges item by item.
+A put of a run has the same result as one put for each item, all at one instant. So `Acceptance` takes in one item,
+applies retention, and then judges the next item. If the whole run taken in at once certainly gives the same result,
+`Acceptance` takes in the whole run in one step.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from stampede_rt_channel_host.core.channel.values import Offer, PutOutcome, Reje
 class Acceptance:
     """Takes offers into the holdings and counts refusals.
 
-    `advance` is the highest advance so far. `rejected` counts refused items by reason.
+    `advance`: the highest instant of an advance so far, None if there was none. `rejected` counts refused items by
+    reason.
     """
 
     def __init__(self, held: Holdings, retention: Retention, name: str) -> None:
@@ -33,9 +34,9 @@ class Acceptance:
         self.rejected = dict.fromkeys(reasons, 0)
 
     def put(self, offer: Offer, clock: int, seal: Seal) -> PutOutcome:
-        """Accept or refuse each item.
+        """Accept or refuse each item, until one has to wait for room (see `PutOutcome`).
 
-        Afterwards the channel may exceed its limits. Then the caller must collect the oldest items.
+        Afterwards the channel may hold more than its limits allow. The caller must then collect the oldest items.
         """
         stamp, times = None, offer.times
         if times is None:
@@ -46,7 +47,7 @@ class Acceptance:
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
 
     def stamp(self, clock: int) -> int:
-        """The time of items without a time: `now`, or the least time that an item may have, if that is later."""
+        """The time for items that have none: NOW, or the least time that the channel accepts, if that is later."""
         now = clock if self._held.newest is None else max(clock, self._held.newest)
         return max(now, self._least_time())
 
@@ -82,7 +83,10 @@ class Acceptance:
         return least if advance is None else max(least, advance)
 
     def _sheds_alike(self, items: int, payload_bytes: int, low: int) -> bool:
-        """Whether only one limit removes items, and all removed ones have spans that end before the new items begin."""
+        """Whether only max_items or only max_bytes removes items, and the new items do not change the removed spans.
+
+        That is so if the bucket after the removed items is held already, and begins at or before all new items.
+        """
         held, limits = self._held, self._retention.limits
         excess_items = 0 if limits.max_items is None else held.items + items - limits.max_items
         excess_bytes = held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES - limits.max_bytes
@@ -100,7 +104,7 @@ class Acceptance:
         return PutOutcome(run=run, stamped_time=stamp)
 
     def refuse(self, index: int, error: StampedeError) -> Rejection:
-        """Count a refused item."""
+        """Count a refused item, and return its rejection."""
         self.rejected[error.reason] += 1
         return Rejection(index, error)
 
@@ -118,7 +122,7 @@ class Acceptance:
         )
 
     def fault(self, time: int, duration: int, length: int, clock: int) -> StampedeError | None:
-        """The reason why the channel in its present state can never accept an item; None if it can."""
+        """The error with which the channel refuses an item, however much room there is; None: no such error."""
         limits = self._retention.limits
         if length > limits.max_item_bytes or length + ITEM_OVERHEAD_BYTES > limits.max_bytes:
             return ItemTooLarge(
@@ -153,7 +157,7 @@ class Acceptance:
         return None
 
     def _outdated(self, time: int, duration: int, length: int, clock: int) -> str | None:
-        """The policy that would collect the item right after its acceptance; None: no policy would."""
+        """Says which limit would collect the item right after its acceptance; None: no limit would."""
         held, limits, age = self._held, self._retention.limits, self._retention.age_of_new
         following = held.next_time(time) if held.oldest is None or time >= held.oldest else held.oldest
         if age is not None and following is not None:
@@ -220,10 +224,11 @@ class _ItemByItem:
         )
 
     def _as_if_put_at(self, time: int) -> int:
-        """The time at which an item counts as put while it waits for room: its own time, or else the start of its wait.
+        """The time at which an item counts as put while it waits for room.
 
-        An item without a time gets its stamp when it enters: at the newest item's time or later. The newest bucket
-        never ages, so an item that counted there would wait for ever.
+        This is the item's own time. For an item without a time it is the start of the wait, but later than the newest
+        item. The channel stamps such an item when it accepts the item. The newest bucket never ages, so an item that
+        counted as part of that bucket would wait for ever.
         """
         if self._offer.times is not None:
             return time

@@ -1,4 +1,4 @@
-"""One channel, aged to the time of each call: its parts, clock, counts and memory. Pure."""
+"""The parts of one channel, its clock, its counts and its memory. Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.values import Counters
 
 FREED_ENTRIES_PER_CALL = 32
-"""The number of index entries of outdated items that one put or read frees beside its own work."""
+"""The most index entries of outdated items that one put or read frees beside its own work."""
 
 
 class AgedChannel:
@@ -33,8 +33,8 @@ class AgedChannel:
         """Make an empty channel. Raises InvalidArgument if the policy is not possible (see `ChannelLimits.of`).
 
         `lost_before`: when this incarnation began, if an earlier one was lost with its host. Readers of earlier times
-        get the reason LOST. `cut` copies the body of some items out of a run's body. Without `cut` a run is kept as
-        long as any item of it.
+        get the reason LOST. `cut` copies the body of some items out of a run's body. Without `cut` the channel
+        keeps the whole body of a run until all items of the run are freed.
         """
         self._policy = policy
         self._incarnation = incarnation
@@ -44,15 +44,15 @@ class AgedChannel:
         self.name = name
         self._acceptance = Acceptance(self._held, self._retention, name)
         self._reading = Reading(self._held, self._retention, incarnation, lost_before)
-        self._clock: int | None = None
-        self._puts_unsettled = 0
-        self._settled: int | None = None
+        self._clock: int | None = None  # the latest `now` of a call
+        self._puts_unsettled = 0  # puts since `_settle` last applied the age limit
+        self._settled: int | None = None  # the clock to which `_settle` last applied the age limit
         self._entries_to_free = 0  # entries that puts may have added since they last freed memory
 
     def collect(self, now: int, entries_max: int = 64) -> bool:
-        """Free memory of outdated items, a bounded part.
+        """Free a part of the memory of outdated items: about `entries_max` index entries.
 
-        Returns True if more is left. Puts and reads also free a little.
+        Returns True if more is left to free. Puts and reads also free a few entries.
         """
         self._settle(self._tick(now))
         knows_less = self._retention.learn_gone(entries_max // 2)  # half as many, because each of these takes longer
@@ -68,8 +68,9 @@ class AgedChannel:
             yield
 
     def next_deadline(self, now: int) -> int | None:
-        """The time at which `collect` has work: now, if memory is left to free; else when items grow too old; None:
-        never.
+        """The time at which `collect` has work; None: not before another call changes the channel.
+
+        This is now if memory is left to free. Otherwise items grow too old at this time, or a consumer's lease ends.
         """
         clock = self._settle(self._tick(now))
         due = self._retention.next_due()
@@ -89,7 +90,7 @@ class AgedChannel:
         )
 
     def look(self, now: int) -> tuple[Holdings, Retention]:
-        """The held items, aged to `now`, and their retention. The caller must only read them."""
+        """The items that are not too old at `now`, and their retention. The caller must only read them."""
         self._settle(self._tick(now))
         return self._held, self._retention
 
@@ -103,7 +104,7 @@ class AgedChannel:
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory of the channel as of the last call, in bytes: whole runs, and items that are not freed yet."""
+        """The memory of the channel as of the last call, in bytes (see `HeldItems.footprint_bytes`)."""
         return self._held.footprint_bytes
 
     @property
@@ -139,13 +140,13 @@ class AgedChannel:
 
     @property
     def frontier(self) -> int | None:
-        """The latest span end collected for age, count or bytes, but never above the oldest held item's time."""
+        """The latest span end of items collected for age, count or bytes (see `HeldItems.frontier`)."""
         self._age()
         return self._held.frontier
 
     @property
     def advanced_to(self) -> int | None:
-        """The highest promise that no earlier item will come."""
+        """The highest instant of an advance: no earlier item will come. None: there was no advance."""
         return self._acceptance.advance
 
     def _tick(self, now: int) -> int:
@@ -158,7 +159,7 @@ class AgedChannel:
             self._retention.apply_time(self._clock)
 
     def _settle(self, clock: int) -> int:
-        """Outdate the items that are too old, and free a few."""
+        """Outdate the items that are too old, and free a few outdated entries. Returns `clock`."""
         self._puts_unsettled, self._settled = 0, clock
         if self._retention.consumers is None:
             self._retention.age_out(clock)

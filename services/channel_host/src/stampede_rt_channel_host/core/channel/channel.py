@@ -47,7 +47,10 @@ ENTRIES_PER_ITEM_MAX = 3
 """The most index entries that a late item adds: its own, and the two parts of the entry that it splits."""
 
 PUTS_PER_SETTLING = 16
-"""Puts that only append newer items do not apply the age limit. The next read does, or every sixteenth such put."""
+"""A put into a channel that is below its other limits does not apply the age limit.
+
+The next read applies it, or the sixteenth such put. A channel that counts consumption applies it at each put.
+"""
 
 
 class ChannelCore(AgedChannel):
@@ -59,12 +62,11 @@ class ChannelCore(AgedChannel):
     """
 
     def put(self, offer: Offer, now: int, seal: Seal) -> PutOutcome:
-        """Accept or refuse each item of `offer`, in order, as one put each at one instant. Store the accepted items as
-        a run.
+        """Accept or refuse each item of `offer`, in order, and store the accepted items as a run.
 
-        `seal` is called once if any item was accepted. The channel neither changes nor keeps the offer. PutOutcome
-        tells which items have to wait. The owner lets later puts wait behind them, so that the seqs of a run follow
-        each other.
+        The result is the same as that of one put for each item, all at one instant. The channel calls `seal` once if it
+        accepts any item. The channel neither changes nor keeps the offer. PutOutcome tells which items have to wait.
+        The owner holds later puts back until these items are in, so that the seqs of a run follow each other.
         """
         clock, counts_consumption = self._tick(now), self._retention.consumers is not None
         if counts_consumption:
@@ -91,7 +93,7 @@ class ChannelCore(AgedChannel):
         self._acceptance.rejected["OVERLOADED"] += items
 
     def read(self, query: Query, now: int) -> ReadAnswer:
-        """The present items of the query. Changes nothing that another reader could see.
+        """The held items that the query selects. Changes nothing that another reader could see.
 
         Raises IncarnationLost if a position comes from another incarnation.
         """
@@ -104,10 +106,10 @@ class ChannelCore(AgedChannel):
         return self._reading.answer(query, self._reading.resolve(query, clock), clock)
 
     def begin(self, query: Query, now: int) -> Pending:
-        """Begin a blocking get. Resolves anchors now, or at the first poll at which they can be resolved. Then poll at
-        once.
+        """Begin a blocking get. The owner calls `poll` right afterwards.
 
-        Raises IncarnationLost if a position comes from another incarnation.
+        Resolves the meta-times of the interval now, or, if they need an item, at the first poll that finds one. Raises
+        IncarnationLost if a position comes from another incarnation.
         """
         self._check_positions(query)
         clock = self._settle(self._tick(now))
@@ -116,8 +118,8 @@ class ChannelCore(AgedChannel):
     def poll(self, pending: Pending, now: int) -> ReadAnswer | WakeAt:
         """The blocking get's answer, or when to poll again.
 
-        The first matching item ends the wait. With `complete`, the end of the interval does. In any case the wait ends
-        once no item can come: the interval lies below the frontier, is empty, or is finished.
+        Without `complete` the first matching item ends the wait. In any case the wait ends once no more items can come:
+        an item or an advance has passed the interval's end, or the interval is empty or below the frontier.
         """
         return run_to_end(self.polling(pending, now))
 
@@ -128,7 +130,7 @@ class ChannelCore(AgedChannel):
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
 
     def give_up(self, pending: Pending, now: int) -> ReadAnswer:
-        """The answer at the end of the get's waiting time, with its reason."""
+        """The answer when the get's waiting time is over. Its reason says why the answer is empty or partial."""
         return run_to_end(self.giving_up(pending, now))
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
@@ -142,9 +144,11 @@ class ChannelCore(AgedChannel):
     ) -> AllCursor:  # fmt: skip
         """Begin a subscription in seq order, or continue a saved one.
 
-        With `start`: held items from there on, then new ones. With `after`: all items accepted after that position,
-        which needs its seq. With `saved`: continue from that cursor. Without any of them: only new items. Raises
-        InvalidArgument if several are given, IncarnationLost.
+        With `start`: held items from that bound on (`start_exclusive`: later than that bound), then new ones. With
+        `after`: all items accepted after that position, which must have a seq. With `saved`: continue from that cursor
+        and ignore the other arguments. Without any of them: only new items. Raises InvalidArgument for `start` together
+        with `after`, for `after` without a seq, and for a cursor that comes from a group. Raises IncarnationLost if
+        `after` or `saved` is of another incarnation.
         """
         return run_to_end(
             self.subscribing_all(now, start=start, start_exclusive=start_exclusive, after=after, saved=saved)
@@ -164,10 +168,10 @@ class ChannelCore(AgedChannel):
         return open_all(self._held, low, None if after_key is None else after_key[1])
 
     def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> SubscriptionBatch:
-        """Take the next part, about `limit_bytes` (payload and overhead; at least one slice). Moves the cursor.
+        """Take the next part: about `limit_bytes` (payload and overhead), and at least one item. Moves the cursor.
 
-        Reports items that retention collected before the reader took them, once, as a gap. An empty part means: wait
-        for the next put.
+        If retention collected items before the reader took them, reports each of them once, in a gap. An empty part
+        means: wait for the next put.
         """
         self._settle(self._tick(now))
         return since(self._held, self._retention.limits, cursor, limit_bytes)
@@ -176,9 +180,10 @@ class ChannelCore(AgedChannel):
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> NewestCursor:  # fmt: skip
-        """Begin a subscription to the latest item. With `start` the newest held item comes first, unless it is earlier
-        than `start`.
+        """Begin a subscription to the latest item.
 
+        With `start` the newest held item comes first, unless it is earlier than `start`. With `after` or `saved` it
+        comes first if it is later than that position or cursor. Without any of them the next later item comes first.
         Raises the errors of `subscribe_all`.
         """
         if saved is not None:
@@ -189,7 +194,7 @@ class ChannelCore(AgedChannel):
         return open_newest(self._held, self._start_key(start, start_exclusive, now), after_key)
 
     def latest(self, cursor: NewestCursor, now: int) -> DeliveredSlice | None:
-        """Take the newest item if it is later than the last one taken.
+        """Take the newest item if it is later than the last item taken; else None.
 
         Moves the cursor and counts the skipped items.
         """
@@ -197,7 +202,10 @@ class ChannelCore(AgedChannel):
         return cursor.take(self._held)
 
     def advance(self, instant: int, now: int) -> int:
-        """Promise that no item before `instant` will come. Returns the highest promise so far. Raises InFuture."""
+        """Promise that no item before `instant` will come. Returns the highest promise so far.
+
+        Raises InFuture if `instant` is more than max_future ahead of the host's clock.
+        """
         clock = self._tick(now)
         if instant > clock + self._retention.limits.max_future_nanos:
             raise InFuture(
@@ -211,8 +219,8 @@ class ChannelCore(AgedChannel):
     def configure(self, policy: Policy, now: int) -> None:
         """Replace the whole policy. Collects the items that the new policy outdates.
 
-        Raises InvalidArgument, and then changes nothing. Walks the index once if the new policy outdates many items. If
-        it has fewer consumers than before, the places with the earliest lease ends go.
+        Raises InvalidArgument if the policy is not possible, and then changes nothing. If the new policy has fewer
+        places than consumers have taken, the places with the earliest lease ends go.
         """
         limits = ChannelLimits.of(policy)
         clock = self._settle(self._tick(now))
@@ -224,8 +232,9 @@ class ChannelCore(AgedChannel):
     def consume(self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS) -> Consumed:
         """Consume items for one consumer. Items that all consumers have consumed go, the oldest first. Safe to repeat.
 
-        Takes a place for the consumer if it has none, and keeps the place for `lease_nanos` from now (see `Consumers`).
-        0 gives the place up. `seqs` may be empty. Raises InvalidArgument, and ChannelFull if all places are taken.
+        Takes a place for the consumer if it has none, and keeps the place for `lease_nanos` from now (see the module
+        `consumption`). A lease of 0 gives the place up. `seqs` may be empty. Raises InvalidArgument (see
+        `check_consumption`), and ChannelFull if all places are taken.
         """
         run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
@@ -240,7 +249,7 @@ class ChannelCore(AgedChannel):
         return consumed
 
     def check_consumption(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> None:
-        """Raises InvalidArgument if `consume` would raise it for these arguments at any time."""
+        """Raises InvalidArgument if the channel has no consumers, or if an argument is out of its range."""
         if self._retention.consumers is None:
             raise InvalidArgument(
                 "the channel counts no consumption: it was created without consumers; create it with consumers=, or "
@@ -251,10 +260,10 @@ class ChannelCore(AgedChannel):
     def catching_up(self, now: int) -> Pieces[None]:
         """Tell the channel's consumers which items retention has collected, in pieces.
 
-        Call it before `consume` and `restore_consumers`, which otherwise do this work at once.
+        Use up these pieces before `consume` and `restore_consumers`, which otherwise do all this work in one go.
         """
         self._settle(self._tick(now))
-        while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # each takes longer than a look at a slice
+        while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # one takes longer than a look at a slice
             yield
 
     def consumers(self, now: int) -> list[ConsumerStanding]:
@@ -287,7 +296,10 @@ class ChannelCore(AgedChannel):
             self._settle(clock)
 
     def _settle_puts(self, clock: int) -> None:
-        """Apply the limits after puts. Frees as many entries as puts add. Outdated items never exceed max_bytes."""
+        """Apply the limits after puts, and free as many entries as these puts may have added.
+
+        Frees more entries while the outdated items are charged with more than max_bytes.
+        """
         self._settle(clock)
         self._retention.drop_excess(clock)
         self._held.free(self._entries_to_free, self._retention.limits.max_bytes)
@@ -315,8 +327,9 @@ class ChannelCore(AgedChannel):
         return after.time, after.seq
 
     def _start_key(self, start: Bound | None, exclusive: bool, now: int) -> ItemKey | None:
-        """The key at which a subscription's held items begin; None if it begins without held items, or an empty channel
-        cannot resolve `start`.
+        """The key at which a subscription's held items begin; None: the subscription begins without held items.
+
+        That is so without `start`, and if `start` is a meta-time that the empty channel cannot resolve.
         """
         clock = self._settle(self._tick(now))
         time = None if start is None else self._reading.resolve_bound(start, clock)

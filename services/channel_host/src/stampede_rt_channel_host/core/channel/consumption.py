@@ -1,19 +1,19 @@
 """The consumers of a channel, and the items that each has consumed (paper, section 3.4: a reference count). Pure.
 
 A channel with consumers has a stated number of places. A consumer takes a place with its first `consume`. Each further
-`consume` renews the place's lease. The consumer loses the place when the lease ends. A place keeps the items in the
-channel that its consumer has not consumed:
+`consume` renews the place's lease. While the lease is valid, the place keeps in the channel the items that its consumer
+has not consumed. The other cases:
 
 - A place that was never taken keeps every item. Its first consumer has still to consume all held items.
-- A place whose lease has ended keeps no item until it is taken again. Its new consumer has still to consume the newest
-  item and all later ones.
-- A returning consumer gets its own place. A new consumer gets the place whose lease ended first. If there is none, it
-  gets a place that was never taken.
+- A place whose lease has ended keeps no item until a consumer takes it again. That consumer has still to consume the
+  newest item and all items accepted later.
+- A consumer whose lease has ended gets its former place again, unless another consumer has taken it. A new consumer
+  gets the place whose lease ended first. If no lease has ended, it gets a place that was never taken.
 
-Each place keeps the seqs that its consumer has consumed. Collected seqs next to them are added when the consumer
-consumes. All other held items are still to be consumed. A put or a consume looks at few places, however many there are:
-the places are sorted by the seq up to which everything is consumed, and if one of them keeps the oldest item, no other
-needs a look.
+Each place records the seqs that its consumer has consumed. When the consumer consumes, the place adds the collected
+seqs next to them. All other held items are still to be consumed. A put or a consume looks at few places, however many
+there are: the places are sorted by the seq up to which everything is consumed. Once a place is found that keeps the
+oldest item, no other place needs a look.
 """
 
 from __future__ import annotations
@@ -37,9 +37,13 @@ LEASE_NANOS = 10_000_000_000
 
 LEASE_NANOS_MAX = 3_600_000_000_000
 SEQS_MAX = 4096
+"""The most seqs that one `consume` may name."""
+
 RANGES_PER_LOOK_MAX = 256
-"""The most ranges of seqs over which one call moves the end of a consumer's consumed seqs."""
+"""The most ranges of consumed or collected seqs that one call joins to a consumer's unbroken sequence."""
 SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
+"""The most seqs that one call notes as collected."""
+
 RANGE_STEPS = 4
 """To count the collected items in one range of consumed seqs takes as long as work on this number of slices."""
 
@@ -65,7 +69,7 @@ class ConsumerPlace(NamedTuple):
 
 
 class ConsumerStanding(NamedTuple):
-    """The state of a place. `lease_nanos` 0: the lease has ended. `waiting`: held items that it has not consumed."""
+    """The state of a place. `lease_nanos` 0: the lease has ended. `waiting`: held items still to be consumed there."""
 
     consumer_id: int
     lease_nanos: int
@@ -75,9 +79,9 @@ class ConsumerStanding(NamedTuple):
 class _Place:
     """A place that was taken. Its lease ends at `until`.
 
-    `done`: the seqs that its consumer has consumed; None once the lease has ended. `below`: all lower seqs are in
-    `done`. The places are sorted by it. `tidied`: the seq at which `Consumers._tidy` continues. `order` decides between
-    places that are otherwise equal. `due` belongs to `Deadlines`.
+    `done`: the seqs that its consumer has consumed, and collected seqs next to them; None once the lease has ended.
+    `below`: all lower seqs are in `done`. Places with a valid lease are sorted by `below`. `tidied`: the seq at which
+    `Consumers._tidy` continues. `order` decides between places that are otherwise equal. `due` belongs to `Deadlines`.
     """
 
     __slots__ = ("below", "consumer_id", "done", "due", "order", "tidied", "until")
@@ -96,21 +100,21 @@ class Consumers:
     """The places of one channel. `clock` is the host's clock, which never goes back. Call `expire` before other
     methods.
 
-    The channel calls `let_go` for every seq that it has given out and no longer holds. Until then such a seq counts as
-    not consumed. `looked_at` counts looks at a place. `arrivals` counts the arrivals of consumers that may have more to
-    consume than the others.
+    The channel calls `let_go` for every seq that it has given out and no longer holds. Before that call such a seq
+    counts as not consumed. `looked_at` counts looks at a place. `arrivals` counts how often a consumer took a place
+    with a valid lease. Such a consumer may have more to consume than the others.
     """
 
     def __init__(self, places: int) -> None:
         self.looked_at = self.arrivals = 0
         self._places = places
-        self._gone = CountedSeqs()
-        self._taken: dict[int, _Place] = {}
-        self._live: Any = SortedKeyList(key=attrgetter("below", "order"))
-        self._ended: Any = SortedKeyList(key=attrgetter("until", "order"))
+        self._gone = CountedSeqs()  # the collected seqs
+        self._taken: dict[int, _Place] = {}  # by consumer id
+        self._live: Any = SortedKeyList(key=attrgetter("below", "order"))  # the places with a valid lease
+        self._ended: Any = SortedKeyList(key=attrgetter("until", "order"))  # the places whose lease has ended
         self._leases: Deadlines[_Place] = Deadlines()
         self._holder: _Place | None = None  # the place last found to keep the oldest item
-        self._orders = 0
+        self._orders = 0  # the last `order` given to a place
 
     @property
     def untaken(self) -> int:
@@ -137,8 +141,8 @@ class Consumers:
     ) -> Consumed:
         """Note that a consumer has consumed `seqs`, and renew its place for `lease` nanoseconds; 0 gives the place up.
 
-        `newest_seq` is the newest item's seq, None without items. Call `check_consumption` first: it refuses invalid
-        arguments. Raises ChannelFull if all places are taken.
+        `next_seq` is the seq of the next accepted item. `newest_seq` is the newest item's seq, None without items. Call
+        `check_consumption` first: it refuses invalid arguments. Raises ChannelFull if all places are taken.
         """
         if not lease and not seqs and not self._holds_place(consumer_id):
             return Consumed(0, 0)
@@ -163,18 +167,19 @@ class Consumers:
         return own is not None and own.done is not None
 
     def _take(self, consumer_id: int, restart_seq: int) -> tuple[_Place, SeqSet]:
-        """The consumer's place, taken now if it has none, and the seqs that are done there."""
+        """The consumer's place, which it takes now if it has none, and the seqs that are done there."""
         own = self._taken.get(consumer_id)
         if own is not None and own.done is not None:
             return own, own.done
         if own is None and not self._ended and not self.untaken:
             raise ChannelFull(
-                f"the channel counts {self._places} consumers and all places are taken; the next one is free in "
-                f"{format_duration(LEASE_NANOS)} at the latest after one of them stops, or raise consumers (configure)",
+                f"the channel counts {self._places} consumers and all places are taken; a place becomes free when the "
+                f"lease of a stopped consumer ends, by default after {format_duration(LEASE_NANOS)}: try again, or "
+                "raise consumers (configure)",
                 metadata={"consumers": str(self._places)},
             )
         done = SeqSet(self._gone.below)
-        former = own or (self._ended[0] if self._ended else None)  # the place that ended first
+        former = own or (self._ended[0] if self._ended else None)  # the place whose lease ended first
         if former is not None:
             self._drop(former)
             done.add(1, restart_seq)
@@ -234,19 +239,19 @@ class Consumers:
         self._gone.add(first, end)
 
     def let_go_some(self, first: int, end: int, ranges_max: int) -> int:
-        """As `let_go`, but a bounded part of the stretch. Returns the seq that it reached."""
+        """As `let_go`, for a bounded part of these seqs, from `first` on. Returns the end of that part, exclusive."""
         end = min(self._gone.until(first, end, ranges_max), first + SEQS_PER_LOOK_MAX)
         self._gone.add(first, end)
         return end
 
     def resize(self, places: int) -> None:
-        """Set another number of places. Removes surplus places: ended ones first, then those that end soonest."""
+        """Set another number of places. Removes surplus places, those with the earliest lease ends first."""
         self._places = places
         for place in sorted(self._taken.values(), key=_worth)[: max(0, len(self._taken) - places)]:
             self._drop(place)
 
     def done_with(self, part: Slice) -> int:
-        """The number of first items of `part` that every live consumer has consumed."""
+        """How many items at the beginning of `part` every consumer with a valid lease has consumed."""
         first, end = part.first_seq, part.end_seq
         if self._holder is not None and self._end_of(self._holder, first) == first:
             return 0
@@ -268,7 +273,7 @@ class Consumers:
         return None if place.done is None else place.done.end_of(seq)
 
     def places(self, clock: int, next_seq: int) -> list[ConsumerPlace]:
-        """Every taken place as a value, in the order of `standings`. The time grows with the number of ranges."""
+        """Every taken place as a value, in the order of `standings`. Takes one step for each range of consumed seqs."""
         shown = []
         for place in sorted(self._taken.values(), key=_worth):
             done = SeqSet() if place.done is None else place.done
@@ -281,7 +286,7 @@ class Consumers:
     def standings(self, clock: int, next_seq: int) -> Pieces[list[ConsumerStanding]]:
         """The state of every taken place. Places with an ended lease come first, in the order of their ends.
 
-        In pieces: to count takes long if consumers have consumed many items out of order.
+        Works in pieces, because the count takes long if consumers have consumed many items out of order.
         """
         shown, steps = [], 0
         for place in sorted(self._taken.values(), key=_worth):
@@ -334,7 +339,7 @@ def _go_on(done: SeqSet, first: int, end: int, ranges_max: int) -> int:
 
 
 def _worth(place: _Place) -> tuple[bool, int]:
-    """The sort key of places. The place that ended first is worth least."""
+    """The sort key of places: ended leases first, then valid ones, in each group the earliest lease end first."""
     return place.done is not None, place.until
 
 

@@ -12,8 +12,8 @@ from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 class Front(NamedTuple):
     """The oldest held items: their number and their payload bytes.
 
-    `last` is the last slice among them, as far as it belongs to them, and None if there are no such items. `rest` is
-    the first slice after them, and None if no held item follows.
+    `last` is their last slice, None if there are no such items. `rest` is the first slice after them, None if no held
+    item follows. Both may be parts of one slice of the index.
     """
 
     items: int
@@ -23,7 +23,7 @@ class Front(NamedTuple):
 
 
 Going = Callable[[Slice], int]
-"""Tells how many items of a slice belong to the front. It gets the slices from the oldest on."""
+"""Tells how many items at the beginning of a slice belong to the front. Called with the slices from the oldest on."""
 
 
 def before(time: int) -> Going:

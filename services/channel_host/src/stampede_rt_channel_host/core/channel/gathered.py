@@ -51,11 +51,11 @@ class Gathered(Sequence[Slice]):
 
 
 def drained(slices: Sequence[Slice]) -> Iterator[Slice]:
-    """The slices of an answer, one by one. The answer is empty afterwards."""
+    """The slices of an answer, one by one. Empties the answer on the way if it is a `Gathered`."""
     return slices.drained() if isinstance(slices, Gathered) else iter(slices)
 
 
 def emptying(slices: Sequence[Slice]) -> Pieces[None]:
-    """Free the slices of an answer that no caller gets, in pieces."""
+    """Free the slices of an answer that no caller gets, in pieces. Does nothing unless they are `Gathered`."""
     if isinstance(slices, Gathered):
         yield from slices.emptying()

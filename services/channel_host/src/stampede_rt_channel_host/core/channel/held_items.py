@@ -1,7 +1,7 @@
 """The items that a channel holds, for reading, and the counts of collected items. Pure.
 
-Items below `floor` are outdated: every count has them as collected, and no read returns them. Their memory may be freed
-later.
+Items below `floor` are outdated: every count counts them as collected, and no read returns them. Their memory may be
+freed later.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ Cut = Callable[[bytes, int, int], bytes]
 class HeldItems:
     """Held items and counts, without the methods that change them. `accepted == items + sum(collected.values())` holds.
 
-    `newest`, `oldest`: times of held items, None if there are none. `newest_collected`: the latest time collected for
-    age, count or bytes. `collected_end`: the latest span end among those items, and `collected_by` the cause.
-    `newest_consumed`: the latest time collected by consumption. `last_cause`: the cause of the latest collection.
+    `items`: the number of held items. `newest`, `oldest`: the latest and the earliest time of held items, None if there
+    are none. `newest_collected`: the latest time of an item collected for age, count or bytes. `collected_end`: the
+    latest span end of such items. `collected_by`: why the item with that span end was collected. `newest_consumed`: the
+    latest time of an item collected by consumption. `last_cause`: why the items collected last were collected.
     `overlap_nanos`: a later item within this time does not end the span of an item with a duration. `freed_entries`:
     the number of entries freed so far.
     """
@@ -55,13 +56,14 @@ class HeldItems:
         self.newest_consumed: int | None = None
         self.last_cause = AGE
         self.overlap_nanos = 0
-        self._on_gone: Callable[[int, int], None] | None = None
+        self._on_gone: Callable[[int, int], None] | None = None  # tells the consumers; see `Holdings.tell`
         self._told: ItemKey = FIRST_KEY  # the consumers were told of all collected items below this key
-        self._came_up_to: int | None = None
-        self._following: tuple[int | None, int | None] = (None, None)  # the last answer of next_time, while it is valid
+        self._came_up_to: int | None = None  # bounds `frontier` while no item is held
+        # A time and the time of the next bucket, as of the last `next_time`; a new item resets both.
+        self._following: tuple[int | None, int | None] = (None, None)
         self._newest_is_open = False  # an item of the newest bucket has no duration
         self._newest_longest = 0  # the longest duration of an item in the newest bucket
-        self._snapshots: dict[ChannelSnapshot, None] = {}
+        self._snapshots: dict[ChannelSnapshot, None] = {}  # the snapshots whose items must not be freed
         self._tally = Tally()  # of the held items, without the newest ones
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated entries included
         self._stored_items = 0  # the items of these entries
@@ -103,11 +105,11 @@ class HeldItems:
 
     @property
     def frontier(self) -> int | None:
-        """The latest collected span end, but not above the oldest held item's time.
+        """The latest span end of items collected for age, count or bytes, but not above a bound.
 
-        If no item is left, the bound is the time of the last item that went. Unless consumption took that item, the
-        bound is at least the host's clock at that moment. So the long duration of a collected item does not move the
-        frontier past times at which items may still come.
+        The bound is the oldest held item's time. If no item is held, it is the time of the item that went last, or the
+        host's clock at that moment, if that is later and consumption did not take the item. So the long duration of a
+        collected item does not move the frontier past times at which items may still come.
         """
         bound = self._came_up_to if self.oldest is None else self.oldest
         if self.collected_end is None or bound is None:
@@ -125,7 +127,10 @@ class HeldItems:
 
     @property
     def gone_before(self) -> int | None:
-        """The instant before which spans of collected items are missing. With overlap it is later than the frontier."""
+        """The instant before which spans of collected items are missing.
+
+        With overlap it may be later than the frontier.
+        """
         frontier = self.frontier
         if not self.overlap_nanos or frontier is None or self.newest_collected is None:
             return frontier
@@ -146,9 +151,9 @@ class HeldItems:
         return None if last is None else last.end_seq - 1
 
     def newest_end(self, now: int) -> int | None:
-        """The latest span end of the newest bucket; a span without an end holds until `now`.
+        """The latest span end of the newest bucket; None if no item is held. A span without an end holds until `now`.
 
-        Counts items that were collected from the bucket, too.
+        Items of this bucket that were collected count, too.
         """
         if self.newest is None:
             return None
@@ -156,7 +161,7 @@ class HeldItems:
         return max(end, now) if self._newest_is_open else end
 
     def items_below(self, key: ItemKey) -> int:
-        """The number of held items below a key. Walks only the items outside whole blocks."""
+        """The number of held items below a key. Walks only over the items outside whole blocks of the tally."""
         whole = self._tally.whole_below(key)
         return whole.items + sum(part.items for part in self.slices(whole.end, key))
 
@@ -197,7 +202,9 @@ class HeldItems:
         return latest_end(self.slices((time, 0), (time, SEQ_END)), time, bound)
 
     def counted_end(self, time: int, own_end: int | None, bound: int) -> int:
-        """The span end from which the age of an item at `time` counts. `own_end` is its end by duration, if any.
+        """The span end from which the age of an item at `time` counts.
+
+        `own_end` is the item's end by duration, if it has one. `bound` is the time of the next bucket.
 
         With overlap, every item counts with the longest possible span. So the ends ascend with the buckets.
         """
