@@ -38,12 +38,10 @@ LEASE_NANOS = 10_000_000_000
 LEASE_NANOS_MAX = 3_600_000_000_000
 SEQS_MAX = 4096
 """The most seqs that one `consume` may name."""
-
 RANGES_PER_LOOK_MAX = 256
 """The most ranges of consumed or collected seqs that one call joins to a consumer's unbroken sequence."""
 SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
 """The most seqs that one call notes as collected."""
-
 RANGE_STEPS = 4
 """To count the collected items in one range of consumed seqs takes as long as work on this number of slices."""
 

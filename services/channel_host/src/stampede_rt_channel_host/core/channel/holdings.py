@@ -1,6 +1,6 @@
 """Changes the items of a channel: new items come in, retention outdates items, and their memory is freed later. Pure.
 
-So a policy that outdates a million items at once blocks nobody.
+Because the memory is freed later, in parts, a policy that outdates a million items in one step delays no other caller.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FREED_ENTRIES_MAX = 2048
 LIVE_SHARE_MIN = 4
 COPIED_BYTES_MIN = 4096
 COPIED_PARTS_MAX = 4
-"""When a channel copies the few held items of a large run, so that it can free the run's body.
+"""The conditions under which a channel copies the few remaining items of a large run, and frees the run's body.
 
 The body has more than COPIED_BYTES_MIN bytes. At most one item in LIVE_SHARE_MIN is left. These items lie in at most
 COPIED_PARTS_MAX parts of the run.
@@ -67,7 +67,7 @@ class Holdings(HeldItems):
             self._trim()
 
     def store_item(self, run: ColumnRun, at: int, payload_bytes: int) -> None:
-        """Add the item at position `at` of a run. All earlier items of the run must be in, and no later ones."""
+        """Add the item at position `at` of a run. Store the items of a run in their order."""
         time = run.times[at]
         if time < self.floor[0]:
             self._make_way()
@@ -80,7 +80,7 @@ class Holdings(HeldItems):
         self._meet(time, ABSENT if run.durations is None else run.durations[at])
 
     def _make_way(self) -> None:
-        """Free all consumed items from the index, because an item below them comes in."""
+        """Free all outdated items from the index, because a new item is earlier than some consumed ones."""
         for snapshot in self._snapshots:
             snapshot.detach()
         self._snapshots.clear()
@@ -122,7 +122,7 @@ class Holdings(HeldItems):
             self._close_block()
 
     def _close_block(self) -> None:
-        """Close the tally's block: very many items came in below the newest one, and no block counts them yet."""
+        """Add a block to the tally, because very many items came in below the newest one, and no block counts them."""
         items = payload_bytes = 0
         for part in self.slices(self._tally.end):
             items += part.items
@@ -175,14 +175,17 @@ class Holdings(HeldItems):
         return self.front(oldest_bytes(charged_bytes - whole.payload_bytes - whole.items * ITEM_OVERHEAD_BYTES), whole)
 
     def time_behind(self, front: Front) -> int | None:
-        """The time of the bucket after the last bucket of a front. The front must not be empty."""
+        """The time of the bucket after the last bucket of a front that is not empty; None: there is no such bucket."""
         if front.rest is None or front.last is None:
             return None
         last_time, first_held = front.last.last_time, front.rest.first_time
         return first_held if first_held > last_time else self.next_time(last_time)
 
     def outdate(self, front: Front, cause: str, now: int) -> None:
-        """Collect the items of a front. `now` ends the open spans of the newest bucket, if the front has some."""
+        """Collect the items of a front.
+
+        Open spans of the newest bucket end at `now`, if the front reaches into that bucket.
+        """
         last = front.last
         if last is None:
             return
@@ -209,8 +212,9 @@ class Holdings(HeldItems):
         self._on_gone, self._told = on_gone, self.floor
 
     def tell_gone(self, slices_max: int) -> bool:
-        """Tell `on_gone` of up to `slices_max` collected slices. Returns True if more are left. A slice is freed only
-        after that.
+        """Tell `on_gone` of up to `slices_max` collected slices. Returns True if more are left.
+
+        The channel frees a slice only after `on_gone` was told of it.
         """
         if self._on_gone is None or self._told >= self.floor:
             return False
@@ -263,7 +267,7 @@ class Holdings(HeldItems):
         return entry is not None
 
     def _trim(self) -> None:
-        """Free the outdated items of a run that is kept only for its few other items."""
+        """Free the outdated items of the first entry, if they are at least three quarters of a large run."""
         floor = self._free_floor
         share = self.index.share_below(floor) if self._cut is not None else None
         if share is not None and len(share.run.body) > COPIED_BYTES_MIN and share.items * 4 >= len(share.run) * 3:
@@ -272,6 +276,7 @@ class Holdings(HeldItems):
                 self._forget(trimmed)
 
     def _forget(self, part: Slice) -> None:
+        """Take freed items off the sums of memory. Also free the rest of a large run's body, if few items are left."""
         self._stored_bytes -= part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
         self._stored_items -= part.items
         run = part.run

@@ -4,8 +4,8 @@ An entry is a part of one run whose items ascend in time, with no other item bet
 run has one entry. A late item splits the entry into which it falls. Both indexes hold the same entries.
 
 Invariant: if an entry begins at a time, no entry before it holds an item of that time, except entries that begin at the
-same time. So the first time alone is the key. Entries of equal keys stand in seq order. Keys need no memory of their
-own.
+same time. So the first time alone is the key. Entries of equal keys stand in seq order. The key is an attribute of the
+entry, so it needs no memory of its own.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FIRST_KEY: ItemKey = (-(1 << 64), 0)
 LAST_KEY: ItemKey = (1 << 64, 0)
 
 _BUCKET_ENTRIES_SCANNED = 8
-"""Up to this many entries with the same first time are scanned one after the other. Among more, the key is bisected."""
+"""The index scans up to this many entries with the same first time one after the other. Among more it bisects."""
 
 
 class IndexPart:
@@ -55,7 +55,7 @@ class IndexPart:
         return self.run.times[self.hi - 1]
 
     def go_on_in(self, run: Run) -> None:
-        """Note that all items of this entry are now those of `run`. The items stay the same."""
+        """Refer to `run` instead of the present run. `run` must hold exactly the items of this entry."""
         self.run, self.lo, self.hi = run, 0, len(run)
 
 
@@ -74,7 +74,7 @@ def index_of(entry: Entry, key: ItemKey) -> int:
 
 
 class ChannelIndex:
-    """Entries by time and by seq. The caller leaves out the items below its floor."""
+    """Entries by time and by seq. They may hold items below the channel's floor; the caller leaves these out."""
 
     __slots__ = ("_by_seq", "_by_time")
 
@@ -87,7 +87,7 @@ class ChannelIndex:
         return len(self._by_time)
 
     def insert(self, run: Run) -> None:
-        """Add all items of a run. Its seqs must be above all others here."""
+        """Add all items of a run. Its seqs must be above all seqs in the index."""
         if isinstance(run, OneRun):
             self._open(run.first_time)
             self._add(run)
@@ -103,7 +103,7 @@ class ChannelIndex:
     def insert_item(self, run: Run, at: int) -> None:
         """Add the item at position `at` of a run.
 
-        All earlier items of the run must be in, and no later ones. Its seq must be above all others here.
+        The caller adds the items of a run in their order. The item's seq must be above all seqs in the index.
         """
         time = run.times[at]
         before = self._floor(time)
@@ -127,7 +127,8 @@ class ChannelIndex:
     def _open(self, time: int) -> None:
         """Split entries so that an item can be added after the last item of `time`.
 
-        Afterwards no entry goes on beyond `time`, and all entries with items of `time` begin at it.
+        Afterwards every entry that begins at or before `time` also ends at or before `time`, and all entries with items
+        of `time` begin at `time`.
         """
         entry = self._floor(time)
         if entry is None or isinstance(entry, OneRun):
@@ -180,7 +181,7 @@ class ChannelIndex:
         return iter(self._by_time.islice(at, self._by_time.bisect_key_right(last_time)))
 
     def _entries_down(self, high: ItemKey, first_time: int) -> Iterator[Entry]:
-        """The entries in descending order, without most of those that begin at or above `high`."""
+        """Entries from `high`'s time down to `first_time`, without most of those that begin at or above `high`."""
         time, seq = high
         entries = self._by_time.irange_key(first_time, time, reverse=True)
         last = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq < SEQ_END else []
@@ -190,8 +191,8 @@ class ChannelIndex:
         return iter(self._by_time.islice(self._by_time.bisect_key_left(first_time), end, reverse=True))
 
     def _entry_in_bucket(self, time: int, seq: int) -> int:
-        """The position of the last entry that begins at `time` with a seq up to `seq`, or of the first that begins at
-        `time`.
+        """The position of the last entry that begins at `time` with a seq up to `seq`, or if there is none, of the
+        first entry that begins at `time`.
 
         Bisects, because a bucket may hold any number of entries.
         """
@@ -239,8 +240,8 @@ class ChannelIndex:
     def seq_from(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
         """The first seq from `low` on of an item at or above `floor`; `high` if there is none below `high`.
 
-        Looks at `entries_max` entries at most. Then it returns the seq that it reached: the items of all seqs below are
-        gone.
+        Looks at `entries_max` entries at most. If they hold no such item, returns the seq at which the next entry
+        begins: no item from `low` up to this seq is left.
         """
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
@@ -251,8 +252,8 @@ class ChannelIndex:
         return high if beyond is None else beyond.first_seq
 
     def held_up_to(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
-        """The end of the unbroken sequence of seqs from `low` on of items at or above `floor`; `low` if it has no such
-        item.
+        """The end of the unbroken sequence of seqs from `low` on of items at or above `floor`; `low` if `low` is
+        not the seq of such an item.
 
         Looks at `entries_max` entries at most.
         """
@@ -266,7 +267,7 @@ class ChannelIndex:
         return low
 
     def next_time(self, time: int) -> int | None:
-        """The earliest item time after `time`."""
+        """The earliest item time after `time`; None: there is none."""
         entry = self._floor(time)
         if entry is not None and entry.last_time > time:
             times = entry.run.times
@@ -275,7 +276,7 @@ class ChannelIndex:
         return None if later is None else later.first_time
 
     def floor_time(self, time: int) -> int | None:
-        """The latest item time at or before `time`."""
+        """The latest item time at or before `time`; None: there is none."""
         entry = self._floor(time)
         if entry is None or entry.last_time <= time:
             return None if entry is None else entry.last_time
@@ -314,7 +315,7 @@ class ChannelIndex:
         return list(islice(self._by_seq.irange_key(run.first_seq, end_seq, (True, False)), parts_max))
 
     def trim_below(self, floor: ItemKey) -> Slice | None:
-        """Remove and return the items below `floor` of the first entry, if it is the only entry that has such items."""
+        """Remove and return the items below `floor` of the first entry, if it also has later items; else None."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
         at = 0 if entry is None else index_of(entry, floor)
         if entry is None or not entry.lo < at < entry.hi:

@@ -1,5 +1,6 @@
-"""A channel as it was at one moment. If one put releases many blocked gets, the host answers them from it in pieces.
-Pure.
+"""A channel as it was at one moment. Pure.
+
+If one put releases many blocked gets, the host answers these gets in pieces, all from the same `Moment`.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class HeldThen:
 class Moment:
     """A channel as it was at one moment.
 
-    Reads answer as of that moment, whatever the channel has accepted or lost since.
+    Reads answer as of that moment, whatever the channel has accepted or collected since.
     """
 
     def __init__(

@@ -15,15 +15,19 @@ ITEMS_PER_STEP = 8
 Result = TypeVar("Result")
 Thing = TypeVar("Thing")
 Pieces = Generator[None, None, Result]
-"""Work that stops after each piece and continues at the next request. The last piece returns its result.
+"""Work that stops after each piece and continues when the caller asks for the next piece. The last piece returns the
+result.
 
-The result is as of the moment at which the work began. If the work is dropped before its end, close it, or use
-`abandoning` if it may have collected many things.
+Unless the work says otherwise, the result is as of the moment at which the first piece began. If the work is dropped
+before its end, close it, or use `abandoning` if it may have collected many things.
 """
 
 
 class Abandoned(Exception):
-    """Raised inside work that its caller drops. The work frees what it has collected, in pieces, and raises again."""
+    """Raised inside work that its caller drops.
+
+    The work frees what it has collected, in pieces, and raises the error again.
+    """
 
 
 def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
@@ -55,7 +59,7 @@ def run_to_end(pieces: Pieces[Result]) -> Result:
 
 @dataclass(frozen=True, slots=True)
 class Unfinished(Generic[Result]):
-    """The rest of a work that needs more than its first piece."""
+    """The rest of work that needs more than its first piece."""
 
     rest: Pieces[Result]
 

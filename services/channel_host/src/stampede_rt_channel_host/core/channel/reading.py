@@ -15,7 +15,10 @@ from stampede_rt_channel_host.core.channel.waiting import BEFORE_ALL, Needs
 
 
 class Pending:
-    """A blocking get under way, made by `ChannelCore.begin`. `interval` is set once its anchors are resolved."""
+    """A blocking get under way, made by `ChannelCore.begin`.
+
+    `interval` is None until its meta-times can be resolved.
+    """
 
     __slots__ = ("interval", "query")
 
@@ -31,8 +34,8 @@ class Reading:
         self._held = held
         self._retention = retention
         self._incarnation = incarnation
-        self._lost_before = lost_before  # all items of a lost earlier incarnation lie before it
-        self.advance: int | None = None
+        self._lost_before = lost_before  # all items of a lost earlier incarnation lie before this instant
+        self.advance: int | None = None  # the highest instant of an advance
         # the latest time of a consumed item, which counts as an item that has come
         self.consumed_up_to: int | None = None
 
@@ -41,11 +44,11 @@ class Reading:
         return clock if self._held.newest is None else max(clock, self._held.newest)
 
     def resolve(self, query: Query, clock: int) -> ResolvedInterval | None:
-        """The query's interval, all anchors resolved together; None if they depend on items and there are none."""
+        """The query's interval in instants; None if a meta-time in it depends on items and there are none."""
         return self.resolve_interval(query.interval, clock)
 
     def resolve_interval(self, interval: Interval, clock: int) -> ResolvedInterval | None:
-        """An interval, both ends resolved together; None if they depend on items and there are none."""
+        """An interval in instants; None if a meta-time in it depends on items and there are none."""
         return interval.resolve(now=self.now(clock), newest=self._held.newest, oldest=self._held.oldest)
 
     def resolve_bound(self, bound: Bound, clock: int) -> int | None:
@@ -68,7 +71,7 @@ class Reading:
         region = _region(query, within)
         truncated = not region.is_empty and self._is_truncated(region)
         complete = self._is_over(region)
-        # for an answer in several pieces: its reason if the limit cuts it, and its reason if not
+        # for an answer in several pieces: the reasons with and without items that the limit cuts off
         reasons: dict[bool, Reason | None] = {}
 
         def judge() -> None:
@@ -120,8 +123,9 @@ class Reading:
         return Needs(passed, time=region.start)
 
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
-        """The instant at which `now` enters the interval, if `now` is before it. Then the open span of the newest item
-        reaches into the interval.
+        """When to look again: at the interval's first instant, if NOW is still before it.
+
+        At that instant the open span of the newest item reaches into the interval.
         """
         return WakeAt(first_instant if self.now(clock) < first_instant else None)
 
@@ -231,8 +235,8 @@ def _from(region: ResolvedInterval, position: Position) -> ResolvedInterval:
 
 
 def _up_to(region: ResolvedInterval, time: int) -> ResolvedInterval:
-    """The region up to the bucket at `time`.
+    """The region before `time`, exclusive.
 
-    New items of that bucket get higher seqs, so they come earlier in reading order.
+    The bucket at `time` can bring nothing more: its new items get higher seqs, and newest first these come earlier.
     """
     return replace(region, end=time, end_exclusive=True) if time <= region.end else region

@@ -20,8 +20,9 @@ from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 SLICES_USED_UP_MAX = 64
-"""The most slices that one call frees by consumption, so that a consumer that catches up blocks nobody."""
+"""The most slices that one call frees by consumption, so that a consumer that catches up delays no other caller."""
 ENTRIES_PER_LOOK = 8
+"""The most index entries or ranges of seqs that one step of `learn_gone` looks at."""
 SLICES_AGED_MAX = 256
 """The most slices that one call checks for items that a consumer has still to consume, if age depends on that."""
 CONSUMERS_ASKED_MAX = 512
@@ -40,14 +41,17 @@ class Retention:
         self._held = held
         self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
         # A key, and `Consumers.arrivals` when the key was noted. All consumers of that moment have consumed the items
-        # that lie below the key in its bucket.
+        # of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
         self._unknown_from = self._unknown_to = 1  # the consumers do not know which seqs between the two are gone
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
     def set_limits(self, limits: ChannelLimits) -> None:
-        """Set other limits. If only the new limits count consumption, `learn_gone` walks the index once."""
+        """Set other limits.
+
+        If they count consumption and the present ones do not, the next calls of `learn_gone` walk the index once.
+        """
         self.limits = limits
         self._held.overlap_nanos = limits.overlap_nanos
         places = limits.consumer_places
@@ -64,7 +68,7 @@ class Retention:
             self.consumers.resize(places)
 
     def learn_gone(self, slices_max: int) -> bool:
-        """Tell the consumers which seqs were collected, about `slices_max` slices. Returns True if more are left."""
+        """Tell the consumers of about `slices_max` collected slices. Returns True if more are left."""
         consumers, held = self.consumers, self._held
         if consumers is None:
             return False
@@ -143,7 +147,7 @@ class Retention:
         return following
 
     def _prolonged(self, bound: int, cutoff: int) -> int:
-        """The first bucket that stays, if the buckets before `bound` are past max_age.
+        """The time of the first bucket that stays, if the buckets before `bound` are past max_age.
 
         A bucket that a consumer has still to consume stays until `cutoff` passes it, and so do all later buckets.
         Checks the buckets that go and one slice more. A very long check takes several calls.
@@ -154,8 +158,8 @@ class Retention:
     def _first_owed(self, start: int | None, end: int) -> int | None:
         """The time of the first item from `start` up to `end`, exclusive, that a live consumer has still to consume.
 
-        After very many consumed items it returns the time that it reached. In a very large bucket the next call
-        continues at the same place.
+        None: there is no such item. After very many consumed items the search returns the time that it reached. In a
+        very large bucket the next call continues the search at the same place.
         """
         consumers = self.consumers
         assert consumers is not None, "limits that ask for it count consumption"
@@ -224,8 +228,8 @@ class Retention:
         """Collect the oldest items that all consumers have consumed, a bounded part. Returns True if there were any.
 
         Looks at the items that go and one slice more, and frees the items. So the cost of each item is the same,
-        however many go together. If no consumer keeps anything, all items but the newest bucket go. A new consumer
-        begins at the newest bucket.
+        however many go together. If no consumer keeps anything, all items but the newest bucket go, because a
+        new consumer begins with the newest item.
         """
         self._has_more_used_up = False
         consumers, held = self.consumers, self._held
@@ -266,7 +270,7 @@ class Retention:
     def has_room_as_if_put(self, time: int, payload_bytes: int, clock: int) -> bool:
         """Whether one item at `time` fits in.
 
-        The item may end the oldest bucket's span, so that this bucket goes first.
+        If the item ends the oldest bucket's span early enough, that bucket is collected first and makes room.
         """
         if self.has_room(1, payload_bytes):
             return True
@@ -277,7 +281,8 @@ class Retention:
         """The items and payload bytes that would be collected because an item at `time` comes in.
 
         By age: the item changes only the end of the bucket before it, and only the oldest bucket can go first. By
-        consumption: if no consumer keeps anything, all items before the newest bucket go.
+        consumption: if no consumer keeps anything, all items before the newest bucket go, perhaps the item at
+        `time` itself.
         """
         held = self._held
         if self._nobody_holds and held.newest is not None and time != held.newest:
@@ -306,11 +311,11 @@ class Retention:
         return self.limits.consumers is None and self._held.oldest == self._held.newest == time
 
     def retry_at(self, time: int, own_end: int | None) -> int | None:
-        """When time next makes room for an item at `time`. `own_end` is its end by duration, if any.
+        """When the passing of time next makes room for an item at `time`. `own_end` is its end by duration, if any.
 
-        Assumes that the item is put. But if the channel without the item collects something earlier, returns that
-        instant. This happens if the item would belong to the oldest bucket. None: only another put or a consumption
-        makes room.
+        This is the earlier of two instants: when the channel with the item collects something, and when the channel
+        without it does. The second may be earlier if the item would belong to the oldest bucket. None: only another put
+        or a consumption makes room.
         """
         instants = (self._due_as_if_put(time, own_end), self.next_due())
         return min((one for one in instants if one is not None), default=None)
@@ -336,7 +341,7 @@ class Retention:
 class _AtMost:
     """Counts like `going`, but in a bounded number of slices, and in fewer slices if it checks very many consumers.
 
-    `held_back`: it has reached its limit before the last slice.
+    `held_back`: the count stopped at one of these limits.
     """
 
     __slots__ = ("_asked_to", "_consumers", "_going", "_left", "held_back")

@@ -64,8 +64,8 @@ class Slicer(Protocol):
 class ColumnRun(Run):
     """A run of any number of items.
 
-    `kept` items of the run are in an index, held or not freed yet. The channel's owner keeps its `slicer` here, so that
-    it parses the body once.
+    `kept`: the number of its items that are in an index, because they are held or not freed yet. `slicer`: the
+    channel's owner keeps it here, so that the body is parsed once.
     """
 
     __slots__ = ("durations", "kept", "lengths", "slicer", "times")
@@ -134,7 +134,7 @@ class OneRun(Run):
         return (self.length,)
 
     def payload_bytes(self, lo: int, hi: int) -> int:
-        """The item's payload length, if it lies between the two positions."""
+        """The item's payload length, if the item lies between the two positions; else 0."""
         return self.length if lo < hi else 0
 
     def __len__(self) -> int:
@@ -151,7 +151,7 @@ def make_run(
 
 
 def pack(column: Sequence[int]) -> Sequence[int]:
-    """A column with 8 bytes for each entry."""
+    """A copy of a column, as an array with 8 bytes for each entry."""
     return array("q", column)
 
 

@@ -92,9 +92,9 @@ NOTHING = Selected((), False, None)
 def select(
     held: Readable, query: Query, within: ResolvedInterval, now: int, on_hold: Callable[[], object] = lambda: None
 ) -> Pieces[Selected]:  # fmt: skip
-    """The matching items, in pieces. `now` is the resolved meta-time.
+    """The matching items, in pieces. `now` is the instant of the meta-time NOW.
 
-    Calls `on_hold` if there is more than one piece.
+    Calls `on_hold` at the end of the first piece if there are more pieces.
     """
     if within.is_empty or held.oldest is None:
         return NOTHING

@@ -14,7 +14,9 @@ _LAST = MAX_INSTANT
 
 
 class SeqSet:
-    """All seqs below `below`, and ranges above it. `add` costs amortised O(log ranges), and O(1) in order."""
+    """All seqs below `below`, and ranges above it. `add` costs amortised O(log ranges), and O(1) if the
+    seqs come in order.
+    """
 
     __slots__ = ("_ranges", "below", "size")
 
@@ -46,8 +48,9 @@ class SeqSet:
         return len(self._ranges)
 
     def until(self, first: int, end: int, ranges_max: int) -> int:
-        """The seq up to which one step may add from `first` towards `end`, so that it joins about `ranges_max` ranges
-        at most.
+        """The end of the seqs from `first` on that one step may add; `end` at most.
+
+        The step joins about `ranges_max` ranges at most.
         """
         if len(self._ranges) <= ranges_max:
             return end
@@ -57,7 +60,7 @@ class SeqSet:
     def touching(self, first: int, end: int) -> Iterator[tuple[int, int]]:
         """The ranges that share a seq with the range from `first` up to `end`, or that are next to it.
 
-        The first one may be the range below `below`.
+        The first one may be the range of all seqs below `below`.
         """
         if first <= self.below and self.below > 1:
             yield 1, self.below
@@ -113,6 +116,8 @@ class SeqSet:
 
 
 BLOCK_SEQS = 1024
+"""`CountedSeqs` counts the seqs of a set in blocks of this many."""
+
 BLOCKS_FORGOTTEN_MAX = 64
 """The most blocks below `below` that one call forgets."""
 
@@ -134,7 +139,7 @@ class CountedSeqs(SeqSet):
         self._count(first, end, 1)
         added = super().add(first, end)
         outdated = range(self._first_block, self.below // BLOCK_SEQS)[:BLOCKS_FORGOTTEN_MAX]
-        for block in outdated:  # the next calls continue: nobody asks for these blocks any more
+        for block in outdated:  # no caller asks for these blocks again; the next calls forget the rest
             self._blocks.pop(block, None)
         self._first_block += len(outdated)
         return added
@@ -152,7 +157,8 @@ class CountedSeqs(SeqSet):
     def count(self, first: int, end: int) -> int:
         """How many of the seqs from `first` up to `end`, exclusive, are in the set.
 
-        Walks one block, and adds the stored counts of the other blocks. A range that holds `first` counts as a whole.
+        Walks one block, and adds the stored counts of the other blocks. If a range holds `first`, its seqs count in
+        one step.
         """
         behind = max(first, min(end, self.end_of(first)))
         known, first = behind - first, behind

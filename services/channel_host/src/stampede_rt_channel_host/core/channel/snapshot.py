@@ -11,8 +11,8 @@ from stampede_rt_channel_host.core.channel.run import Slice
 class ChannelSnapshot:
     """The items at or above `floor` with seqs below `end_seq`.
 
-    The snapshot copies nothing. From `hold` to `close` its entries stay in the index. It leaves out later items by
-    their seqs. A walk continues at a key, so the channel may add and split entries between two pieces.
+    The snapshot copies nothing. From `hold` to `close` its entries stay in the index. `shows` tells by the seqs
+    which items came later. A walk continues at a key, so the channel may add and split entries between two pieces.
     """
 
     __slots__ = ("_end_seq", "_holders", "_index", "floor", "is_held")
@@ -45,7 +45,7 @@ class ChannelSnapshot:
         self._holders.pop(self, None)
 
     def detach(self) -> None:
-        """Copy the index, because the channel frees items of the snapshot. Takes one step for each entry."""
+        """Walk a copy of the index from now on, because the channel frees items of the snapshot. Copies each entry."""
         self._index = self._index.copy_from(self.floor)
 
     def shows(self, part: Slice) -> bool:
@@ -53,10 +53,10 @@ class ChannelSnapshot:
         return part.run.first_seq < self._end_seq
 
     def slices(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
-        """The items at or above `low` and below `high`, in ascending order, also later ones, which the snapshot does
-        not show.
+        """The items at or above `low` and below `high`, in ascending order.
 
-        The channel must not change during the iteration.
+        Returns also items that were accepted after the snapshot; use `shows` to leave them out. The channel must not
+        change during the iteration.
         """
         return self._index.slices(max(low, self.floor), high)
 

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 
 SLICES_MAX = 512
-"""The most slices of a bucket that are looked at. The spans of a larger bucket count as long as they may be: the caller
-asks at each change, so to look at all of them would hold the event loop each time.
+"""The most slices of a bucket at which one call looks. The call assumes that the spans of a larger bucket are as long
+as possible. The caller asks at each change, and a look at all slices would hold the event loop each time.
 """
 
 
 def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
-    """The latest span end of items at `time`. The next bucket's time `bound` limits them."""
+    """The latest span end of items at `time`, at most `bound`, the next bucket's time."""
     longest = 0
     for looked_at, part in enumerate(bucket):
         durations = None if part.run.durations is None else part.run.durations[part.lo : part.hi]

@@ -37,11 +37,11 @@ class AllCursor:
     __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "_owed_before", "delivered", "dropped")
 
     def __init__(self, owed: Iterator[Range], live_seq: int, low: ItemKey | None = None, begun_seq: int = 0) -> None:
-        """Set the place.
+        """Make the cursor.
 
-        `owed`: the seqs still to deliver of items held at the beginning, ascending and below `live_seq`. All seqs from
-        `live_seq` on are to be delivered, too. Of the items below `begun_seq` only those at or above the key `low`
-        belong to the subscription.
+        `owed`: the ranges of seqs of items held at the beginning that are still to deliver, ascending, below
+        `live_seq`. All seqs from `live_seq` on are to be delivered, too. Of the items below `begun_seq` only those at
+        or above the key `low` belong to the subscription.
         """
         self._owed_before = owed
         self._live_seq = live_seq
@@ -96,9 +96,9 @@ def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Piec
 def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
     """Continue a saved subscription.
 
-    If retention has collected items at or above its `low`, nobody knows whether they belonged to the subscription. Then
-    all held items count as the subscription's, and all missing ones as collected before the reader took them. So the
-    gaps may count too many items, but never too few.
+    If retention has collected items at or above the cursor's `low`, nobody knows whether they belonged to the
+    subscription. Then all held items count as the subscription's, and all missing ones as collected before the reader
+    took them. So the gaps may count too many items, but never too few.
     """
     first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
     low = saved.low if first < live else None
@@ -118,7 +118,7 @@ def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
 class _Ranges:
     """Ranges of seqs in ascending order, two numbers for each. Ranges that are next to each other are one range.
 
-    A cursor may have half a million of them, and frees them in one step.
+    A cursor may have half a million ranges. It frees them in one step, because one array holds all of them.
     """
 
     __slots__ = ("_bounds",)
@@ -157,7 +157,7 @@ class _Ranges:
 
 
 def _seq_ranges(held: Holdings, low: ItemKey) -> Pieces[_Ranges]:
-    """The seqs of the items from `low` on."""
+    """The ranges of seqs of the held items from `low` on."""
     last, merge = _Ranges(), Merge[Range](_itself)
     snapshot = held.snapshot()
     try:
@@ -259,8 +259,8 @@ class NewestCursor:
             self._low = newest.last_time, newest.end_seq
             self.delivered += 1
         self.next_seq = held.next_seq
-        # After a resumption the newest item may have been accepted before the cursor, and then is not among the counted
-        # ones.
+        # After a resumption the newest item may have been accepted before `_base_seq`: then `delivered` counts it, but
+        # the difference of the seqs does not.
         self.skipped = max(0, held.next_seq - self._base_seq - self.delivered)
         return None if newest is None else DeliveredSlice(newest, None)
 
@@ -271,7 +271,7 @@ def resume_newest(held: Holdings, saved: SavedCursor) -> NewestCursor:
 
 
 def open_newest(held: Holdings, low: ItemKey | None, after: ItemKey | None) -> NewestCursor:
-    """Begin with the newest item at or above `low`, then later ones; or with items after the key `after`."""
+    """Begin with the newest item at or above the key `low`, or after the key `after`; else with new items only."""
     if after is not None:
         return NewestCursor((after[0], after[1] + 1), after[1] + 1)
     if low is not None:

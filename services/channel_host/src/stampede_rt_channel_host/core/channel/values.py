@@ -21,9 +21,9 @@ from stampede_rt_channel_host.core.channel.waiting import Needs
 class Offer:
     """A run that a producer wants to put. All columns have the same length, at least 1; -1 marks an absent duration.
 
-    `times` None: the channel stamps all items with one time when it accepts them. `since`: when such items began to
-    wait, by the host's clock. The channel judges room as if they had been put then. Otherwise a channel of one item
-    would never have room.
+    `times` None: the channel stamps all items with one time when it accepts them. `since`: when the first item began to
+    wait for room, by the host's clock; None: it has not waited. The channel judges the room for items without times as
+    if they had been put then. Otherwise a channel of one item would never have room.
     """
 
     times: Sequence[int] | None
@@ -42,7 +42,7 @@ class Offer:
     def rest(self, index: int, now: int) -> Offer:
         """The items from position `index` on, to offer again.
 
-        They wait from `now` on, or from before if they waited before.
+        The first of them waits from `now` on. If it waited already (`index` 0), the start of its wait stays the same.
         """
         return Offer(
             times=None if self.times is None else self.times[index:],
@@ -58,7 +58,8 @@ class Seal(Protocol):
     def __call__(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
         """The bytes to store.
 
-        `kept`: the accepted positions of the offer, None for all. `stamped_time`: set if it had no times.
+        `kept`: the accepted positions of the offer, None for all. `stamped_time`: the time of all items, if the
+        offer had no times; else None.
         """
 
 
@@ -137,8 +138,9 @@ class ReadAnswer(NamedTuple):
 
     `next_time` is the time of the bucket after the last item, None if the last item is in the newest bucket. A reader
     computes every span's end from it. `interval` is None if a meta-time could not be resolved. `complete`: no more
-    items can come. `truncated`: the lower bound lies below the frontier. `more`: the limit cut items off. `reason`
-    (with its `detail`) says why the answer is empty or partial.
+    items can come. `truncated`: the interval, or the part of it that `after` and `newer_than` leave, begins where
+    items are missing, because they were collected or lost. `more`: the limit cut items off. `reason` (with its
+    `detail`) says why the answer is empty or partial.
     """
 
     slices: Sequence[Slice]  # large answers are `Gathered`
@@ -186,7 +188,7 @@ class Gap:
 class SubscriptionBatch:
     """The next part of a subscription: first the gap, if any, then the slices in seq order.
 
-    `more`: there are more items to look at, so take again soon.
+    `more`: there are more items to look at, so ask for the next part without a wait for a put.
     """
 
     slices: Sequence[DeliveredSlice] = ()

@@ -1,8 +1,8 @@
 """The needs of blocked gets, and how far new items reach. A change looks only at the gets that it may release. Pure.
 
 An item releases a get if its time reaches the get's interval. Under the match mode `span`, the item's span decides. Any
-event after which no item can come into the interval releases the get, too. At the last look no item released the get,
-so only a newer item can.
+event after which no item can come into the interval releases the get, too. A look at a get that stays blocked covers
+all items present. So only an item accepted after that look can release the get.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 
 BEFORE_ALL, AFTER_ALL = FIRST_KEY[0], LAST_KEY[0]
 _BUCKET_PARTS_MAX = 16
+"""In a bucket of more slices `_bucket_end` does not look at the spans."""
 
 
 class Needs(NamedTuple):
     """The events that may release a get. None: events of that kind do not.
 
-    The events are: the channel has passed an instant; an item comes with this time or a later one; an item comes whose
-    span lasts until this instant or longer.
+    `passed`: the channel has passed this instant. `time`: an item comes with this time or a later one. `end`: an item
+    comes whose span lasts until this instant or longer.
     """
 
     passed: int | None = None
@@ -34,9 +35,10 @@ class Needs(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far a channel and its new items since the last look reach. None: no new items.
+    """How far a channel and its new items since the last look reach. None: no such instant.
 
-    The reach may be too far, which only costs a look. It is never too short.
+    `passed`: the latest instant that the channel has passed. `time`: the latest time of a new item. `end`: the latest
+    span end of a new item. The reach may be too far, which only costs a look. It is never too short.
     """
 
     passed: int | None
@@ -56,7 +58,7 @@ class Coming:
         self._cut = AFTER_ALL
 
     def begin(self, cut: int = AFTER_ALL) -> None:
-        """Note that the gets have seen all present items."""
+        """Note that the gets have seen all present items before the cut."""
         self._seen_seq, self._cut = self._channel.next_seq, cut
 
     def reach(self, now: int, cut: int = AFTER_ALL) -> Reach:
@@ -104,7 +106,10 @@ class Coming:
 
 
 def _bucket_end(held: Holdings, time: int, now: int) -> int:
-    """The reach of the spans of the bucket at `time` if no later bucket bounds them."""
+    """The latest span end of the bucket at `time`, if no later bucket bounds the spans.
+
+    AFTER_ALL for a large bucket, without a look at each item.
+    """
     end = time
     parts = list(islice(held.slices((time, 0), (time, SEQ_END)), _BUCKET_PARTS_MAX + 1))
     if len(parts) > _BUCKET_PARTS_MAX or sum(part.items for part in parts) > 256:
