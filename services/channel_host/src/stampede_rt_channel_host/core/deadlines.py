@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from typing import Generic, Protocol, TypeVar
 
-_SLACK = 64
+_SLACK = 64  # the outdated entries that a small heap may have beyond the half
 
 
 class Timed(Protocol):
@@ -25,7 +25,7 @@ T = TypeVar("T", bound=Timed)
 
 
 Entry = tuple[int, int, T]
-_MOVED_PER_ARM = 4
+_MOVED_PER_ARM = 4  # the entries of the old heap that one `arm` looks at
 
 
 class Deadlines(Generic[T]):

@@ -27,7 +27,7 @@ _REFUSAL_BYTES = 900  # an error, with a sentence of its own
 
 _FIELDS = 5  # of a run: first number, items, first seq (0: see `odd`), stamp (_NO_STAMP: none), time
 _NO_STAMP = -(2**63)
-_SLACK_RUNS = 256
+_SLACK_RUNS = 256  # so many forgotten runs stay in the columns, until one step removes them
 
 
 class KeptRun(NamedTuple):
@@ -48,7 +48,7 @@ class _Producer:
 
     def __init__(self) -> None:
         self._columns = array("q")
-        self._begin = 0
+        self._begin = 0  # the number of forgotten runs at the beginning of the columns
         self._odd_bytes = 0
         self.odd: dict[int, Judged] = {}
         self.end = 0
@@ -87,9 +87,9 @@ class _Producer:
                 yield first, self.odd[first]
 
     def find(self, producer_id: int, first_number: int, end: int, since: int) -> Judged | None:
-        """The outcome of a run recorded after `since`.
+        """The outcome of the run with exactly these numbers, if it was recorded after `since`; else None.
 
-        Raises InvalidArgument if the numbers are not exactly those of one run.
+        Raises InvalidArgument if the numbers overlap those of another run.
         """
         for first, outcome in self.runs():
             if outcome.time <= since:

@@ -1,6 +1,7 @@
 """The host's time. It advances with the monotonic clock and follows the wall clock gradually (slewing). Pure.
 
-So a step of the wall clock does not empty a retention window, and does not stop one (paper, section 3.1: real time).
+So a step of the wall clock does not empty a retention window, and items do not stop aging (paper, section 3.1: real
+time).
 """
 
 from __future__ import annotations

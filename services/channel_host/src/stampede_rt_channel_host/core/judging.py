@@ -1,6 +1,7 @@
 """The outcome of a run on its way into a channel or queue, item by item from the front. Pure.
 
-If the last items of a run wait for room, the run is judged in part. If it comes again, it continues at that place.
+If the last items of a run wait for room, the run is judged in part. If the producer repeats the run, the judgement
+continues after the judged items.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class ItemRefusal(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """The outcome of a run of `items` so far. The items before `judged_items` were accepted or refused, by the time
+    """The outcome of a run of `items` so far. The first `judged_items` items were accepted or refused, as of
     `time`.
 
     `parts` and `refusals` ascend. Nearly every run has one part and no refusals.
@@ -98,8 +99,8 @@ class Judging:
         self._refusals.append(ItemRefusal(position, error))
 
     def resume(self, known: Judged) -> bool:
-        """Continue a repeated run after the items that were judged before. Returns False if more items are judged
-        already.
+        """Continue a repeated run after the items that were judged before. Returns False, and changes nothing, if the
+        judgement has come as far already.
         """
         if known.judged_items <= self.judged_items:
             return False

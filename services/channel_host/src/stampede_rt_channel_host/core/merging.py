@@ -32,7 +32,7 @@ class Merge(Generic[T]):
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is left."""
+        """Whether no thing is left to give."""
         return not self._heap
 
     def __iter__(self) -> Iterator[T]:

@@ -1,22 +1,22 @@
 """Channel groups: values and `now` in, values out (paper, sections 3.3 and 4.1).
 
-No module here reads a clock, waits, or knows the wire. The code around it has these duties at each host:
+No module here reads a clock, waits, or knows the wire. The shell of groups has these duties at each host:
 
 - It keeps one `TimesBoard`. For own channels it calls `OwnTimes.observe` after each change, then `tell_own`. For
   channels of other hosts it calls `hear` with their owners' reports, and `confirm` at each sign of life.
-- It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` once all live ones
-  have sent theirs, and `refresh` after each change of the board and at `next_idle`. It never takes a client's cut. If a
-  reader has seen a later cut, the reader waits until `cut` reaches that one, or gets the answer of
+- It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` once all
+  live hosts have sent their cuts, and `refresh` after each change of the board and at `next_idle`. It never takes a
+  client's cut. If a reader has seen a later cut, the reader waits until `cut` reaches that one, or gets the answer of
   `VisibleChannel.stalled`.
 - Reads through a group use `VisibleChannel` like a channel, with the present `Horizon`. Reads of several channels at
   one cut use a `Horizon` with that cut, even when the group's cut has advanced. Blocked gets are polled after each
   change of the channel and of the cut.
 - Subscriptions through a group use `VisibleAll` or `VisibleNewest`.
-- Cut events: the deciding host feeds an `EventDecider`. Every host takes its own channels' parts of an event by
+- Cut events: one host decides them and feeds an `EventDecider`. Every host takes its own channels' parts of an event by
   `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A new follower continues from a
   cut and a `next_seq`.
-- Matches: a `Matcher` at the owner of the matched channel, with an `OwnTrack` or a `FarTrack` for every other member.
-- Status: `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and `window_too_short`.
+- Matches: the owner of the matched channel keeps a `Matcher`, with an `OwnTrack` or `FarTrack` for every other member.
+- Status: it reads `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and `window_too_short`.
 """
 
 from stampede_rt_channel_host.core.group.cut import (

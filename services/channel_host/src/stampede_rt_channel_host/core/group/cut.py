@@ -19,8 +19,8 @@ class GroupDefinition:
     """The set-up of a group. `reference` None: the group's cut is the smallest cut of all members ("oldest").
 
     `by_end`: a channel's cut is the latest end by duration in its newest bucket, at most `max_lead_nanos` after the
-    bucket's time. `idle_after_nanos`: "oldest" leaves out a member that is silent for this time. `incarnation`: two
-    cuts compare only within one incarnation.
+    bucket's time. `idle_after_nanos`: "oldest" leaves out a member that is silent for this time. `incarnation`:
+    only cuts of the same incarnation can be compared.
     """
 
     members: frozenset[bytes]
@@ -69,11 +69,11 @@ class CutMember(NamedTuple):
 
 
 class GroupCut:
-    """The cut of one group as one host knows it: a lower bound that only grows within an incarnation.
+    """The cut of one group as one host knows it. Within an incarnation it never moves back.
 
-    Order of use: make it; `merge_floor` with the cuts of the group's other hosts; `confirm` once all live ones have
-    told theirs. Until then no item is visible, because a reader may have seen a later cut. Then `refresh` after each
-    change of the board and at `next_idle`.
+    Order of use: make the object; call `merge_floor` with the cuts of the group's other hosts; call `confirm` once all
+    live hosts have told their cuts. Before that no item is visible, because a reader may have seen a later cut. After
+    that call `refresh` after each change of the board and at `next_idle`.
     """
 
     def __init__(self, definition: GroupDefinition, board: TimesBoard) -> None:
@@ -93,7 +93,7 @@ class GroupCut:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether all other hosts have told their cuts."""
+        """Whether `confirm` was called in this incarnation: all other live hosts have told their cuts."""
         return self._confirmed
 
     @property
@@ -102,7 +102,7 @@ class GroupCut:
         return self._floor if self._confirmed else None
 
     def define(self, definition: GroupDefinition) -> None:
-        """Change the members: the cut stays the same. With another incarnation the cut begins anew, unconfirmed."""
+        """Set another definition. The cut stays the same; but with another incarnation it begins anew, unconfirmed."""
         if definition.incarnation != self._definition.incarnation:
             self._floor, self._confirmed = None, False
         self._definition = definition
@@ -123,7 +123,7 @@ class GroupCut:
         self._confirmed = True
 
     def refresh(self, now: int) -> bool:
-        """Raise the cut to that of the reference. Returns True if it rose."""
+        """Raise the cut to that of the reference, or to the smallest of all members. Returns True if it rose."""
         reached = self._reached(now) if self._confirmed else None
         return reached is not None and self.merge_floor(reached)
 
@@ -138,13 +138,13 @@ class GroupCut:
         return (self.member(channel_id, now) for channel_id in sorted(self._definition.members))
 
     def waiting_on(self, now: int) -> list[bytes]:
-        """The members that hold the cut back: those that count and whose own cut is not beyond it."""
+        """The members that hold the group's cut back: they are not idle, and their own cuts are not later than it."""
         cut = self.cut
         owns = ((channel_id, self._own_cut(channel_id)) for channel_id in self._counting(now))
         return sorted(channel_id for channel_id, own in owns if own is None or (cut is not None and own <= cut))
 
     def next_idle(self, now: int) -> int | None:
-        """When a member of this host next becomes idle, which may move the cut without a put; None: never.
+        """When a member of this host next becomes idle, which may move the cut without a put; None: no member does.
 
         A member of another host becomes idle only at a sign of life of that host.
         """
@@ -156,7 +156,7 @@ class GroupCut:
         return min((one.silent_since + after for one in own if one.silent_nanos(now) < after), default=None)
 
     def _reached(self, now: int) -> int | None:
-        """The smallest cut of the members that count; None if one of them has none, or holds the group's cut back."""
+        """The smallest cut of the members that count; None if one of them has no cut, or still holds the cut back."""
         definition = self._definition
         if definition.reference is None and not definition.by_end and definition.idle_after_nanos is None:
             return self._lowest_of_all()
@@ -183,7 +183,7 @@ class GroupCut:
         """As `_reached`, for "oldest" without an idle limit and with cuts by start, which only grow between setbacks.
 
         The first member of the heap whose present cut equals its cut in the heap has the lowest cut. Costs one step for
-        each member that has moved since.
+        each member whose cut has risen since the last call.
         """
         if self._setbacks != self._board.setbacks:
             self._setbacks = self._board.setbacks

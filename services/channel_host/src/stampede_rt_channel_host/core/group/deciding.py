@@ -5,9 +5,10 @@ cut, or when the host has waited long enough for them. Cuts that are due togethe
 reader gets merged events.
 
 A member has reached a cut when its newest item or an advance is at the cut or later. Durations do not count. In a group
-with `by_end` the cut may be later than all items. Then an event waits for the next items. A small max_wait sends it
-earlier. With a lateness the newest item must be later than the cut by this lateness. Then the event has all items that
-are late by the lateness or less. An event may reach up to the time that all members have reached.
+with `by_end` the cut may be later than all items. Then an event waits for the next items. A small max_wait sends the
+event earlier. With a lateness the newest item must be later than the cut by at least this lateness. Then the event has
+all items that are late by the lateness or less. While the cut waits for that, an event may end earlier: at the latest
+time that all members have reached.
 """
 
 from __future__ import annotations
@@ -21,12 +22,14 @@ from stampede_rt_channel_host.core.group.cut import CutMember
 
 MAX_WAIT_NANOS_DEFAULT = 1_000_000_000
 PENDING_MAX = 256
+"""The most cuts without an event that a decider keeps."""
 
 
 class Boundary(NamedTuple):
-    """A decided event.
+    """The end of a decided event.
 
-    It has the items that became visible before `cut`. `incomplete`: members that had not reached the cut.
+    The event has the items with a time before `cut` that no earlier event had. `incomplete`: the ids of the members
+    that had not reached the cut.
     """
 
     cut: int

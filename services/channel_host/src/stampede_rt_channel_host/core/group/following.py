@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.merging import Merge
 class Loss:
     """Due items that are gone. The reader's items with a time before `before` (exclusive) may be incomplete.
 
-    The host knows of `items` lost items, with seqs from `first_seq` to `last_seq`. `is_exact`: it knows of all.
+    The host knows of `items` lost items, with seqs from `first_seq` to `last_seq`. `is_exact`: there are no others.
     """
 
     before: int
@@ -38,7 +38,8 @@ class Step:
     """A part of a step: first the late items, then the newly visible ones, each in the order (time, seq).
 
     The late items were readable before. Every later part is later in time or in seq, so a reader can resume after any
-    part. `is_last` ends the step. Only then `loss` tells of items that the step should have brought and cannot.
+    part. `is_last`: this part ends the step. Only this part may have a `loss`: items that the step should have brought
+    and cannot bring.
     """
 
     slices: list[DeliveredSlice] = field(default_factory=list)
@@ -48,10 +49,10 @@ class Step:
 
 
 class CutFollower:
-    """The place of one reader in one channel. `cut` None: no item was visible to it yet.
+    """The place of one reader in one channel. `cut` None: no item was visible to the reader yet.
 
-    Order of use: `begin(cut)` with a cut not before the last one, then `take` until a step is the last. `under_way`:
-    between the two.
+    Order of use: `begin(cut)` with a cut not before the last one, then `take` until a part is the last. `under_way`: a
+    step has begun, and its last part was not taken yet.
     """
 
     def __init__(
@@ -63,9 +64,10 @@ class CutFollower:
         next_seq: int | None = None,
         incarnation: int | None = None,
     ) -> None:
-        """Begin at the cut. With `next_seq`, which needs an incarnation, continue from a state that a reader kept.
+        """Begin at the cut. With `next_seq`, continue from a state that a reader kept.
 
-        A state of another incarnation is reported as a loss. Then all present items count as late or new.
+        `incarnation` is that of the kept state; None: not compared. A state of another incarnation is reported as a
+        loss. Then all present items count as late or new.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -79,6 +81,7 @@ class CutFollower:
         self._late = Merge(_order)  # the late items found, in the order (time, seq)
         self._is_searched = False  # the search for late items is over
         self._late_rest: Slice | None = None  # the rest of a slice that was taken in part
+        # Numbers of items in the present step, for `Ledger.mark_read`: above and below the cut before the step.
         self._came_above = self._given_above = self._given_below = 0
         if incarnation is not None and incarnation != channel.incarnation:
             self._unreported = _lost_with_host(channel, cut)
@@ -89,7 +92,7 @@ class CutFollower:
 
     @property
     def next_seq(self) -> int:
-        """Items with a lower seq and a time before the cut are done. This seq and the cut resume the reader."""
+        """Items with a lower seq and a time before the cut are done. A reader resumes from this seq and the cut."""
         return self._ledger.next_seq
 
     def lowest_owed_seq(self, now: int) -> int:
@@ -231,7 +234,7 @@ def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
 
 
 def _joined(unreported: Loss, since: Loss | None) -> Loss:
-    """The loss before the reader came back, joined with the loss since."""
+    """The loss from before the reader came back, joined with the loss of the first step after that."""
     if since is None:
         return unreported
     before, last_seq = max(unreported.before, since.before), max(unreported.last_seq, since.last_seq)

@@ -21,7 +21,7 @@ LOOKED_AT_MAX = 4096
 
 
 class Ledger:
-    """The ledger of one reader of one channel. A call costs at most the items put and given since the last call.
+    """The ledger of one reader of one channel. Most calls look only at the items put and given since the last call.
 
     `lowest_seq`: all items that the next `mark_read` finds lost have this seq or a later one.
     """
@@ -31,6 +31,7 @@ class Ledger:
     def __init__(self, held: Holdings, low: ItemKey, next_seq: int) -> None:
         """Begin: still to give are the held items at or above `low`, and all items with `next_seq` or a later seq."""
         self._low = low
+        # `_owed`: the number of held items that are still to give
         self._owed, self.lowest_seq = _owed(held, low, next_seq)
         self._held_from = self.lowest_seq  # all held items that are still to give have this seq or a later one
         self._remember(held, low, next_seq)

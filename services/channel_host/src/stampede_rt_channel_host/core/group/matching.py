@@ -43,8 +43,8 @@ class Matcher:
     """Matches one channel's items in time order. It keeps a position and no items: waiting items wait in the channel.
 
     `unmatched` counts items for which a member had no partner. `dropped` counts items that were collected before their
-    match, or that came after their time had been decided. Both are as of the last `take`. `has_more`: the call used up
-    its looks, so take again soon.
+    match, or that came after their time had been decided. Both are as of the last `take`. `has_more`: the last
+    `take` used up its looks, so call it again without a wait.
     """
 
     def __init__(
@@ -53,9 +53,10 @@ class Matcher:
     ) -> None:  # fmt: skip
         """Begin with the items accepted from now on. With `after`: continue after that position.
 
-        Items before it with `next_seq` or a later seq have come since. If the position is of another incarnation, all
-        items count as items that have come since. `partners`: no item of another member goes into two matches, and of
-        each member only items after its entry are matched; see `Pairing`. None: items may go into several matches.
+        Items before that position with `next_seq` or a later seq came after the position was decided. If the position
+        is of another incarnation, all items before it count so. `partners`: no item of another member goes into two
+        matches, and of each member only items after its entry are matched; see `Pairing`. None: items may go into
+        several matches.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -88,7 +89,7 @@ class Matcher:
 
     @property
     def partners(self) -> Mapping[bytes, ItemKey]:
-        """The last partner of each member, if no item goes into two matches. Belongs to `position`."""
+        """The last partner of each member as of `position`. Empty if items may go into several matches."""
         return self._partners or {}
 
     @property

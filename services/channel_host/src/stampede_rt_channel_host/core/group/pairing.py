@@ -16,6 +16,7 @@ from stampede_rt_channel_host.core.group.tracks import Nearest, Track
 STEPS_MAX = 16
 
 HasPassed = Callable[[int], bool]
+"""Tells whether a channel can get no more items up to an instant."""
 
 
 class Undecided(Exception):
@@ -44,7 +45,8 @@ class Pairing:
     def partner(self, key: ItemKey, tolerance: int) -> Nearest | None:
         """The partner of the first unpaired own item.
 
-        `other` must have passed the item's time + tolerance. Raises Undecided.
+        `other` must have passed the item's time + tolerance. Raises Undecided if an item still to come may change the
+        partner.
         """
         end, other_end = LAST_KEY, LAST_KEY  # the ends of the unpaired items: a pair hides all items after it
         chain = [(key, tolerance)]  # own items; each is nearer to its predecessor's candidate than the predecessor is

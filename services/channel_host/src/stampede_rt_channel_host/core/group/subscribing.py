@@ -20,16 +20,17 @@ from stampede_rt_channel_host.core.group.following import CutFollower, Loss
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
 
 STEP_BYTES_MAX = 2**20
+"""About how many bytes of items one part has that is only counted, for a reader of the newest item."""
 PARTS_PER_TAKE = 8
-"""The most parts of unsent items that one call counts for a reader of the newest item."""
+"""The most such parts that one call counts."""
 
 
 class VisibleAll:
     """Every item once: late items as they come, and the items between two cuts in (time, seq) order.
 
-    With `start`, visible items from there on come first. With `after`, the first items are those that are later in time
-    or in seq than the stated item. If items were put out of order, such a beginning may repeat some; it never leaves
-    one out. A `saved` cursor continues without a gap or a repetition.
+    With `start`, visible items from that bound on come first. With `after`, the first items are those that are later in
+    time or in seq than the stated item. If items were put out of order, such a beginning may repeat some; it never
+    leaves one out. A `saved` cursor continues without a gap or a repetition.
     """
 
     def __init__(
@@ -85,7 +86,8 @@ class VisibleAll:
     def take(self, horizon: Horizon, now: int, limit_bytes: int) -> SubscriptionBatch:
         """The next part.
 
-        A gap comes after the items of its step. An empty part means: wait for the cut or for a late item.
+        A gap comes after the items of its step. An empty part without `more` means: wait for the cut or for a late
+        item.
         """
         follower = self._follower
         while self._gap is None and horizon.cut is not None and follower.has_news(horizon.cut):
@@ -105,10 +107,9 @@ class VisibleAll:
 
 
 class VisibleNewest:
-    """Always the latest visible item by (time, seq), never an earlier one. Counts the other items that became visible.
+    """A subscription to the latest visible item by (time, seq). It never gives an item earlier than the last one.
 
-    `skipped`: the number of the subscription's items that it did not give. Begins as `ChannelCore.subscribe_newest`
-    does.
+    It counts the other items that became visible: see `skipped`. It begins as `ChannelCore.subscribe_newest` does.
     """
 
     def __init__(
@@ -124,9 +125,9 @@ class VisibleNewest:
     ) -> None:
         """Begin a subscription. Raises the errors of `VisibleAll`."""
         self._channel = channel
-        self._last: ItemKey = FIRST_KEY
+        self._last: ItemKey = FIRST_KEY  # only items above this key are given
         self.delivered = 0
-        self._meant = 0
+        self._meant = 0  # the subscription's items that became visible, as far as they are counted
         self._all = VisibleAll(
             channel, horizon, now, start=start, start_exclusive=start_exclusive, after=after, saved=saved
         )
@@ -154,7 +155,7 @@ class VisibleNewest:
 
     @property
     def skipped(self) -> int:
-        """The number of items not given, as of the last take."""
+        """The number of the subscription's visible items that it did not give, as of the last `take`."""
         return max(0, self._meant - self.delivered)
 
     def take(self, horizon: Horizon, now: int) -> SubscriptionBatch:

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.group.ledger import newest_gone
 
 
 class ChannelTimes(NamedTuple):
-    """How far one channel is, as its owner tells. Within an incarnation no value ever shrinks.
+    """How far one channel is, as its owner tells. Within an incarnation `newest` and `advance` never move back.
 
     `newest`: the newest item's time. `newest_end`: the latest end by duration in that item's bucket, None if no item
     there has a duration. `advance`: the highest promise. None: there never was one.
@@ -36,15 +36,16 @@ class ChannelTimes(NamedTuple):
     def has_passed(self, instant: int, lateness_nanos: int = 0) -> bool:
         """Whether no item can come at or before `instant`, if every item is at most `lateness_nanos` behind the newest.
 
-        With 0, items come in order, except into the newest bucket. No item comes before an advance.
+        With 0, items are assumed to come in order; items that still come into the newest bucket are ignored. No item
+        comes before an advance.
         """
         by_item = self.newest is not None and self.newest - lateness_nanos >= instant + bool(lateness_nanos)
         return by_item or (self.advance is not None and self.advance > instant)
 
     def merged(self, told: ChannelTimes) -> ChannelTimes:
-        """These times joined with `told`, of the same owner or a later one.
+        """These times joined with `told`, which the same owner or a later one has told.
 
-        Within one incarnation the greater values hold. Of another incarnation only `told` holds.
+        Within one incarnation the later values hold. If `told` is of another incarnation, only `told` holds.
         """
         if told.incarnation != self.incarnation:
             return told
@@ -88,7 +89,7 @@ class OwnTimes:
         for part in held.slices_by_seq(self._seen_seq, channel.next_seq):
             self._take(part)
         gone = newest_gone(held)
-        # the item went before this object's first look
+        # the newest item came and went before this object could see it
         if gone is not None and (self._newest is None or gone > self._newest):
             self._newest, self._newest_end = gone, None
         self._seen_seq, self._advance, self.silent_since = channel.next_seq, channel.advanced_to, now
@@ -136,7 +137,8 @@ class Heard:
 class TimesBoard:
     """A host's knowledge of the channels of its groups. Each host has one board, which all its groups share.
 
-    `setbacks` counts how often a channel fell behind the board, because its host was lost. Otherwise times only grow.
+    `setbacks` counts how often a channel got another incarnation, because its host was lost. Only then its times may
+    move back.
     """
 
     def __init__(self) -> None:
@@ -144,7 +146,7 @@ class TimesBoard:
         self._heard: dict[bytes, Heard] = {}
 
     def find(self, channel_id: bytes) -> Heard | None:
-        """The known facts of the channel; None: the host never heard of it."""
+        """The host's knowledge of the channel; None: the host has heard nothing of it."""
         return self._heard.get(channel_id)
 
     def tell_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:

@@ -13,7 +13,7 @@ TRACK_ITEMS_MAX = 65_536
 
 
 class Nearest(NamedTuple):
-    """An item. `item` is None if it is at another host."""
+    """The time and seq of the item that was found. `item` is None if that item is at another host."""
 
     time: int
     seq: int
@@ -32,7 +32,7 @@ class Track(Protocol):
         """
 
     def forget_before(self, time: int) -> None:
-        """Forget earlier items: the match needs them no more."""
+        """Forget the items before `time`: no match needs them any more."""
 
 
 class OwnTrack:

@@ -32,8 +32,9 @@ from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 
 
 class Horizon(NamedTuple):
-    """The end of a group's visible part: its cut (None: no item is visible), and a function that names who holds it
-    back.
+    """The end of a group's visible part: the cut (None: no item is visible).
+
+    `held_by` returns a text that names the members that hold the cut back.
     """
 
     cut: int | None
@@ -97,7 +98,7 @@ class VisibleReading(Reading):
         self._asked: tuple[Query, ResolvedInterval, int] | None = None
 
     def now(self, clock: int) -> int:
-        """NOW, under a clock that stops at the cut."""
+        """The instant of NOW, under a clock that stops at the cut."""
         cut = self._horizon.cut
         return super().now(clock if cut is None else min(clock, cut))
 
@@ -138,7 +139,7 @@ class VisibleReading(Reading):
         return reason
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
-        """The reason while no item matches yet. Hidden items come before lost ones."""
+        """The reason while no item matches yet. HIDDEN takes precedence over LOST."""
         if self._is_passed(region) or self._hides():
             return self._hidden()
         return super()._nothing_yet(query, region)

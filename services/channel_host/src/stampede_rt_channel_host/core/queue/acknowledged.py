@@ -29,6 +29,8 @@ class Acknowledged(NamedTuple):
 
 
 class _Chunk:
+    """The takers and times of _IDS_PER_CHUNK consecutive deliveries."""
+
     __slots__ = ("takers", "times")
 
     def __init__(self) -> None:
@@ -46,7 +48,7 @@ class AcknowledgedDeliveries:
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory that it occupies at the host, in bytes."""
+        """The memory of these acknowledgements at the host, in bytes."""
         return len(self._chunks) * BYTES_PER_CHUNK
 
     def record(self, delivery_id: int, taker_id: int, now: int) -> None:
@@ -67,7 +69,7 @@ class AcknowledgedDeliveries:
         return chunk is not None and chunk.takers[offset] == taker_id and chunk.times[offset] > now - KEPT_NANOS
 
     def all(self, now: int) -> Iterator[Acknowledged]:
-        """The known deliveries, the oldest chunk first."""
+        """The acknowledgements of the last 10 minutes, by chunks: the chunk first that was used least recently."""
         for number, chunk in self._chunks.items():
             for offset, taker_id in enumerate(chunk.takers):
                 if taker_id and chunk.times[offset] > now - KEPT_NANOS:

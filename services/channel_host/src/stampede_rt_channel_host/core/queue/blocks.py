@@ -1,6 +1,7 @@
 """A map from numbers to things, for very many entries. Pure.
 
-A table that grows is copied in one step. That takes 9 ms for a dictionary of 300,000 entries.
+A dictionary that grows copies its table in one step, which takes 9 ms for 300,000 entries. So this map consists of many
+small dictionaries.
 """
 
 from __future__ import annotations

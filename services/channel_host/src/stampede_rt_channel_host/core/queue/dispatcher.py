@@ -19,15 +19,17 @@ ITEMS_DEALT_MAX = 128
 DELIVERY_BYTES = 16
 """The most bytes that a message's delivery id and number take on the wire."""
 VIEWS_MAX = 4096
+"""The most takers whose views a queue keeps. A forgotten view begins anew."""
 RETURNS_PER_LOOK_MAX = 1024
+"""The most messages that came back at which a view looks in one go."""
 
 
 class View:
     """The messages that a taker has still to look at, in a queue with copies. Such a queue gives each message only to
     some takers.
 
-    The taker got no message from `cursor` on. `passed`: messages before `cursor` that came back after the taker had
-    passed them.
+    The view has handed out no message with the seq `cursor` or a later one. `passed`: a heap with the seqs of earlier
+    messages that came back and that this taker may get. `returns_seen`: the number of the last return looked at.
     """
 
     __slots__ = ("cursor", "passed", "returns_seen")
@@ -38,8 +40,9 @@ class View:
         self.passed: list[int] = []
 
     def next_for(self, taker_id: int, queue_items: QueueItems) -> TouchedItem | None:
-        """The oldest touched message that the taker may get. If very many messages just came back: one of the first of
-        them.
+        """The oldest touched message that the taker may get; None: there is none.
+
+        If very many messages have just come back, it may also be one of the first of these.
         """
         while True:  # each round looks at other messages that came back
             is_behind = self._look_at_returns(taker_id, queue_items)
@@ -51,7 +54,7 @@ class View:
             if not is_behind:
                 break
         while (ahead := queue_items.first_available(self.cursor)) is not None and not ahead.may_go_to(taker_id):
-            self.cursor = ahead.seq + 1  # happens only after the view was forgotten
+            self.cursor = ahead.seq + 1  # happens only if the view was forgotten and made anew
         return ahead
 
     def _look_at_returns(self, taker_id: int, queue_items: QueueItems) -> bool:
@@ -101,8 +104,8 @@ class _Draft:
 class Dispatcher:
     """The line of waiting takers. `dealt` collects the new batches until the caller takes them.
 
-    While it `is_paused`, no taker gets messages: all wait in line. `has_more`: this call of the queue has reached its
-    limit, so call `deal` again soon.
+    While it `is_paused`, no taker gets messages: all wait in line. `has_more`: a call of the queue has reached its
+    limit, so call `deal` again without a wait for a change.
     """
 
     def __init__(self, queue_items: QueueItems, leasing: Leasing) -> None:

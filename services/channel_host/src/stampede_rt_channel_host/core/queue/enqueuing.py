@@ -1,6 +1,6 @@
 """Runs on their way into a queue. Pure.
 
-They are judged message by message, recognised when retried, and wait while there is no room.
+The queue judges a run message by message, and recognises a repeated run. While there is no room, the run waits.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class Enqueue:
     """A run that a producer puts into a queue, and its progress.
 
     `wait_nanos`: how long it may wait for room, None without limit. `is_stamped`: it came without times. A run with a
-    `message_id` holds one message. At the end it has either an `outcome` or, if it was refused as a whole, an `error`.
+    `message_id` holds one message. `is_duplicate`: the queue knew the message id. At the end the run has either an
+    `outcome` or, if the queue refused it as a whole, an `error`.
     """
 
     __slots__ = (
@@ -85,7 +86,7 @@ class Enqueuing:
     """The line of waiting runs. A run that waits blocks all later ones.
 
     `finished` collects the runs that waited and are done, until the caller takes them. `has_more`: there may be room
-    for the first run in line, so call `offer_line` again soon.
+    for the first run in line, so call `offer_line` again without a wait for a change.
     """
 
     def __init__(self, queue_items: QueueItems, queue_name: str) -> None:
@@ -100,14 +101,17 @@ class Enqueuing:
         self.finished: list[Enqueue] = []
         self.has_more = False
         self._ending: StampedeError | None = None  # set while the waiting runs are being refused
-        self._drops_left = 0
+        self._drops_left = 0  # the messages that the present offer may still drop to make room
 
     def __len__(self) -> int:
         """The number of waiting runs."""
         return len(self._line)
 
     def enqueue(self, run: Enqueue, now: int) -> None:
-        """Judge the run. If it is not done then, it waits in line. Raises InvalidArgument, Overloaded."""
+        """Judge the run. If it is not done after that, it waits in line.
+
+        Raises InvalidArgument if the run's numbers overlap another run's, and Overloaded if too many runs wait.
+        """
         if self._ending is not None:  # the run may be a repetition of one that still waits
             run.error = self._ending
             return
@@ -180,11 +184,11 @@ class Enqueuing:
         return bool(self._line)
 
     def next_deadline(self) -> int | None:
-        """The end of the next wait."""
+        """The time at which the next wait of a run ends; None: no wait of a run has an end."""
         return self._deadlines.next()
 
     def _recognise(self, run: Enqueue, now: int) -> bool:
-        """Whether the run is a repetition of an answered run, or has a known message id. It is done then.
+        """Whether the run is done because it repeats an answered run, or because its message id is known.
 
         If only the first messages of the run were judged before, the run continues after them.
         """

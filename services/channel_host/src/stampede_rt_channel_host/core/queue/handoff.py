@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.queue.takers import TakerState
 
 
 class LeaseState(NamedTuple):
-    """A lease, its remaining time, and its whole length."""
+    """A lease. `lease_nanos`: how long it lasts from now on. `leased_ago_nanos`: how long ago it began."""
 
     delivery_id: int
     taker_id: int
@@ -110,7 +110,7 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
         elif seq < fresh_from:
             queue_items.refresh(queue_items.touched[seq])
     queue_items.next_seq = state.next_seq
-    for seq in [one.seq for one in state.items if one.is_leaving]:  # in the order in which they left
+    for seq in [one.seq for one in state.items if one.is_leaving]:  # they move in this order
         queue_items.set_leaving(queue_items.touched[seq])
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
@@ -126,7 +126,7 @@ def _aged(kept: KeptRun, now: int) -> KeptRun:
 
 
 def _fresh_from(state: QueueHandoff) -> int:
-    """The seq from which on no message has a history, and all are held to the end.
+    """The seq from which on all messages are held, and no message has a history.
 
     Older messages may have no history either, for example after a return. They count as touched all the same.
     """

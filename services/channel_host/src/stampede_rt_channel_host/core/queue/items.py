@@ -58,7 +58,8 @@ class TouchedItem:
 
     `returned` has one number for each copy that was delivered and has no taker now: how often it was delivered. The
     numbers ascend. `leases` maps takers to delivery ids. `acknowledged` lists the takers that are done. `due`: the
-    queue holds the message back until then. `last`: its last failed delivery.
+    queue holds the message back until then. `last`: its last failed delivery. `is_available`,
+    `is_unleased`, `is_leaving` and `return_number` belong to `QueueItems`.
     """
 
     __slots__ = (

@@ -1,4 +1,4 @@
-"""The leases of a queue's messages: given, settled, expired (paper, section 3.5). Pure.
+"""Gives, settles and ends the leases of a queue's messages (paper, section 3.5). Pure.
 
 Only acknowledgements use a message up. A message that is given back, or whose lease ends, returns to its former place.
 """
@@ -35,7 +35,10 @@ from stampede_rt_channel_host.core.queue.values import (
 
 
 class Lease:
-    """One delivery. A copy of `item` belongs to the taker until `due`. `number` counts the deliveries of that copy."""
+    """One delivery. A copy of `item` belongs to the taker until `due`. `number` counts the deliveries of that copy.
+
+    `order` is the delivery id.
+    """
 
     __slots__ = ("due", "item", "leased_at", "number", "order", "taker")
 
@@ -60,7 +63,8 @@ class Leasing:
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
         self.leases: Blocks[Lease] = Blocks()  # by delivery id
-        # The takers that let a lease end and have sent nothing since. The caller of this class empties the list.
+        # The takers that let a lease end and have sent nothing since it began. The caller of this class empties the
+        # list.
         self.silent: list[TakerState] = []
         self.next_delivery_id = first_delivery_id
         self.acknowledged = AcknowledgedDeliveries()
@@ -68,7 +72,7 @@ class Leasing:
     def deliver(self, item: TouchedItem, taker: TakerState, now: int, expires: int) -> tuple[int, int]:
         """Lease a free copy of the message. Returns the delivery's id and its number among the copy's deliveries.
 
-        The copy with the most failed deliveries goes first. So a message that no taker can process reaches its limit
+        The copy that was delivered most often goes first. So a message that no taker can process reaches its limit
         soon.
         """
         number = 1 + (item.returned.pop() if item.returned else 0)
@@ -89,7 +93,7 @@ class Leasing:
     def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
         """Perform a taker's settlement of a delivery.
 
-        Returns an error if the taker does not have the lease any more.
+        The result has an error if the taker does not have the lease any more, except for a repeated acknowledgement.
         """
         delivery_id, verdict = settlement
         lease = self.leases.get(delivery_id)
@@ -147,7 +151,7 @@ class Leasing:
                         self._put_back(lease.item)
 
     def settle_copies(self, item: TouchedItem) -> bool:
-        """Use the message up if enough takers have acknowledged it. Returns True if it has left."""
+        """Remove the message as consumed if enough takers have acknowledged it. Returns True if it was removed."""
         if len(item.acknowledged) < self._queue_items.limits.copies:
             return False
         self._void(item)
@@ -166,7 +170,7 @@ class Leasing:
                 self._put_back(item)
 
     def is_exhausted(self, item: TouchedItem) -> bool:
-        """Whether one of its copies has failed as often as the limit allows."""
+        """Whether the queue has delivered one of the returned copies as often as the limit allows."""
         most = self._queue_items.limits.max_deliveries
         return most is not None and bool(item.returned) and item.returned[-1] >= most
 
@@ -228,6 +232,7 @@ class Leasing:
         self._queue_items.log_return(item)
 
     def _void(self, item: TouchedItem) -> None:
+        """End all leases of the message."""
         for delivery_id in list(item.leases.values()):
             self._end(self.leases[delivery_id])
 

@@ -32,7 +32,7 @@ class QueueLimits:
     lease_nanos: int = 30_000_000_000
     max_deliveries: int | None = None
     dead_letters: bool = False
-    """Messages that reach max_deliveries wait for their move to the dead-letter queue; else they are expelled."""
+    """Messages that reach max_deliveries wait to move to the dead-letter queue. False: the queue removes them."""
 
     @classmethod
     def of(cls, policy: QueuePolicy) -> QueueLimits:

@@ -17,7 +17,7 @@ KNOWN_BYTES_MAX = 16 * 2**20
 
 
 class KnownMessage(NamedTuple):
-    """An accepted message with an id: its seq, and the time."""
+    """An accepted message with an id: its seq, and the time of its acceptance."""
 
     message_id: str
     seq: int
@@ -37,7 +37,7 @@ class MessageIds:
         return known.seq if known is not None and known.time > now - KEPT_NANOS else None
 
     def record(self, message_id: str, seq: int, now: int) -> None:
-        """Note an accepted message. Its id must not be known."""
+        """Note an accepted message. It replaces one that was accepted under the same id too long ago."""
         if message_id in self._known:
             self._forget(message_id)
         self._known[message_id] = KnownMessage(message_id, seq, now)
@@ -54,7 +54,7 @@ class MessageIds:
         return True
 
     def next_deadline(self) -> int | None:
-        """The time at which the oldest id is to be forgotten."""
+        """The time at which the oldest id is to be forgotten; None: no id is known."""
         return next(iter(self._known.values())).time + KEPT_NANOS if self._known else None
 
     def all(self, now: int) -> Iterator[KnownMessage]:

@@ -28,6 +28,7 @@ from stampede_rt_channel_host.core.queue.values import (
 CHECKED_PER_CALL_MAX = 256
 """The most messages that one call checks again after the limits have changed."""
 EMPTIED_PER_PIECE = 256
+"""The most messages that one piece of `emptying` removes."""
 ENDED_PER_CALL_MAX = 128
 """The most waiting runs that one call of `end_line` refuses."""
 DUE_PER_CALL_MAX = 256
@@ -117,7 +118,7 @@ class QueueCore:
         return self._enqueuing.end_line(error, self._tick(now), ENDED_PER_CALL_MAX)
 
     def go_on(self, now: int) -> None:
-        """Deal and accept again, because the host serves the queue or could serve it."""
+        """Deal and accept again, after `pause` or `end_line`."""
         clock = self._tick(now)
         self._is_paused = False
         self._check_again()
@@ -242,11 +243,11 @@ class QueueCore:
         return min((one for one in due if one is not None), default=None)
 
     def expire(self, now: int) -> None:
-        """Forget producers that have put nothing for long."""
+        """Forget producers that have put nothing for ten minutes."""
         self._enqueuing.retries.expire(now)
 
     def next_expiry(self) -> int | None:
-        """The time at which `expire` has work again."""
+        """The time at which `expire` has work again; None: no producer is known."""
         return self._enqueuing.retries.next_expiry()
 
     def take_dealt(self) -> list[tuple[TakerState, Batch]]:

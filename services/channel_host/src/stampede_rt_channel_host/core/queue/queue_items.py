@@ -1,6 +1,7 @@
 """The messages of a queue.
 
-Fresh messages were never delivered, and stand in order. Touched messages are sorted by what may be done with them.
+Fresh messages were never delivered, and stand in order. Touched messages were delivered; sorted lists say which of
+them a taker may get, and which of them have no lease.
 Pure. Every operation is amortised O(log n).
 """
 
@@ -55,8 +56,8 @@ class QueueItems:
         self.fresh_items = self.leased = 0
         self.touched: Blocks[TouchedItem] = Blocks()
         self.leaving: OrderedDict[int, TouchedItem] = OrderedDict()
-        self.delays: Deadlines[TouchedItem] = Deadlines()
-        self.returns_logged = 0
+        self.delays: Deadlines[TouchedItem] = Deadlines()  # the messages that the queue holds back
+        self.returns_logged = 0  # the number of the latest return; see `log_return`
         self._fresh: deque[QueuedRun] = deque()
         self._fresh_position = 0  # of the first fresh message in the first fresh run
         self._available: Any = SortedList()  # seqs of touched messages that some taker may get
@@ -106,7 +107,7 @@ class QueueItems:
             self._fresh.append(run)
 
     def seal(self, run: QueuedRun, body: bytes) -> None:
-        """Note that the run is complete."""
+        """Store the run's body: the run gets no more messages."""
         run.lengths = tuple(run.lengths)
         run.body = body
         if run.held:
@@ -162,7 +163,7 @@ class QueueItems:
         return self.fresh_items + len(self._available)
 
     def first_available(self, from_seq: int = 0) -> TouchedItem | None:
-        """The oldest touched message from `from_seq` on that some taker may get."""
+        """The oldest touched message from `from_seq` on that some taker may get; None: there is none."""
         if not self._available:
             return None
         for seq in self._available.irange(minimum=from_seq):
@@ -229,7 +230,7 @@ class QueueItems:
 
     @property
     def oldest_accepted_at(self) -> int | None:
-        """The time at which the oldest held message was accepted."""
+        """The time at which the oldest held message was accepted; None: no message is held."""
         if self.touched:
             return next(self.touched.values()).run.accepted_at
         run = self.fresh_run()

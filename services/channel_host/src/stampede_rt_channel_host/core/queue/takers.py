@@ -8,9 +8,9 @@ from stampede_rt_channel_host.core.queue.values import Batch
 class TakerState:
     """One stream of a taker. `credit` is the number of messages it may still get.
 
-    It waits whenever it has credit and is not busy. `lease_nanos` None: the queue's lease. `name` is for people.
-    `unsent`: deliveries that were dealt to it and are not being sent yet. `heard_at`: the time of its last request.
-    `is_silent`: it gets nothing before its next request.
+    It waits for messages while it has credit and is neither busy nor silent. `lease_nanos` None: the queue's lease.
+    `name` is for people. `unsent`: deliveries that were dealt to it and are not being sent yet. `heard_at`: the time of
+    its last request. `is_silent`: it gets nothing before its next request.
     """
 
     __slots__ = ("credit", "heard_at", "is_busy", "is_silent", "lease_nanos", "name", "taker_id", "unsent")
