@@ -196,6 +196,17 @@ def _is_alive(leader: LiveMember, other: LiveMember) -> bool:
     return other.member.member_id in node.alive_voters(within_seconds=0.6)
 
 
+async def test_no_leader_is_removed_who_is_needed_for_a_majority_not_even_by_its_successor(tmp_path: Path) -> None:
+    async with LiveCluster(3, tmp_path) as cluster:
+        first = (await cluster.leader()).member.member_id
+        [down, _] = await cluster.followers()
+        await down.stop()  # for a moment the leader still takes it for alive, and hands over
+        with pytest.raises(ChangeRefused, match="no majority"):
+            await cluster.on_leader(lambda log: log.remove_member(first, timeout=5.0))
+        await running(await cluster.leader()).propose(b"still served", timeout=5.0)
+        assert len(running(await cluster.leader()).status().members) == 3
+
+
 async def test_a_leader_hands_over_at_once(tmp_path: Path) -> None:
     async with LiveCluster(3, tmp_path) as cluster:
         leader = await cluster.leader()

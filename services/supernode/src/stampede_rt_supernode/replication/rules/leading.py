@@ -42,7 +42,7 @@ class Leading(Membership):
             self.next_index[node] = max(self.next_index[node], match + 1)
         elif message.reset:
             self.next_index[node] = max(next_index, self.match_index[node] + 1, 2)
-        self.last_response_time[node] = self.clock()
+        self.note_answer(node)
         self.reads.on_echo(node.id, message.round)
         self.poll.answered(node.id, message.digest, self.voter_ids())
 

@@ -209,7 +209,7 @@ class MemberChanges:
         if now - addition.began > JOIN_SECONDS_MAX:
             self._give_up_slow(addition)
             return
-        if held < addition.round_end or self._committing is not None:
+        if held < addition.round_end or self._committing is not None or not self._is_alive(addition):
             return
         if now - addition.round_began > self._round_seconds:
             addition.round_end, addition.round_began = self._node.log.last_index, now
@@ -223,6 +223,10 @@ class MemberChanges:
             # the newcomer has acknowledged.
             self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
+
+    def _is_alive(self, addition: _Addition) -> bool:
+        """Whether the newcomer still answers: as a voter that is down, it could cost the cluster its majority."""
+        return self._node.has_answered(addition.member.member_id, within_seconds=self._alive_seconds)
 
     def _is_too_old(self, addition: _Addition) -> bool:
         """Refuse the newcomer if its release does not know the cluster's feature level. Returns True if it does not."""
@@ -269,20 +273,27 @@ class MemberChanges:
             self._finish([change], self._node.last_applied)
         elif len(configuration.members) == 1:
             self._finish([change], ChangeRefused(f"{member_id} is the last member; stop it instead of removing it"))
+        elif not self._majority_without(member_id):
+            self._finish([change], self._no_majority_without(member_id))
         elif member_id == self._node.self_member.member_id:
             self.hand_over(HandOver(lambda left: change.done(_after_hand_over(left))))
-        elif not self._majority_without(member_id):
-            text = (
-                f"without {member_id} no majority of the members would be alive; "
-                "start or replace the others that are down first"
-            )
-            self._finish([change], ChangeRefused(text))
         else:
             self._commit(member_id, configuration.without(member_id), change)
 
     def _majority_without(self, member_id: str) -> bool:
-        alive = self._node.alive_voters(within_seconds=self._alive_seconds) - {member_id}
-        return bool(2 * (1 + len(alive)) > len(self._node.configuration().members) - 1)
+        alive = self._node.alive_voters(within_seconds=self._alive_seconds) | {self._node.self_member.member_id}
+        return 2 * len(alive - {member_id}) > len(self._node.configuration().members) - 1
+
+    def _no_majority_without(self, member_id: str) -> ChangeOutcome:
+        if not self._node.has_led_for(self._alive_seconds):
+            return ChangeUnderWay(
+                f"{self._node.self_member.member_id} has led for too short a time to know whether a majority of the "
+                f"members is alive without {member_id}; try again"
+            )
+        return ChangeRefused(
+            f"without {member_id} no majority of the members would be alive; "
+            "start or replace the others that are down first"
+        )
 
     def _commit(self, member_id: str, configuration: Configuration, source: _Addition | MemberChange) -> None:
         callers = source.callers if isinstance(source, _Addition) else [source]

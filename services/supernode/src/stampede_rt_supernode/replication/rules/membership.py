@@ -47,6 +47,10 @@ class Membership(NodeState):
     # By id: the nodes that have named themselves, or that a stranger has named, the latest last.
     _strangers: dict[str, Member]
     _hears_strangers: bool = False
+    # When this node began to lead, and by id: when a voter or the learner last answered it as the leader of this term.
+    # The library's `last_response_time` also counts a voter that has not answered yet.
+    _led_since: float = float("-inf")
+    _answered_at: dict[str, float]
     # By id: why a known member refuses this node's store. As long as one does, this node does not vote.
     disputed_by: dict[str, str]
     # All members that this node hears, by id, without itself.
@@ -198,6 +202,7 @@ class Membership(NodeState):
 
     def _forget_progress(self) -> None:
         sent_to = {node.id for node in self.sent_to()}
+        self._answered_at = {name: at for name, at in self._answered_at.items() if name in sent_to}
         for progress in (self.next_index, self.match_index):
             for node in [node for node in progress if node.id not in sent_to]:
                 del progress[node]
@@ -213,6 +218,12 @@ class Membership(NodeState):
         super().set_role(role)
         if role != LEADER and self.learner is not None:
             self.set_learner(None)
+        self._answered_at = {}
+        self._led_since = self.clock()
+
+    def note_answer(self, node: MemberNode) -> None:
+        """Note that a voter or the learner has answered this leader in its term."""
+        self.last_response_time[node] = self._answered_at[node.id] = self.clock()
 
     def take_snapshot_if_due(self) -> None:
         """Take a due snapshot, but only as a member.
@@ -281,10 +292,16 @@ class Membership(NodeState):
         return None if entry is None else entry.term
 
     def alive_voters(self, *, within_seconds: float) -> set[str]:
-        """The ids of all other voters that have answered this leader within the last `within_seconds`."""
-        since = self.clock() - within_seconds
-        heard = self.last_response_time
-        return {node.id for node in self.other_voters if heard.get(node, float("-inf")) > since}
+        """The ids of all other voters that have answered this leader in its term within the last `within_seconds`."""
+        return {name for name in self.voter_ids() if self.has_answered(name, within_seconds=within_seconds)}
+
+    def has_answered(self, member_id: str, *, within_seconds: float) -> bool:
+        """Whether a voter or the learner has answered this leader in its term within the last `within_seconds`."""
+        return self._answered_at.get(member_id, float("-inf")) > self.clock() - within_seconds
+
+    def has_led_for(self, seconds: float) -> bool:
+        """Whether this node has led for that time, so that each live voter has had the time to answer."""
+        return self.is_leader and self.clock() - self._led_since >= seconds
 
     def send_timeout_now(self, member_id: str) -> bool:
         """Ask a member to lead. Returns False if the message cannot be sent."""

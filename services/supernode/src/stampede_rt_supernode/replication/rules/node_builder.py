@@ -48,6 +48,7 @@ def build_node(
     node.self_member, node.make_member, node.peers = settings.self_member, assembly.make_member, peers
     node._told = dict(peers)
     node._strangers, node.disputed_by, node.had_leader_at = {}, {}, clock()
+    node._answered_at = {}
     node.locked_out_seconds = 2 * settings.timing.election_timeout_max_seconds
     node.keeper = SnapshotKeeper(
         log, state_machine, has_room, run_in_background=run_in_background, chunk_bytes=settings.snapshot_piece_bytes
