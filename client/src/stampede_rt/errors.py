@@ -40,7 +40,7 @@ class InvalidArgument(StampedeError, ValueError):
 
 
 class InvalidInterval(InvalidArgument):
-    """An interval's concrete start lies after its concrete end."""
+    """An interval has two instants as its bounds, and the start lies after the end."""
 
     reason = "INVALID_INTERVAL"
 
@@ -92,7 +92,7 @@ class GroupExists(StampedeError):
 
 
 class QueueNotFound(StampedeError, LookupError):
-    """No queue has that name or id. Someone may have deleted it, or its peer has left."""
+    """No queue or mailbox has that name or id. Someone may have deleted the queue, or the mailbox's peer has left."""
 
     reason = "QUEUE_NOT_FOUND"
 
@@ -144,7 +144,7 @@ class QueueFull(Full):
 
 
 class TooOld(StampedeError):
-    """The item is older than the channel's retention, than a collected item, or than an advance."""
+    """The item's time is too early for the channel: before the frontier or an advance, or older than `max_age`."""
 
     reason = "TOO_OLD"
 
@@ -156,13 +156,13 @@ class InFuture(StampedeError):
 
 
 class IncarnationLost(StampedeError):
-    """The channel's host was lost with its items. Older seqs and cursors no longer hold."""
+    """The channel's host was lost with its items. Seqs and cursors from before the loss are no longer valid."""
 
     reason = "INCARNATION_LOST"
 
 
 class LeaseExpired(StampedeError):
-    """A lease has ended, or the caller never had it."""
+    """A lease has ended, or the caller never had the lease."""
 
     reason = "LEASE_EXPIRED"
 
@@ -174,7 +174,7 @@ class StaleRegistration(StampedeError):
 
 
 class PermissionDenied(StampedeError):
-    """The secret or certificate is missing or wrong, or the caller may not do this."""
+    """The caller's secret, certificate or token is missing or wrong, or a rule of access denies the operation."""
 
     reason = "PERMISSION_DENIED"
 
@@ -232,17 +232,18 @@ class WrongEventLoop(StampedeError, RuntimeError):
 
 
 class VersionMismatch(StampedeError):
-    """The two sides speak versions that do not work together."""
+    """The client and the server, or two servers, have versions of the protocol that do not work together."""
 
     reason = "VERSION_MISMATCH"
 
 
 class WatchRestart(StampedeError):
-    """The directory no longer keeps the changes since that point. List again, and begin a new watch."""
+    """The directory no longer keeps all changes since the watch broke. List again, and begin a new watch."""
 
     reason = "WATCH_RESTART"
 
 
+# The class of the exception for each reason.
 _BY_REASON: dict[str, type[StampedeError]] = {
     cls.reason: cls
     for cls in (

@@ -7,7 +7,7 @@ from typing import NoReturn
 
 
 def escaped(text: str) -> str:
-    r"""`text` on one line. Each character that does not print becomes an escape, such as `\n` or `\x1b`.
+    r"""Return `text` as one line. Each character that is not printable becomes an escape, such as `\n` or `\x1b`.
 
     Names, attributes, content types, payloads and error texts come from other programs. Without escapes they could move
     the cursor, change the window's title, or forge lines of output.
@@ -18,8 +18,8 @@ def escaped(text: str) -> str:
 
 
 class TerminalParser(argparse.ArgumentParser):
-    """A parser of arguments that escapes its error texts: a script may pass on arguments that others wrote."""
+    """A parser of arguments that escapes its error texts, because other programs may have written the arguments."""
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong, and exit with status 2."""
+        """Print the usage and `message`, escaped, to standard error, and exit with status 2."""
         super().error(escaped(message))

@@ -21,6 +21,6 @@ try:
     import grpc
 finally:
     for _name in _unset:
-        del os.environ[_name]  # do not pass it on to child processes
+        del os.environ[_name]  # child processes must not inherit this variable
 
 __all__ = ["grpc"]

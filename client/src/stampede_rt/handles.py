@@ -1,4 +1,4 @@
-"""How handles are printed, copied and pickled. Pure."""
+"""Rules by which handles are printed, copied and pickled. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ ID_DIGITS_SHOWN = 8
 
 
 def handle_repr(kind: str, name: str, id_: bytes, host: str, state: str) -> str:
-    """Return a text such as `<Channel 'cam/left' 3fa2c1d0 at host 'h1'>`. The state of a closed handle follows."""
+    """Return a text such as `<Channel 'cam/left' 3fa2c1d0 at host 'h1'>`. `state` is "", or ends the text of a handle.
+
+    The text has the first ID_DIGITS_SHOWN hexadecimal digits of `id_`.
+    """
     identity = f" {id_.hex()[:ID_DIGITS_SHOWN]}" if id_ else ""
     place = f" at host {host!r}" if host else ""
     return f"<{kind} {name!r}{identity}{place}{f', {state}' if state else ''}>"

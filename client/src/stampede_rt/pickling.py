@@ -1,6 +1,6 @@
 """Pickles connections and handles for other processes. A pickle has the cluster's address and the name of the thing.
 
-It never has the secret. If the secret comes from a file, the other process reads the file as `connect` does.
+A pickle never contains the secret. The other process finds the secret as `connect` does, for example in a file.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ _sessions: WeakValueDictionary[ClusterReference, Session] = WeakValueDictionary(
 
 @dataclass(frozen=True, slots=True)
 class ClusterReference:
-    """The address by which another process reaches the same cluster."""
+    """The arguments with which another process connects to the same cluster.
+
+    `secret_is_an_argument`: the program gave the secret to `connect`. Such a reference cannot be pickled.
+    """
 
     frontends: tuple[str, ...]
     zone: str
@@ -39,7 +42,7 @@ class ClusterReference:
 
     @classmethod
     def of(cls, target: Target, secret: str | None) -> ClusterReference:
-        """Return the reference of a connection; `secret` is the argument of `connect`."""
+        """Return the reference of a connection. `secret` is the secret that the program gave to `connect`, or None."""
         return cls(target.frontends, target.zone, target.tls.files if target.tls else None, secret is not None)
 
     def __reduce__(self) -> tuple[Callable[..., ClusterReference], tuple[Any, ...]]:
@@ -51,19 +54,19 @@ class ClusterReference:
         return ClusterReference, (self.frontends, self.zone, self.tls)
 
     def connection(self) -> Connection:
-        """Connect to the cluster in the other process."""
+        """Return a new connection to the cluster. Unpickling a connection calls this in the other process."""
         return Connection(self._connect(), "")
 
     def channel(self, name: str, stated: Policy, create: bool, coding: Coding | None) -> Channel:
-        """Open a channel's handle with the arguments of its first opening."""
+        """Return a channel's handle, opened with the same arguments as the pickled handle."""
         session = self._session()
         info = session.open_channel(name, stated, None, create)
         return Channel(session, session.state_of(info, stated, create, coding))
 
     def group_members(self, name: str, codings: Sequence[tuple[str, Coding]]) -> GroupMembers:
-        """Open the members of a group, for its handle and its descriptors.
+        """Return the members of a group, for the group's handle and its descriptors.
 
-        `codings`: the codecs of the members, by name.
+        `codings`: the codecs of the members, by the names of the members.
         """
         members = Connection(self._session(), "").group(name)._members
         by_name = dict(codings)
@@ -72,11 +75,11 @@ class ClusterReference:
         return members
 
     def group(self, members: GroupMembers) -> Group:
-        """Open a group's handle."""
+        """Return a group's handle."""
         return Group(members)
 
     def descriptor(self, members: GroupMembers, name: str, coding: Coding | None) -> GroupChannel:
-        """Open a group's descriptor of a channel."""
+        """Return a group's descriptor of the channel named `name`."""
         descriptor = Group(members)[name]
         descriptor._state.coding = coding
         return descriptor
@@ -90,7 +93,7 @@ class ClusterReference:
         prefetch: int,
         reconnect: DurationLike | None,
     ) -> Queue:
-        """Open a queue's handle with the arguments of its first opening."""
+        """Return a queue's handle, opened with the same arguments as the pickled handle."""
         session = self._session()
         info = open_queue(session, name, stated, None, create)
         return Queue(session, queue_state(session, name, info, stated, create, coding), prefetch, reconnect)

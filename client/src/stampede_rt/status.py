@@ -108,7 +108,7 @@ def from_error_message(message: error_pb2.Error) -> StampedeError:
     """Return the exception for an Error inside a stream."""
     try:
         reason = error_pb2.ErrorReason.Name(message.reason).removeprefix(_PREFIX)
-    except ValueError:  # the server is newer, and this release does not know its reason
+    except ValueError:  # the server is newer, and this release does not know the reason
         reason = "INTERNAL"
     return error_for(reason, message.message, dict(message.metadata))
 
@@ -144,7 +144,7 @@ def _from_status(encoded: bytes) -> StampedeError | None:
 
 
 def _brief(details: str) -> str:
-    """Shorten gRPC's text to its essential words."""
+    """Return gRPC's text of an error without the general words at its beginning."""
     return _GRPC_PREAMBLE.sub("", details)
 
 

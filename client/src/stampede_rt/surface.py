@@ -204,9 +204,10 @@ def connect(
     zone: str | None = None,
     tls: TlsFiles | None = None,
 ) -> Connection:
-    """Connect to a cluster through its front-ends, "host:port,host:port" (default `$STAMPEDE_URL`, localhost:7580).
+    """Connect to a cluster through its front-ends.
 
-    - `name`: the peer name of this connection. With a name it has a mailbox; without one other peers cannot send to it.
+    - `url`: the addresses of the front-ends, as "host:port,host:port". Default: `$STAMPEDE_URL`, else localhost:7580.
+    - `name`: the name under which this connection is a peer. A peer has a mailbox, to which others can send.
     - `proof`: a secret text of 16 characters or more that the program keeps over restarts. A restarted program that
       gives the same proof takes over the name and the mailbox at once.
     - `secret`: the cluster's secret. On the cluster's own machine the client finds it by itself.

@@ -39,21 +39,22 @@ class Locator(Protocol):
 
     @property
     def closed(self) -> bool:
-        """Whether the connection is closed. `attempt` does not try an operation again then."""
+        """Whether the connection is closed. If it is, `attempt` does not try an operation again."""
         ...
 
 
 async def attempt(
     locator: Locator, operation: Callable[[Binding], Awaitable[Result]], timeout_s: float | None
 ) -> Result:
-    """Run `operation` at the present host, and again as long as it raises a retryable error.
+    """Run `operation` at the present host, and run it again after a retryable error and after DeadlineExceeded.
 
-    `timeout_s` bounds the tries, not a wait inside `operation`; None: no limit. Raises the last error. If the last try
-    only ran out of time, raises the error of the try before it, because that error says more.
+    After `timeout_s` seconds `attempt` begins no further try. It does not limit the time that one try takes. None: no
+    limit. Raises the error of the last try. If that error is DeadlineExceeded, raises the error of an earlier try, if
+    there was one, because the earlier error says more.
     """
     locator.check()
     backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
-    told: StampedeError | None = None
+    told: StampedeError | None = None  # the error to raise if no time is left for another try
     while True:
         try:
             return await operation(await locator.find(backoff.deadline_s))
@@ -61,7 +62,7 @@ async def attempt(
             if locator.closed:
                 locator.check()  # raises "closed" instead of the broken call's error
             locator.explain(error)
-            slow = isinstance(error, DeadlineExceeded)  # the host hangs; the channel may get another host
+            slow = isinstance(error, DeadlineExceeded)  # the host may hang; the channel may get another host
             if not (error.retryable or slow):
                 raise
             locator.forget()

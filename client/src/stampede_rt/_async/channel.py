@@ -32,9 +32,9 @@ from stampede_rt.values.reading import RENEW_S, Wait
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_duration, parse_instant
 from stampede_rt.wire.records import channel_info, channel_stats, policy_to_spec
 
-PERIOD_NANOS_MIN = 1_000_000
-# For a policy without on_full="block", which lets no put wait. Another program may have changed the policy since the
-# handle learned it, so the first request of a put still asks the host to wait this long for room.
+PERIOD_NANOS_MIN = 1_000_000  # the shortest period of `sample`
+# The wait for room that the first request of a put asks for, if the handle knows a policy without on_full="block".
+# Under that policy no put waits. But another program may have set "block" since the handle learned the policy.
 FIRST_WAIT_S = 1.0
 
 
@@ -61,12 +61,13 @@ class Channel(Reader):
     ) -> Item:
         """Put one item, wait until the host has accepted it, and return it with its `time` and `seq`.
 
-        `payload` is bytes, or a value if the handle has a codec. `time` is an instant; without it the host takes its
-        own clock at the acceptance. `duration` is a duration, such as "33ms" or nanoseconds. `timeout` in seconds is
-        the longest wait for room on a full channel with on_full="block"; None waits without a limit. The client tries
-        again after a broken connection, and the host never stores an item twice. Puts that are under way at the same
-        time may arrive in any order. If their order matters, wait for the end of each put before you begin the next
-        one. Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError; Unavailable if the host cannot be reached.
+        `payload` is bytes, or a value if the handle has a codec. `time` is an instant; without it the host stamps the
+        item with the time at which it accepts the item. `duration` is text such as "33ms", a timedelta, or int
+        nanoseconds. `timeout` in seconds is the longest wait for room on a full channel with on_full="block"; None
+        waits without a limit. The client tries again after a broken connection, and the host never stores an item
+        twice. Puts that are under way at the same time may arrive in any order. If their order matters, wait for the
+        end of each put before you begin the next one. Raises TooOld, InFuture, ChannelFull, ItemTooLarge, CodecError;
+        Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type)
         renew_s = RENEW_S if self.info.policy.on_full == "block" else FIRST_WAIT_S
@@ -74,16 +75,16 @@ class Channel(Reader):
         return item.accepted_as(self._state, ack)
 
     def producer(self) -> Producer:
-        """Return a context manager for many puts. Its puts do not wait for their acknowledgements."""
+        """Return a context manager for many puts. These puts do not wait for their acknowledgements."""
         return Producer(self._session, self._state)
 
     def sample(self, fn: Callable[[], Any], every: DurationLike = "33ms") -> Sampler:
         """Call `fn` once in each period and put its result, until `cancel` of the returned handle.
 
-        Period k begins at k times `every` from now, so delays do not add up. The handle skips and counts a period that
-        passes while `fn` or a put takes too long. If `fn` returns None, the handle puts nothing. It logs and counts an
-        exception of `fn` or of the put, and goes on with the next period. On a full channel with on_full="block" a put
-        waits for at most one period.
+        Period k begins k times `every` after this call, so delays do not add up. If `fn` or a put takes so long that a
+        whole period passes, the handle skips that period and counts it. If `fn` returns None, the handle puts nothing.
+        The handle logs and counts an exception of `fn` or of the put, and goes on with the next period. On a full
+        channel with on_full="block" a put waits for at most one period. Raises InvalidArgument.
         """
         every_nanos = parse_duration(every, "every")
         if every_nanos < PERIOD_NANOS_MIN:
@@ -99,19 +100,22 @@ class Channel(Reader):
 
         Returns the number of items that this consumer had not consumed before.
 
-        An item leaves the channel once all consumers have consumed it, the oldest item first. Until then every reader
-        sees it. The consumer is this connection: all its handles of the channel count as one consumer. The first call
-        takes one of the channel's consumer places; `consume([])` does only that. The library keeps the place until the
-        connection is closed. A process that dies loses its place within 10 s. The channel keeps all items for a place
-        that no consumer has taken yet. A consumer that takes the place of a lost consumer starts at the newest item.
-        You may repeat the call; the client also tries again by itself. Raises ChannelFull if all places are taken,
-        InvalidArgument if the channel has no consumer places, IncarnationLost if the channel's host was lost after the
-        items were read.
+        An item leaves the channel once all consumers have consumed it and all older items. Until then every reader sees
+        the item. The consumer is this connection: all handles of the channel in this connection count as one consumer.
+        The first call takes one of the channel's consumer places. `consume([])` takes a place and consumes nothing. The
+        library keeps the place until the connection is closed. A process that dies loses its place within 10 s. The
+        channel keeps all items for a place that no consumer has taken yet. A consumer that takes the place of a lost
+        consumer starts at the newest item. You may repeat the call; the client also tries again by itself. Raises
+        ChannelFull if all places are taken, InvalidArgument if the channel has no consumer places, IncarnationLost if
+        the channel's host was lost after the program had read the items.
         """
         return await consume(self._session, self._state, items)
 
     async def advance(self, time: InstantLike) -> int:
-        """Promise that no item earlier than `time` will come. Returns the highest promise so far, in nanoseconds."""
+        """Promise that no item earlier than `time` will come. From then on the host refuses such items.
+
+        Returns the latest instant that any producer has promised so far, in nanoseconds. Blocks for at most 10 s.
+        """
         instant = parse_instant(time)
 
         async def advance_at(binding: Binding) -> int:
@@ -184,7 +188,7 @@ class Channel(Reader):
         return await self._session.perform(self._state, configure_at)
 
     async def delete(self) -> None:
-        """Delete the channel and all its items, for everyone. This also works if its host is lost."""
+        """Delete the channel and all its items, for everyone. This also works if the channel's host is lost."""
         identity, since_s = request_id(), age_clock_s()
 
         async def drop_at(binding: Binding) -> None:

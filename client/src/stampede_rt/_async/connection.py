@@ -67,7 +67,7 @@ class Connection(Discovery, Reference):
         return self._session.reopened("connection")
 
     async def _open(self) -> Connection:
-        """Find the cluster and register under the name, within 5 s.
+        """Find the cluster, and register the peer if the connection has a name. Takes at most about 5 s.
 
         Raises Unavailable, PermissionDenied, VersionMismatch, PeerExists.
         """
@@ -87,7 +87,7 @@ class Connection(Discovery, Reference):
         await self.aclose()
 
     async def aclose(self) -> None:
-        """End all calls and streams, and leave the cluster. Handles of this connection no longer work."""
+        """End all calls and streams, and deregister the peer. The handles of this connection no longer work then."""
         await self._session.aclose()
 
     @property
@@ -97,10 +97,11 @@ class Connection(Discovery, Reference):
 
     @property
     def clock(self) -> ClockOffset | None:
-        """How far this machine's clock is ahead of a supernode's clock.
+        """How far this machine's clock is ahead of a supernode's clock, by the last measurement.
 
-        The supernode is the nearest one. For a connection with a name it is the leader, after the first renewal.
-        The client measures it when it connects, with each renewal of its lease, and with some other calls.
+        The client measures the offset against the nearest supernode when it connects, and from time to time when it
+        calls the directory. A connection with a name also measures the offset against the leader, with each renewal of
+        the peer's lease. None if no supernode has told its time.
         """
         return self._session.supernodes.clock
 
@@ -127,8 +128,9 @@ class Connection(Discovery, Reference):
         ChannelExists. Defaults: max_age "10s" if you state no limit at all, max_bytes 256 MiB, on_full "drop_oldest",
         max_future "1s". `consumers`: an item may leave once this number of consumers has consumed it.
         `max_age_unconsumed` replaces max_age for items that a live consumer has still to consume (see
-        `Channel.consume`): they leave at this age. `host` names the host of a new channel. If the channel exists at
-        another live host, the call raises ChannelExists. With `create=False` an absent channel raises ChannelNotFound.
+        `Channel.consume`): such items leave at this age. `overlap`: for this time after an item's own time, later items
+        do not end its span. `host` names the host of a new channel. If the channel exists at another live host, the
+        call raises ChannelExists. If the channel does not exist and `create` is False, the call raises ChannelNotFound.
 
         `codec` belongs to the handle, not to the channel. It turns the values of `put` into payloads, and payloads into
         `item.value`: "bytes" (default), "json", "numpy" (keeps shape and dtype), or an object with `content_type`,
@@ -161,13 +163,17 @@ class Connection(Discovery, Reference):
     ) -> Group:
         """Get or create a group: channels that readers see up to one common cut (paper, section 3.3).
 
-        With the name alone, the call only gets the group.
+        With the name alone, the call gets an existing group and creates none.
 
-        `reference` "oldest": the group's cut is the smallest cut of all members. A channel as `reference`: the group
-        has the cut of that channel. `bound` "start": a channel's cut is the time of its newest item. "end": it is the
-        end of that item's duration, at most `max_lead` later. `idle_after`: with "oldest", the group leaves out a
-        member that has been silent for this duration; None: never. Blocks for at most 10 s. Raises GroupExists if the
-        group exists with other members or settings, GroupNotFound, InvalidArgument, Unavailable.
+        - `reference`: with "oldest" the group has the smallest cut of all members, with a channel the cut of that
+          channel.
+        - `bound`: with "start" a channel's cut is the time of its newest item. With "end" it is the end of that item's
+          duration, but at most `max_lead` after the item's time.
+        - `idle_after`: with reference "oldest", the group's cut does not wait for a member that has been silent for
+          this duration. None: the cut waits for every member without a limit.
+
+        Blocks for at most 10 s. Raises GroupExists if the group exists with other members or settings, GroupNotFound,
+        InvalidArgument, Unavailable.
         """
         if channels is None:
             request = group_directory_pb.OpenGroupRequest(request_id=request_id(), name=parse_name(name, "group"))
@@ -200,10 +206,13 @@ class Connection(Discovery, Reference):
     ) -> CrossSection[Channel | GroupChannel]:
         """Return one item of `reference`, and the items of every other channel at that item.
 
-        The item of `reference` is its last one whose span holds `at`. `over` "start": the items of `others` whose span
-        holds the time of that item. "span": all items that share an instant with its span. With `complete` the call
-        waits until each channel has passed that time, at most `timeout` seconds in all (None: without a limit). If
-        `reference` has no such item, `section.time` is None, and the answer has only the reference.
+        The item of `reference` is the last of its items whose span holds `at`. `over` says which items of `others` the
+        answer has: with "start" those whose span holds the time of the reference's item, with "span" those whose span
+        shares an instant with the span of the reference's item. If `reference` has no such item, `section.time` is
+        None, and the answer has only the reference.
+
+        `timeout` in seconds bounds the whole call: 0 answers at once, None waits without a limit. The call waits for
+        the first item of each channel, or with `complete` until no more items of `others` can come.
         """
         return await cross_section(
             reference, others, at, over=over, complete=complete, payloads=payloads, timeout=timeout
@@ -232,14 +241,15 @@ class Connection(Discovery, Reference):
         The call compares only the arguments that you state with an existing queue. A contradiction raises QueueExists.
         Defaults: max_bytes 256 MiB, on_full "block" (or "reject", "drop_oldest"), lease "30s", copies 1. `copies`: this
         number of distinct takers get each message. `max_deliveries`: a message leaves the queue after this number of
-        deliveries without an acknowledgement. If you state `dead_letter`, a handle or name, the message goes to that
-        queue. `host` names the host of a new queue. With `create=False` an absent queue raises QueueNotFound.
+        deliveries without an acknowledgement. `dead_letter`: the handle or name of the queue to which such a message
+        goes, and each message that a taker gives up. `host` names the host of a new queue. If the queue does not exist
+        and `create` is False, the call raises QueueNotFound.
 
-        `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With more
-        it takes up to this number ahead, and extends their leases while callers take messages. If no caller takes any
-        for two thirds of a lease, the messages go back to the queue. `reconnect` belongs to the handle, too: after
-        a break a loop over the handle tries to continue for this duration (None: without a limit). `codec` is as in
-        `channel`. Blocks for at most 10 s.
+        `prefetch` belongs to the handle. With 1 the handle takes a message only when a caller waits for it. With a
+        greater number the handle takes up to this number of messages ahead, and extends the leases of these messages
+        while callers take messages. If no caller takes a message for two thirds of a lease, the messages go back to the
+        queue. `reconnect` belongs to the handle, too: after a break, a loop over the handle tries to continue for this
+        duration (None: without a limit). `codec` is as in `channel`. Blocks for at most 10 s.
         """
         stated = parse_queue_policy(
             max_items=max_items,
@@ -279,11 +289,11 @@ class Connection(Discovery, Reference):
     ) -> Enqueued:
         """Put a message into a peer's mailbox, and return its seq there. `peer` is a name, or a PeerInfo of `peers`.
 
-        `payload` is bytes, or a value that `codec` encodes (see `channel`); its taker reads `message.decode(codec)`. A
-        mailbox holds 1024 messages. `timeout` in seconds is the longest wait for room in a full mailbox; None waits
-        without a limit. The client tries again after a broken connection, and the host never stores a message twice.
-        `message_id` is as in `Queue.put`. Raises PeerNotFound, QueueFull, ItemTooLarge, CodecError, InvalidArgument;
-        Unavailable if the mailbox's host cannot be reached.
+        `payload` is bytes, or a value that `codec` encodes (see `channel`). The peer then reads
+        `message.decode(codec)`. A mailbox holds at most 1024 messages. `timeout` in seconds is the longest wait for
+        room in a full mailbox; None waits without a limit. The client tries again after a broken connection, and the
+        host never stores a message twice. `message_id` is as in `Queue.put`. Raises PeerNotFound, QueueFull,
+        ItemTooLarge, CodecError, InvalidArgument; Unavailable if the mailbox's host cannot be reached.
         """
         name = peer.name if isinstance(peer, PeerInfo) else peer
         return await self._mailbox_sender.send(
@@ -295,7 +305,7 @@ class Connection(Discovery, Reference):
         return await stats_at(self._session, PeerLocator(self._session, parse_name(peer, "peer")))
 
     async def mailbox_pending(self, peer: str, limit: int = 1000) -> list[PendingMessage]:
-        """List the messages that a peer has taken from its mailbox and not settled, see `Queue.pending`.
+        """List the messages that a peer has taken from its mailbox and not yet settled (see `Queue.pending`).
 
         Raises PeerNotFound, Unavailable, InvalidArgument.
         """

@@ -17,7 +17,7 @@ from stampede_rt.transports.concurrency_async import BackgroundTask, Mutex, Sign
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
 
-SEQS_MAX = 4096
+SEQS_MAX = 4096  # in one request
 RENEWALS_PER_LEASE = 3
 END_TIMEOUT_S = 1.0
 _log = logging.getLogger("stampede_rt")
@@ -38,9 +38,9 @@ async def consume(session: Session, state: ChannelState, items: Item | Iterable[
 
 
 def _seqs_by_incarnation(items: Iterable[Item]) -> list[tuple[int, Sequence[int]]]:
-    """Return the incarnation and the seqs of each request: seqs of one incarnation, at most SEQS_MAX.
+    """Return an incarnation and at most SEQS_MAX seqs of it for each request.
 
-    Without items, return one request without seqs. It only takes or keeps the place.
+    Without items, return one request without seqs. That request only takes or renews the place.
     """
     if not isinstance(items, Iterable):
         raise InvalidArgument(f"{items!r} cannot be consumed; give items from a read or subscription")
@@ -103,7 +103,7 @@ class _HeldConsumerPlace:
                 self._background = BackgroundTask(self._run, f"consumer of {self._state.info.name}")
 
     async def end(self) -> None:
-        """Give the place up now, so that no other consumer has to wait for the end of its lease.
+        """Give the place up. Without this, another consumer could take the place only at the end of the lease.
 
         The connection calls this when it closes.
         """
@@ -130,9 +130,9 @@ class _HeldConsumerPlace:
             self._session.detach(self)
 
     async def _renew(self) -> None:
-        """Renew the lease.
+        """Renew the lease. After a retryable error only logs the error, because `_run` renews again soon.
 
-        Raises an error if further tries are useless: the channel is deleted, or other consumers have all places.
+        Raises any other error, for example if the channel is deleted or if other consumers have all places.
         """
         try:
             response = await _consume(self._session, self._state, timeout_s=self._lease_s / RENEWALS_PER_LEASE)

@@ -55,9 +55,9 @@ async def cross_section(
 async def _beside(
     other: Reader, item: Item, over: Over, *, complete: bool, payloads: bool, timeout: float | None
 ) -> Items:
-    """Return the items of `other` at the time of `item` (over "start") or during its span (over "span").
+    """Return the items of `other` at the time of `item` (`over` "start"), or during the span of `item` ("span").
 
-    If the span has no end yet, it counts as ending now.
+    If the span of `item` has no end yet, return the items up to now.
     """
     end: BoundLike = item.time
     bounds: Bounds = "[]"

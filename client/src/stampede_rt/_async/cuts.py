@@ -1,4 +1,4 @@
-"""Cut events: the items that a group makes visible together, from all hosts of its members (paper, section 3.3)."""
+"""Cut events: the items that become visible at one advance of a group's cut, from all hosts (paper, section 3.3)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from stampede_rt.wire.groups import cut_items
 
 
 class _HostStream:
-    """The stream to one host."""
+    """The stream of cut events from one host."""
 
     def __init__(self, conversation: BidiStream[group_pb.SubscribeCutsResponse]) -> None:
         self.conversation = conversation
@@ -49,9 +49,9 @@ class CutSubscription(BoundToProcess):
     """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. Any thread may call `close`.
 
     One host decides when an event is due. The other hosts then send their items up to the same cut. After the loss of a
-    host, and after a change of the members, the subscription continues behind the last event. Each step blocks until
-    the next event. It raises GroupNotFound once the group is deleted, IncarnationLost if all its hosts were lost, and
-    Unavailable if the client could not reach the hosts for the duration `reconnect`.
+    host, and after a change of the members, the subscription continues after the last event. Each step blocks until
+    the next event. A step raises GroupNotFound once the group is deleted, IncarnationLost if all hosts of the group
+    were lost, and Unavailable if the client could not reach the hosts for the duration `reconnect`.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class CutSubscription(BoundToProcess):
         self._payloads = payloads
         self._streams: list[_HostStream] = []  # the first one is that of the deciding host
         self._opening_streams: list[_HostStream] = []  # streams that the client is opening
-        self._cursor: group_pb.CutCursor | None = None
+        self._cursor: group_pb.CutCursor | None = None  # where the next event begins; None before the first opening
         self._closed = False
         begin_if_blocking(self._open)
 
@@ -110,14 +110,14 @@ class CutSubscription(BoundToProcess):
             except StampedeError:
                 self._group.session.check()
                 raise
-            if not self._streams:  # `close` came during the opening
+            if not self._streams:  # somebody called `close` during the opening
                 self._group.session.check()
                 break
             try:
                 parts: list[group_pb.CutPart] = []
                 boundary = await self._next_boundary(parts)
                 return self._cut(boundary, parts)
-            except StopAsyncIteration:  # `close` came meanwhile
+            except StopAsyncIteration:  # somebody called `close` meanwhile
                 self._hang_up()
             except StampedeError as error:
                 self._hang_up()
@@ -146,7 +146,7 @@ class CutSubscription(BoundToProcess):
             stream.conversation.cancel()
 
     async def _open(self) -> None:
-        """Open one stream to each host that owns members. After a break the streams begin behind the last event."""
+        """Open one stream to each host that owns members. After a break the streams begin after the last event."""
         if self._streams or self._closed:
             return
         try:
@@ -189,7 +189,7 @@ class CutSubscription(BoundToProcess):
             self._hang_up()
             raise
         self._streams, self._opening_streams = self._opening_streams, []
-        if self._closed:  # `close` came during the opening
+        if self._closed:  # somebody called `close` during the opening
             self._hang_up()
 
     def _opening(self, *, decides: bool) -> group_pb.SubscribeCutsOpen:
@@ -204,7 +204,7 @@ class CutSubscription(BoundToProcess):
         )
 
     def _keep_members_only(self) -> None:
-        """Forget the cursors of former members. A channel that joins again begins at the cut of that moment."""
+        """Forget the cursors of former members. A channel that joins again then begins at the cut of that moment."""
         if self._cursor is not None:
             members = {channel.info.channel_id for channel in self._group.channels}
             kept = [one for one in self._cursor.channels if one.channel_id in members]
@@ -212,9 +212,9 @@ class CutSubscription(BoundToProcess):
             self._cursor.channels.extend(kept)
 
     def _learn(self, opened: group_pb.CutCursor) -> None:
-        """Add to the cursor of this subscription the channels of one more host.
+        """Add the channels of one more host to the cursor of this subscription.
 
-        `opened` says at which item that host begins with each of its channels. All hosts begin at the cut of the
+        `opened` says with which item that host begins on each of its channels. All hosts begin at the cut of the
         deciding host.
         """
         assert self._cursor is not None
@@ -223,10 +223,10 @@ class CutSubscription(BoundToProcess):
 
     async def _next_boundary(self, parts: list[group_pb.CutPart]) -> group_pb.CutBoundary:
         streams = self._streams
-        if not streams:  # `close` came during the opening
+        if not streams:  # somebody has called `close`
             raise StopAsyncIteration
         decider, *others = streams
-        await decider.conversation.send(group_pb.SubscribeCutsRequest(credit=1))  # one event
+        await decider.conversation.send(group_pb.SubscribeCutsRequest(credit=1))  # the host may send one event
         boundary = await decider.event(parts)
         for stream in others:
             await stream.conversation.send(group_pb.SubscribeCutsRequest(boundary=boundary))

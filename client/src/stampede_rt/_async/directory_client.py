@@ -1,4 +1,4 @@
-"""Calls to the directory. Front-ends name the supernodes; the client asks the nearest one, and then the next."""
+"""Calls to the directory. Front-ends name the supernodes. The client asks the nearest supernode, and then the next."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-MEASURE_EVERY_S = 60.0
+MEASURE_EVERY_S = 60.0  # the average time between two measurements of the round trips
 PING_TIMEOUT_S = 1.0
-TRY_TIMEOUT_S = 2.5  # for one of several supernodes; if it is stopped, time is left for the others
+TRY_TIMEOUT_S = 2.5  # for one of several supernodes; if that supernode hangs, time is left for the others
 CONNECT_TIMEOUT_S = 5.0
 OTHERS_TIMEOUT_S = 0.5  # for front-ends that the client asks only for their cluster
 EXPLAIN_TIMEOUT_S = 1.0  # the search for a certificate that explains a failure ends after this time
-LEADERS_ASKED_MAX = 3  # for one call: the last known leader, the leader that it names, and one more
+LEADERS_ASKED_MAX = 3  # for one call: the last known leader, the leader that this supernode names, and one more
 
 
 class _Call(NamedTuple):
@@ -132,10 +132,7 @@ class DirectoryClient:
         return response
 
     async def _cluster_of(self, frontend: str) -> str:
-        """Return the cluster id of a front-end; empty if the front-end does not answer within OTHERS_TIMEOUT_S.
-
-        The client asks that front-end again when it needs it.
-        """
+        """Return the cluster id of a front-end; empty if the front-end does not answer within OTHERS_TIMEOUT_S."""
         try:
             return (await self._ask(frontend, OTHERS_TIMEOUT_S)).cluster_id
         except StampedeError:
@@ -158,7 +155,7 @@ class DirectoryClient:
         )
 
     async def _explain(self) -> StampedeError | None:
-        """Return the error that names the wrong certificate; None if certificates do not explain the failure."""
+        """Return an error that names the wrong certificate; None if no certificate explains the failure."""
         deadline_s = time.monotonic() + EXPLAIN_TIMEOUT_S
         for target in self._frontends:
             if time.monotonic() > deadline_s:
@@ -169,11 +166,11 @@ class DirectoryClient:
         return None
 
     async def _measure(self) -> None:
-        """Ping all supernodes at once, and put the nearest first. Those of the client's own zone go before others.
+        """Ping all supernodes in parallel, and put the nearest first. Supernodes of the client's zone go before others.
 
-        Supernodes that do not answer within PING_TIMEOUT_S go last. So do supernodes of another cluster, such as a
-        restored backup at an old address. The time of the next ping is random, so that many clients do not ping at
-        once.
+        Supernodes that do not answer within PING_TIMEOUT_S go last. So do supernodes that cannot serve, and supernodes
+        of another cluster, such as a restored backup at an old address. The time of the next ping is random, so that
+        many clients do not ping at the same time.
         """
         self._measure_again_s = time.monotonic() + MEASURE_EVERY_S * (0.5 + random.random())
         targets = list(self._targets)
@@ -259,9 +256,10 @@ class DirectoryClient:
         return [target for target in self._targets if target not in self._strangers] or list(self._targets)
 
     def demote(self, target: str, error: StampedeError) -> None:
-        """Put the supernode at `target` last, because it did not serve.
+        """Put the supernode at `target` last, because it failed with `error`.
 
-        If it is of another cluster, note that. The client then asks it only if it knows no supernode of its cluster.
+        If the supernode is of another cluster, the client asks it again only if it knows no supernode of its own
+        cluster.
         """
         if target in self._targets:
             self._targets.remove(target)
@@ -270,9 +268,9 @@ class DirectoryClient:
             self._strangers.add(target)
 
     async def _rebind(self, deadline_s: float) -> None:
-        """Ask the front-ends for other supernodes, because all known ones failed.
+        """Ask the front-ends for other supernodes, because all known supernodes failed.
 
-        If no front-end answers, keep the known ones.
+        If no front-end answers, the client keeps the supernodes that it knows, and pings them before the next round.
         """
         left_s = deadline_s - time.monotonic()
         try:
@@ -309,9 +307,10 @@ class DirectoryClient:
         return any(one.cluster_id == self.cluster_id for one in seen)
 
     async def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:
-        """Make one call that only the leader can answer. Does not try again.
+        """Make one call that only the leader can answer.
 
-        Raises the leader's error, and Unavailable if there is no leader.
+        If the asked supernode does not lead, asks another supernode. Does not repeat the call after any other error.
+        Raises the error of the call, and Unavailable if there is no leader. `timeout_s` holds for each request.
         """
         for _ in range(LEADERS_ASKED_MAX):
             self._leader = target = self._leader or await self._find_leader(timeout_s)

@@ -14,7 +14,7 @@ from stampede_rt.values.codecs import CodecLike, Coding
 from stampede_rt.values.queueing import Enqueued
 from stampede_rt.values.reading import Wait
 
-PEERS_MAX = 256
+PEERS_MAX = 256  # mailboxes with put streams that stay open
 
 
 class MailboxSender:
@@ -49,5 +49,5 @@ class MailboxSender:
                 way = Puts(self._session, PeerLocator(self._session, peer), ServerEndpoint.enqueues)
             self._ways[peer] = way  # the most recently used mailbox is the last in the order
             if len(self._ways) > PEERS_MAX:
-                self._ways.pop(next(iter(self._ways)))  # its stream closes after the last put under way
+                self._ways.pop(next(iter(self._ways)))  # the streams of this mailbox close after their last put
         return way

@@ -31,7 +31,7 @@ from stampede_rt.values.queueing import QueuePolicy
 from stampede_rt.version import VERSION
 from stampede_rt.wire.peers import clock_message, peer_info
 
-LEAVE_TIMEOUT_S = 1.0
+LEAVE_TIMEOUT_S = 1.0  # for each of two steps: the end of the renewals, and the call that deregisters the peer
 RENEWALS_IN_LEASE = 3
 _log = logging.getLogger("stampede_rt")
 
@@ -39,20 +39,21 @@ _log = logging.getLogger("stampede_rt")
 class Presence:
     """Keeps one peer registered: renews its lease, and registers again if the lease ended or the mailbox is lost.
 
-    `error` is set once another process has the name. The peer does not register again then.
+    `error` says why the peer cannot be registered any more, for example because another process has the name. It is
+    None before that. Once it is set, the peer does not register again.
     """
 
     def __init__(self, session: Session, name: str, proof: str | None) -> None:
         self._session = session
         self._identity = PeerIdentity.parse(name, proof, os.urandom(48))
-        self._boot_incarnation = int.from_bytes(os.urandom(8), "little") | 1
+        self._boot_incarnation = int.from_bytes(os.urandom(8), "little") | 1  # another one at each start
         self._epoch = RegistrationEpoch()
         self._name = name
         self._lease_s = 0.0
         self._wake = Signal()
         self._left = False
         self._registered = False
-        self._failures = 0  # since the last success
+        self._failures = 0  # failed renewals and registrations since the last success
         self._background: BackgroundTask | None = None
         self.peer: PeerInfo | None = None
         self._mailbox: QueueState | None = None
@@ -72,7 +73,10 @@ class Presence:
         return mailbox
 
     async def _register(self, timeout_s: float) -> QueueState:
-        """Register with a registration epoch above all others of this peer. Raises PeerExists, Unavailable."""
+        """Register with a higher registration epoch than any other process of this peer.
+
+        Raises PeerExists, Unavailable.
+        """
         deadline_s = time.monotonic() + timeout_s
         while True:  # repeats if another process has registered meanwhile; ends at the deadline
             try:
@@ -118,7 +122,7 @@ class Presence:
         return self._mailbox
 
     def check(self) -> None:
-        """Raise the error that ended the registration, or Unavailable (retryable) while the peer registers again."""
+        """Raise `error` if it is set, and Unavailable (retryable) while the peer registers again."""
         if self.error is not None:
             raise self.error
         if not self._registered:
@@ -128,7 +132,10 @@ class Presence:
             )
 
     def register_again(self) -> None:
-        """Register again, because the mailbox is lost. The directory then gives the peer another one."""
+        """Make the background task register again, because the mailbox is lost.
+
+        The directory then gives the peer another mailbox.
+        """
         self._registered = False
         self._wake.set()
 
@@ -205,9 +212,9 @@ class Presence:
             )
 
     async def end(self) -> None:
-        """Deregister the peer.
+        """Deregister the peer, so that the directory frees its name and deletes its mailbox.
 
-        The directory frees the name and deletes the mailbox, at the latest when the lease ends.
+        If the call fails, only logs the error. The directory then does both when the lease ends.
         """
         self._left = True
         self._wake.set()
@@ -235,7 +242,7 @@ class MailboxLocator(QueueLocator):
         self._presence = presence
 
     async def find(self, deadline_s: float) -> Binding:
-        """Return the cached binding, or look for it."""
+        """Return the mailbox's binding, from the cache or from the cluster. Raises the error of `Presence.check`."""
         self._presence.check()
         return await super().find(deadline_s)
 
@@ -247,7 +254,10 @@ class MailboxLocator(QueueLocator):
         self._presence.check()
 
     def explain(self, error: StampedeError) -> None:
-        """Add the name of the mailbox to the error. If the mailbox is gone, make the peer register again."""
+        """Add the name of the mailbox to the error.
+
+        If the mailbox does not exist, make the peer register again, and mark the error as retryable.
+        """
         super().explain(error)
         if isinstance(error, QueueNotFound):
             self._presence.register_again()
@@ -255,9 +265,9 @@ class MailboxLocator(QueueLocator):
 
 
 class Mailbox(MessageTaking, BoundToProcess):
-    """The queue of the messages that other peers send to this one (see `Connection.send`).
+    """The queue of the messages that others send to this connection's peer (see `Connection.send`).
 
-    It exists as long as the peer is registered. `get`, loops, `stats`, `pending` and `aclose` are those of a `Queue`.
+    It exists as long as the peer is registered. `get`, loops, `stats`, `pending` and `aclose` work as with a `Queue`.
     """
 
     def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:

@@ -40,7 +40,7 @@ class ProducerNumbers:
 
 
 class Puts:
-    """The puts of one handle."""
+    """Performs the puts of one handle."""
 
     def __init__(
         self, session: Session, locator: Locator, open_stream: Callable[[ServerEndpoint], PutExchange]
@@ -56,7 +56,7 @@ class Puts:
         """Put one item under the producer's next number, so that it is safe to repeat. Returns the ack.
 
         `wait` bounds the wait for room. The client splits a long wait into several requests, so that it notices a host
-        that hangs. The first request waits for `renew_s`.
+        that hangs. The first request asks for a wait of at most `renew_s`, the others of at most RENEW_S.
         """
         began_s = monotonic_s()
         while True:  # ends when the time of `wait` is over
@@ -107,7 +107,7 @@ def _accepted(ack: channel_pb.PutAck) -> channel_pb.PutAck:
 
 @dataclass(frozen=True, slots=True)
 class SingleItem:
-    """One item with the caller's arguments, checked."""
+    """One item with the checked arguments of a put."""
 
     payload: bytes
     time: int | None

@@ -35,7 +35,7 @@ PENDING_PAGE_MAX = 1000
 class MessageTaking:
     """A handle that takes messages from a queue, or from the connection's own mailbox.
 
-    A loop over it waits for each message without a limit. Any number of threads or tasks may wait.
+    A loop over the handle waits for each message without a limit. Any number of threads or tasks may take messages.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class MessageTaking:
             found.append(await self.get())
 
         await self._reconnecting.open(take)
-        if not found or found[0] is None:  # `aclose` came meanwhile
+        if not found or found[0] is None:  # somebody called `aclose` meanwhile
             raise StopAsyncIteration
         return found[0]
 
@@ -127,20 +127,18 @@ class MessageTaking:
         return await stats_at(self._session, self._locator)
 
     async def pending(self, limit: int = 1000) -> list[PendingMessage]:
-        """List the `limit` oldest leased messages, in the order of delivery.
+        """List the leased messages, at most `limit`, in the order of their deliveries.
 
-        Each has its taker and the times of its lease.
-
-        The call changes nothing. It fetches a long list page by page. A message that its taker settles meanwhile may be
-        missing. Raises QueueNotFound, Unavailable, InvalidArgument.
+        Each entry names the taker and the beginning and end of the lease. The client fetches a long list page by page.
+        A message that its taker settles meanwhile may be missing. Raises QueueNotFound, Unavailable, InvalidArgument.
         """
         return await pending_at(self._session, self._locator, limit)
 
     async def aclose(self) -> None:
         """Stop taking: waiting calls return None, and prefetched messages go back to the queue.
 
-        Messages that callers have received stay leased, and callers may still settle them. Closing the connection
-        closes this handle, too.
+        Messages that callers have received stay leased, and the callers may still settle these messages. When the
+        connection closes, it closes this handle, too.
         """
         self._reconnecting.stop()
         await self._taker.end()
@@ -149,9 +147,9 @@ class MessageTaking:
 class Queue(MessageTaking, Reference):
     """A named queue. Handles of one queue are equal. Any number of handles may put and take, in any process.
 
-    A handle is also a context manager, which closes it at the end of the block. The host delivers messages in the order
-    of their acceptance, each to one taker at a time, at least once. If the taker does not acknowledge a message before
-    the lease ends, the host delivers the message again.
+    A handle is also a context manager: the end of the block calls `aclose`. The host delivers messages in the order in
+    which it accepted them, each at least once. It leases a message to one taker at a time, or with `copies` to several.
+    If a taker does not acknowledge a message before the lease ends, the host delivers the message again.
     """
 
     def __init__(
@@ -267,9 +265,9 @@ async def stats_at(session: Session, locator: Locator) -> QueueStats:
 
 
 async def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMessage]:
-    """Return the oldest leased messages of the queue that `locator` finds.
+    """Return the leased messages of the queue that `locator` finds, at most `limit`, in the order of their deliveries.
 
-    Starts again if the queue moves to another host.
+    If the queue moves to another host meanwhile, reads the list again from its beginning.
     """
     most = count_of("limit", limit) or 1
 
@@ -293,9 +291,9 @@ async def pending_at(session: Session, locator: Locator, limit: int) -> list[Pen
 
 
 async def dead_letter_id(session: Session, queue: Queue | str | None, of: str) -> bytes | None:
-    """Return the id of the dead-letter queue for queue `of`, named by handle or name.
+    """Return the id of `queue`, the dead-letter queue of the queue named `of`. None for None.
 
-    Raises QueueNotFound, InvalidArgument.
+    `queue` is a handle or a name. Raises QueueNotFound; InvalidArgument if `queue` is the queue `of` itself.
     """
     if queue is None:
         return None

@@ -1,6 +1,7 @@
 """Finds the host of a queue.
 
-The directory names the owner; the address of the owner's gatekeeper also serves the queue.
+The directory names the owner and the addresses of the owner's gatekeeper. The owner also serves the queue at these
+addresses.
 """
 
 from __future__ import annotations
@@ -49,7 +50,10 @@ async def open_queue(
     create: bool,
     timeout_s: float = CALL_TIMEOUT_S,
 ) -> QueueInfo:
-    """Get or create a queue by name. The directory replaces an owner whose lease has ended."""
+    """Get a queue by name, or create it if `create` is True. Returns its description.
+
+    If the lease of the queue's owner has ended, the directory gives the queue another owner.
+    """
     request = queue_directory_service_pb2.OpenQueueRequest(
         request_id=request_id(),
         name=name,
@@ -62,7 +66,7 @@ async def open_queue(
 
 
 def learn_queue(session: Session, record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord) -> QueueInfo:
-    """Keep the owner of a queue, which the directory named, in the cache. Returns the description of the queue."""
+    """Keep the owner that the directory named for a queue in the cache. Returns the description of the queue."""
     owner = Owner(
         host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version, incarnation=record.incarnation
     )
@@ -76,10 +80,10 @@ class QueueLocator:
     def __init__(self, session: Session, state: QueueState) -> None:
         self._session = session
         self._state = state
-        self._turn = 0  # counts failures; after each, the client uses the next endpoint of the host
+        self._turn = 0  # counts failures; after each failure the client uses the next address of the host
 
     async def find(self, deadline_s: float) -> Binding:
-        """Return the cached binding, or look for it."""
+        """Return the queue's binding, from the cache or from the cluster."""
         queue_id = self._state.info.queue_id
         owner = self._session.cache.owner(queue_id)
         if owner is None:
@@ -96,7 +100,11 @@ class QueueLocator:
         )
 
     async def _resolve(self, deadline_s: float) -> None:
-        """Ask a supernode for the owner. If the owner is lost, open the queue again with the handle's arguments."""
+        """Ask a supernode for the owner.
+
+        If the owner is lost, open the queue again with the handle's arguments. If these arguments do not allow to
+        create the queue, raise Unavailable.
+        """
         state = self._state
         request = queue_directory_service_pb2.ResolveQueueRequest(queue_id=state.info.queue_id)
         try:
@@ -122,8 +130,8 @@ class QueueLocator:
     async def _resolve_name(self, error: QueueNotFound, deadline_s: float) -> None:
         """Open the queue by its name, because the directory does not know its id any more.
 
-        Creates the queue only if the directory itself began anew, for example a directory that is in memory alone.
-        Raises QueueNotFound.
+        Creates the queue only if the directory itself began anew, for example after the restart of a directory that is
+        kept in memory only. Raises QueueNotFound.
         """
         state, supernodes = self._state, self._session.supernodes
         create = state.create and await supernodes.present_cluster(deadline_s) != state.cluster_id

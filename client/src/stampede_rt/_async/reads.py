@@ -21,15 +21,17 @@ from stampede_rt.wire.reads import (
     summary_reason,
 )
 
-_MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)  # LOST: the producer may put the items again
+# The reasons with which items may still come into the interval. LOST: the producer may put the lost items again.
+_MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)
 
 
 async def read(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None = None) -> Items:
-    """Perform `query`, also if the channel has moved to another host. Blocks as long as the query may wait.
+    """Perform `query`, also if the channel has moved to another host.
 
-    `view`: the group through which to read. The client sends the highest cut that it has seen, and keeps the cut of the
-    answer. The client splits a wait without limit into several requests, so that it notices a host that hangs. All of
-    them use the interval as the host first resolved it.
+    Blocks for the wait of the query, and for at most 10 s more. `view`: the group through which to read. The client
+    sends the highest cut that it has seen in this group, and notes the cut of the answer. The client splits a wait
+    without limit into several requests, so that it notices a host that hangs. All of these requests use the interval as
+    the host first resolved it.
     """
     if query.wait.seconds is not None:
         return await _read_once(session, state, query, view)

@@ -52,8 +52,8 @@ class Sampler(BackgroundStart, BoundToProcess):
 
     `samples` counts the items put. `missed` counts periods that passed while the function or a put took too long.
     `failures` counts calls and puts that raised; `last_failure` is the last exception. The sampler continues after
-    an exception. `error` is the error that ended it, ChannelNotFound once the channel is deleted, or None while it runs
-    and after `cancel`.
+    an exception. Only ChannelNotFound ends the sampler, when the channel is deleted. `error` is then this error; it is
+    None while the sampler runs and after `cancel`.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Sampler(BackgroundStart, BoundToProcess):
 
     @property
     def missed(self) -> int:
-        """The number of periods without an item."""
+        """The number of periods that the sampler skipped, because the function or a put took too long."""
         return self._periods.missed
 
     def __repr__(self) -> str:

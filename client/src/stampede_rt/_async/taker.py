@@ -26,9 +26,10 @@ from stampede_rt.values.reading import Wait
 from stampede_rt.wire.delivered import check_granted
 from stampede_rt.wire.queues import deliveries_of
 
-# This is longer than a call, so that the worker can first tell the callers why it cannot open a stream.
+# The wait for the end of a drained stream. It is longer than a call: if the worker cannot open a stream, the callers
+# still learn the reason from the worker.
 DRAIN_TIMEOUT_S = CALL_TIMEOUT_S + 2.0
-END_TIMEOUT_S = 1.0
+END_TIMEOUT_S = 1.0  # for each step of the end of a handle
 _log = logging.getLogger("stampede_rt")
 
 
@@ -36,9 +37,9 @@ class WaitingTake:
     """One `get` that waits for a message. It ends with a message, with an error, or after its timeout with neither."""
 
     def __init__(self) -> None:
-        self.come = Signal()
-        self.asked = Signal()  # the host may send a message for this caller
-        self.leaving = False  # its time is over; it only takes a message that is already on the way
+        self.come = Signal()  # is set together with `message` or `error`
+        self.asked = Signal()  # is set once the taker has asked the host for a message for this caller
+        self.leaving = False  # the caller's time is over; it only takes a message that is already on the way
         self.message: Message | None = None
         self.error: StampedeError | None = None
 
@@ -46,10 +47,10 @@ class WaitingTake:
 class Taker:
     """The open Take stream of a handle, and the waiting callers. The taker serves them in the order of their calls.
 
-    The host may send one message for each waiting caller, or `prefetch` messages if that is more. When a caller leaves
-    and the host may now send too many, the taker drains the stream. So no message is leased without a caller. The first
-    `get` opens the stream, and the taker opens it again after a break. If this process dies, the host delivers its
-    messages to other takers when the leases end.
+    The host may send one message for each waiting caller, or `prefetch` messages if that is more. When a caller leaves,
+    the host may have credit for a message that nobody waits for. The taker then drains the stream: it takes the credit
+    back, and gives back the messages that come meanwhile. The first `get` opens the stream, and the taker opens it
+    again after a break. If this process dies, the host delivers its messages to other takers when the leases end.
     """
 
     def __init__(self, session: Session, locator: Locator, state: QueueState, prefetch: int, name: str = "") -> None:
@@ -67,17 +68,17 @@ class Taker:
         )  # at most `prefetch`
         self._stream: BidiStream[queue_pb.TakeResponse] | None = None
         self._credit = 0  # how many messages the host may still send
-        self._draining = False
-        self._opened = Signal()  # the stream is open, or no stream is wanted
-        self._drained = Signal()  # the present stream has ended; each stream has its own signal
-        self._incarnation = 0
-        self._worker: BackgroundTask | None = None
+        self._draining = False  # whether the taker has asked the host to end the stream
+        self._opened = Signal()  # is set while the stream is open, and while no stream is wanted
+        self._drained = Signal()  # is set once the present stream has ended; each stream has its own signal
+        self._incarnation = 0  # of the queue
+        self._worker: BackgroundTask | None = None  # opens streams and receives messages while messages are wanted
         self.closed = False
 
     async def get(self, wait: Wait) -> Message | None:
-        """Return the next message. Returns None after the wait, or once the handle is closed.
+        """Return the next message; None after the wait, or if the handle is closed meanwhile.
 
-        Raises the error of the stream.
+        Raises the error that ended the stream, and InvalidArgument if the handle is closed already.
         """
         self._session.check_process()
         waiter = WaitingTake()
@@ -95,7 +96,7 @@ class Taker:
         return waiter.message
 
     async def _wait(self, waiter: WaitingTake, wait: Wait) -> None:
-        """Wait until the caller has a message or its time is over. An interrupted caller leaves."""
+        """Wait until the caller has a message, or an error, or until its time is over. If interrupted, tidy up."""
         over = False
         try:
             await self._ask()
@@ -128,7 +129,7 @@ class Taker:
         return min(max(waiting, ahead - len(self._ready)), PREFETCH_MAX)
 
     async def _ask(self) -> None:
-        """Give the host credit for the wanted messages that it has no credit for yet."""
+        """Give the host credit for as many messages as are wanted and not yet covered by its credit."""
         with self._mutex:
             if self._worker is None and self._wanted():
                 self._session.attach(self)
@@ -148,9 +149,9 @@ class Taker:
             waiter.asked.set()
 
     async def _drain(self, timeout_s: float) -> None:
-        """Take back the host's credit for unwanted messages.
+        """End the stream if the host has credit for unwanted messages, and wait for its end.
 
-        Leaving callers get the messages that come meanwhile.
+        The waiting callers, also leaving ones, get the messages that come meanwhile.
         """
         if self._worker is None:
             return
@@ -201,7 +202,10 @@ class Taker:
             waiter.come.set()
 
     def interrupt(self, error: StampedeError) -> None:
-        """End taking for good. Waiting callers raise `error`; later callers raise the error of the locator."""
+        """End the stream, because the peer is no longer registered. Waiting callers raise `error`.
+
+        Later callers raise the error of the locator.
+        """
         with self._mutex:
             stream, self._stream = self._stream, None
         self._fail(error)
@@ -209,10 +213,10 @@ class Taker:
             stream.cancel()
 
     async def _take_at(self, binding: Binding) -> None:
-        """Take messages over one stream until it ends, if messages are still wanted.
+        """Take messages over one stream until the stream ends, if messages are still wanted.
 
-        Raises the error of the stream. Only if the error is retryable and came after the first answer, returns instead,
-        and the worker opens the next stream.
+        Raises the error of the stream, except a retryable error after the first response. After such an error returns,
+        so that the worker opens the next stream.
         """
         with self._mutex:
             self._credit = self._wanted()
@@ -281,7 +285,7 @@ class Taker:
         if unwanted:
             await self._give_back(unwanted)
         if not response.drained and len(self._waiting) > self._credit:
-            await self._ask()  # one request cannot ask for as many messages as callers wait for
+            await self._ask()  # more callers wait than one request can ask for
 
     def _hand_over(self, message: Message) -> bool:
         with self._mutex:
@@ -289,9 +293,9 @@ class Taker:
         return self._pass_on(message)
 
     def _pass_on(self, message: Message, *, first: bool = False) -> bool:
-        """Give the message to the caller that has waited longest, or keep it for the next caller.
+        """Give the message to the caller that has waited longest. If no caller waits, prefetch it for the next caller.
 
-        Returns False if the handle wants no message.
+        Returns False if no caller waits and the handle does not prefetch.
         """
         with self._mutex:
             waiter = self._waiting.popleft() if self._waiting else None
@@ -347,5 +351,5 @@ class Taker:
 
 
 def _this_process() -> str:
-    """Return the name, for people, of a taker whose connection has no name: its machine and process."""
+    """Return the machine and process, as the name of a taker whose connection has no name. It is for people."""
     return f"{socket.gethostname()[:100]}:{os.getpid()}"

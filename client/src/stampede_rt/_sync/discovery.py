@@ -25,14 +25,15 @@ from stampede_rt.wire.peers import peer_info
 from stampede_rt.wire.queues import queue_info
 from stampede_rt.wire.records import channel_info, channel_stats, host_info, supernode_info
 
-PAGES_MAX = 10_000
-LEADER_TIMEOUT_S = 2.5  # after this time the client asks another supernode, whose answer has no clocks
+PAGES_MAX = 10_000  # the pages of one list
+LEADER_TIMEOUT_S = 2.5  # if the leader does not answer in this time, the client asks any supernode, without clocks
 
 
 class Discovery:
     """Reads the directory. In a glob "*" stands for any number of characters, "?" for one.
 
-    Calls block for at most 10 s, and raise Unavailable and InvalidArgument.
+    A long list takes several requests, one for each page. Each request blocks for at most 10 s. The methods raise
+    Unavailable and InvalidArgument.
     """
 
     def __init__(self, session: Session) -> None:
@@ -62,9 +63,9 @@ class Discovery:
         return found
 
     def peers(self, name_glob: str = "*", *, include_dead: bool = False) -> list[PeerInfo]:
-        """List the live peers whose names match, sorted by name, with their clocks.
+        """List the live peers whose names match, sorted by name, with the offsets of their clocks.
 
-        With `include_dead` list dead ones, too.
+        With `include_dead` the list also has the peers whose leases have ended.
         """
         found: list[PeerInfo] = []
         request = peer_pb.ListPeersRequest(name_glob=name_glob, include_dead=include_dead, with_clocks=True)
@@ -73,7 +74,7 @@ class Discovery:
         return found
 
     def peer(self, name: str) -> PeerInfo:
-        """Return the live peer of that name, with its clock. Raises PeerNotFound, Unavailable."""
+        """Return the live peer of that name, with the offset of its clock. Raises PeerNotFound, Unavailable."""
         request = peer_pb.ResolvePeerRequest(name=parse_name(name, "peer"), with_clocks=True)
         try:
             response = self._ask("ResolvePeer", request)
@@ -82,16 +83,17 @@ class Discovery:
         return peer_info(response.peer)
 
     def hosts(self, *, include_dead: bool = False) -> list[HostInfo]:
-        """List the channel hosts, sorted by name. With `include_dead` list those whose lease has ended, too."""
+        """List the live hosts, sorted by name. With `include_dead` the list also has hosts whose leases have ended."""
         found: list[HostInfo] = []
         for page in self._pages("ListHosts", directory_pb.ListHostsRequest(include_dead=include_dead)):
             found += [host_info(record) for record in page.hosts]
         return found
 
     def hosted_channels(self, host: str, name_glob: str = "*") -> dict[str, ChannelStats]:
-        """Map the name of each channel at a host to its counters. One request fetches 1000 channels, without payloads.
+        """Return the counters of each matching channel at the host named `host`, by the name of the channel.
 
-        Raises HostNotFound; Unavailable if the host cannot be reached.
+        One request fetches the counters of at most 1000 channels. Raises HostNotFound; Unavailable if the host cannot
+        be reached.
         """
         request = directory_pb.ResolveHostRequest(name=host)
         found = host_info((self._session.supernodes.call("ResolveHost", request, CALL_TIMEOUT_S)).host)
@@ -117,9 +119,9 @@ class Discovery:
             request.page_token = page.next_page_token
 
     def _ask(self, method: str, request: Any) -> Any:
-        """Ask any supernode; for clocks, ask the leader, because only the leader knows them.
+        """Send `request` to any supernode. A request for clocks goes to the leader, because only the leader knows them.
 
-        Without a leader the answer has no clocks.
+        If the leader cannot be reached, asks any supernode for an answer without clocks.
         """
         supernodes = self._session.supernodes
         if getattr(request, "with_clocks", False):
@@ -137,8 +139,8 @@ class Discovery:
     def watch(self, name_glob: str = "*", *, reconnect: DurationLike | None = None) -> Watch:
         """Watch the channels whose names match, and all hosts, from now on.
 
-        Returns an iterator over changes that is also a context manager. After a broken connection the watch tries to
-        come back for the duration `reconnect` (None: without a limit).
+        Returns an iterator over changes that is also a context manager. After a broken connection the client tries to
+        open the watch again for the duration `reconnect` (None: without a limit).
         """
         return Watch(self._session, name_glob, reconnect)
 

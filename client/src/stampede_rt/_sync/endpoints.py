@@ -14,9 +14,10 @@ ENDPOINTS_MAX = 1024
 
 
 class EndpointPool:
-    """Opens an endpoint at its first use and keeps it. Beyond ENDPOINTS_MAX it drops the one that was unused longest.
+    """Opens an endpoint at its first use and keeps it. Beyond ENDPOINTS_MAX it drops the endpoint unused for longest.
 
-    New endpoints use new certificates. A stream under way keeps the certificates with which it began.
+    When the certificates change, the pool opens new endpoints, which use the new certificates. A stream under way keeps
+    the certificates with which it began.
     """
 
     def __init__(self, credentials: Credentials) -> None:
@@ -25,9 +26,9 @@ class EndpointPool:
         self._event_loop = EventLoopCheck()
         self.credentials = credentials
         self.metadata = CallMetadata(credentials.secret)
-        self._material = credentials.material()
+        self._material = credentials.material()  # the certificates of the endpoints
         self._endpoints: dict[str, ServerEndpoint] = {}
-        self._former: list[ServerEndpoint] = []  # they have earlier certificates, and perhaps open streams
+        self._former: list[ServerEndpoint] = []  # endpoints with the certificates before, perhaps with open streams
         self._mutex = Mutex()
         self.closed = False
 
@@ -52,7 +53,7 @@ class EndpointPool:
     def check_process(self) -> None:
         """Raise ForkedProcess in a forked child, and WrongEventLoop on another event loop than the connection's.
 
-        Call this before taking a lock, which the child may have inherited locked.
+        Call this before you take a lock: a child may have inherited the lock in the locked state.
         """
         forking.check(self._forks)
         self._event_loop.check()
@@ -67,7 +68,7 @@ class EndpointPool:
     def close(self) -> None:
         """End all calls and streams, and wait for their end.
 
-        An interrupted `close` ends them all the same, but does not wait.
+        If `close` is interrupted while it waits, the calls and streams end all the same.
         """
         with self._mutex:
             self.closed = True

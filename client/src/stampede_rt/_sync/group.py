@@ -58,8 +58,8 @@ from stampede_rt.wire.groups import member_status
 
 Result = TypeVar("Result")
 
-HOST_TIMEOUT_S = 2.0  # for one host; then another host may answer instead
-CUT_WAIT_NANOS = 1_000_000_000  # how long a host may wait until it has the cut that this process has already seen
+HOST_TIMEOUT_S = 2.0  # for one host; after this time the client asks another host
+CUT_WAIT_NANOS = 1_000_000_000  # how long a host may wait until it knows the cut that this process has already seen
 
 
 class Group(Reference):
@@ -90,7 +90,7 @@ class Group(Reference):
 
     @property
     def incarnation(self) -> int:
-        """The group's incarnation, as last known. In another incarnation the cut may have begun again."""
+        """The group's incarnation, as last known. If it changes, the cut may be lower than before."""
         return self.info.incarnation
 
     def __eq__(self, other: object) -> bool:
@@ -108,9 +108,9 @@ class Group(Reference):
         return self._session.reopened("group", self._members)
 
     def __getitem__(self, channel: NamedChannel | str) -> GroupChannel:
-        """Return the descriptor of a member, named by a handle or by its name.
+        """Return the descriptor of a member. `channel` is the member's name, or a handle or descriptor of it.
 
-        A handle gives its codec to the descriptor. Raises InvalidArgument for a channel that is no member.
+        The descriptor has the codec of that handle. Raises InvalidArgument for a channel that is no member.
         """
         member = self._members.member(channel)
         return GroupChannel(self._members, channel._state if isinstance(channel, Reader) else member._state)
@@ -134,9 +134,9 @@ class Group(Reference):
     ) -> ByChannel[Channel, Items]:
         """Return for each member the items in an interval.
 
-        All members are read at one cut, also if several hosts hold them. The arguments are those of `Channel.get`. Each
-        channel resolves a meta-time for itself. The answer maps each member to its Items. Blocks for at most 10 s.
-        Raises GroupNotFound, InvalidInterval, Unavailable.
+        The client reads all members at one cut, even if several hosts own them. The arguments are those of
+        `Channel.get`. A meta-time stands for each channel's own instant: NEWEST is the time of the channel's own newest
+        item. The answer maps each member to its Items. Raises GroupNotFound, InvalidInterval, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
         return self._read(
@@ -150,11 +150,11 @@ class Group(Reference):
         )
 
     def newest(self, *, payloads: bool = True) -> NewestItems[Channel]:
-        """Return the newest visible item of each member, or None for a member without one, all at one cut.
+        """Return the newest visible item of each member, all at one cut. A member without visible items has None.
 
-        `.reasons[channel]` of the answer says why a member has none. By default the cut is the time of the newest item
-        of the member that is furthest behind, and the group shows only items before the cut. If each member has only
-        one item, the group therefore shows nothing yet. Blocks for at most 10 s. Raises GroupNotFound, Unavailable.
+        `.reasons[channel]` of the answer says why a member has no visible item. By default the cut is the time of the
+        newest item of the member that is furthest behind, and the group shows only items before the cut. If each member
+        has only one item, the group may therefore show nothing for a member. Raises GroupNotFound, Unavailable.
         """
         interval = parse_interval(MIN_INSTANT, MAX_INSTANT)
         answers = self._read(ReadQuery(interval, match=Match.START, limit=1, newest_first=True, payloads=payloads))
@@ -186,7 +186,7 @@ class Group(Reference):
         return ByChannel(self.channels, dict(zip(ids, answers, strict=True)))
 
     def _cut(self) -> int:
-        """Return one cut for a read of all members. The least instant says that nothing is visible yet."""
+        """Return one cut for a read of all members; MIN_INSTANT if no item is visible yet."""
 
         def cut_at(binding: Binding) -> group_pb.GetCutResponse:
             endpoint = self._session.endpoints.to(binding.target)
@@ -214,11 +214,12 @@ class Group(Reference):
     ) -> CutSubscription:
         """Subscribe to cut events. Returns an iterator over `Cut` that is also a context manager.
 
-        A host sends an event when the cut has advanced and every member has reached the cut, at the latest `max_wait`
-        after the advance. A slow reader gets several events as one. The hosts hold each event back for `lateness`.
-        Items that come out of order by at most `lateness` are therefore part of the event, and not late. After a broken
-        connection the subscription tries to come back for the duration `reconnect` (None: without a limit). Raises
-        InvalidArgument; the iterator raises GroupNotFound, IncarnationLost, Unavailable.
+        The host sends an event when the cut has advanced and every member has reached the cut, at the latest `max_wait`
+        after the advance. A slow reader gets several events as one. With `lateness` the event waits until every member
+        is beyond the cut by more than `lateness`, at most `max_wait` + `lateness`. Items that come out of order by at
+        most `lateness` are therefore part of the event, and not late. After a broken connection the client tries to
+        open the subscription again for the duration `reconnect` (None: without a limit). Raises InvalidArgument; the
+        iterator raises GroupNotFound, IncarnationLost, Unavailable.
         """
         return CutSubscription(
             self._members, parse_max_wait(max_wait), parse_lateness(lateness), reconnect, payloads=payloads
@@ -237,10 +238,10 @@ class Group(Reference):
     ) -> MatchSubscription:
         """Match each new item of `per` with the nearest item of every other member. Returns an iterator over `Matched`.
 
-        The nearest item lies at most `tolerance` before or after the item of `per`. The host sends a match as soon as
-        every other member has passed the time of that item + tolerance. If a member has no near item, the host only
-        counts the item of `per` (`unmatched`). With `partial` the host sends such an item, too, and `missing` names the
-        members without a near item.
+        The nearest item must lie at most `tolerance` before or after the item of `per`. The host sends a match as soon
+        as every other member has passed the time of the item of `per` + `tolerance`. If a member has no item that near,
+        the host sends no match and counts the item of `per` in `unmatched`. With `partial` the reader also gets such an
+        item of `per`, and `missing` names the members without an item that near.
 
         With `unique` an item of another member is part of at most one match: that of the nearest item of `per`. The
         host waits for items that come out of order by at most `lateness`. This delays every match by `lateness`.
@@ -259,7 +260,7 @@ class Group(Reference):
         )
 
     def status(self) -> GroupStatus[Channel]:
-        """Return the cut, the members that hold it back, and each member's own cut, as one host sees them.
+        """Return the cut, the members that hold the cut back, and each member's own cut, as one host sees them.
 
         Asks the members' hosts one after the other, each for at most 2 s, until one answers. Raises GroupNotFound,
         Unavailable.

@@ -28,11 +28,11 @@ class GroupChannel(Reader):
         try:
             items = super()._read(query)
         except GroupNotFound:
-            self._group.refresh()  # looks the group up by its name, and raises GroupNotFound if it is gone
+            self._group.refresh()  # also looks for the group by its name; raises GroupNotFound if there is none
             return super()._read(query)
         if floor is None or (items.cut is not None and items.cut >= floor):
             return items
-        self._group.refresh()  # the host has a lower cut than this process saw, or the group has begun anew
+        self._group.refresh()  # the host has a lower cut than this process saw: the group may have begun anew
         return super()._read(query) if self._group.view.cut_floor is None else items
 
     def __repr__(self) -> str:

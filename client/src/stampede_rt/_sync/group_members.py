@@ -21,7 +21,8 @@ from stampede_rt.wire.groups import group_info, group_spec
 class GroupMembers(Reference):
     """The members of a group, as the directory last described them, and the latest cut that this process has seen.
 
-    `create`: the caller opened the group with its members. `refresh` may then create it again in a new directory.
+    `create`: the program stated the members when it opened the group. If the directory begins anew, `refresh` then
+    creates the group again.
     """
 
     def __init__(self, session: Session, info: GroupInfo, channels: Sequence[Channel], create: bool) -> None:
@@ -50,7 +51,7 @@ class GroupMembers(Reference):
         return self.info.incarnation
 
     def explained(self, error: StampedeError) -> StampedeError:
-        """Add the group's name to an error. Hosts know only its id."""
+        """Add the group's name to an error, because a host names only the group's id. Returns the error."""
         error.concerning("group", self.name)
         return error
 
@@ -83,7 +84,7 @@ class GroupMembers(Reference):
         if self._create and begun_anew:
             reference = [one for one in self.channels if one.info.channel_id == self.info.reference_id]
             self.forget_bindings()
-            self.targets()  # finds the members by their names
+            self.targets()  # opens the members by their names, so that their ids are those of the new directory
             spec = group_spec(
                 [one.info.channel_id for one in self.channels],
                 reference[0].info.channel_id if reference else None,
@@ -101,7 +102,7 @@ class GroupMembers(Reference):
         return response
 
     def targets(self) -> list[str]:
-        """The data endpoints of the hosts that own members, each once."""
+        """Return the addresses of the hosts that own members, each once."""
         bindings = run_all([functools.partial(self.session.place, one._state) for one in self.channels])
         return list(dict.fromkeys(binding.target for binding in bindings))
 
@@ -111,9 +112,9 @@ class GroupMembers(Reference):
             self.session.cache.forget(channel.info.channel_id)
 
     def member(self, channel: NamedChannel | str) -> Channel:
-        """Return the handle of a member, named by a handle or by its name.
+        """Return the handle of the member that `channel` names. `channel` is a name, a handle or a descriptor.
 
-        Raises InvalidArgument for another channel.
+        Raises InvalidArgument for a channel that is no member.
         """
         for member in self.channels:
             if is_named_by(channel, member):
@@ -129,7 +130,7 @@ def member_handles(
     response: group_directory_pb.OpenGroupResponse | group_directory_pb.ResolveGroupResponse,
     known: Sequence[Reader],
 ) -> tuple[Channel, ...]:
-    """Return handles of a group's members. A member that is in `known`, as a handle or descriptor, keeps its codec."""
+    """Return handles of a group's members. `known` are handles and descriptors, whose codecs the new handles keep."""
     hosts = {host.host_id: host for host in response.hosts}
     kept = (one if isinstance(one, Channel) else Channel(session, one._state) for one in known)
     handles = {channel.info.channel_id: channel for channel in kept}

@@ -13,7 +13,7 @@ from stampede_rt.errors import IncarnationLost, StampedeError
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.transports.concurrency_sync import BackgroundStart, BackgroundTask, Signal, call_back, check_callback
 
-END_TIMEOUT_S = 1.0
+END_TIMEOUT_S = 1.0  # the longest wait for a call under way when the connection closes
 _log = logging.getLogger("stampede_rt")
 
 
@@ -25,10 +25,11 @@ def should_log(count: int) -> bool:
 class Listener(BackgroundStart, BoundToProcess):
     """Calls a function for each item, one call after the other, until `cancel` (see `Channel.on_item`).
 
-    `delivered` counts finished calls. `failures` counts calls that raised; `last_failure` is the last exception. The
-    listener continues after an exception. `losses` counts how many times the channel's host was lost with its items.
-    The listener continues with the new incarnation. `error` is the error that ended it, or None while it runs and after
-    `cancel`. With asyncio, `listener` waits until the subscription is open, and raises `error`.
+    `delivered` counts the calls that returned. `failures` counts the calls that raised; `last_failure` is the last
+    exception. The listener continues after an exception. `losses` counts how many times the channel's host was lost
+    with its items. After such a loss the listener continues with the new incarnation. `error` is the error that ended
+    the listener, or None while the listener runs and after `cancel`. With asyncio, `listener` waits until the
+    subscription is open, and raises `error` if there is one.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class Listener(BackgroundStart, BoundToProcess):
         self._function = function
         self._subscription = subscribe(False)
         self._dropped_before = self._skipped_before = self._reconnects_before = 0  # sums of earlier subscriptions
-        self._holds = Signal()  # the subscription is open, or the listener has ended
+        self._holds = Signal()  # is set once the subscription is open, or once the listener has ended
         self._cancelled = False
         self.active = True
         self.delivered = self.failures = self.losses = 0
@@ -52,12 +53,12 @@ class Listener(BackgroundStart, BoundToProcess):
 
     @property
     def dropped(self) -> int:
-        """The number of items that retention collected before the function had time for them."""
+        """The number of items that retention collected before the client fetched them for the function."""
         return self._dropped_before + self._subscription.dropped
 
     @property
     def skipped(self) -> int:
-        """The number of items that mode "newest" passed over."""
+        """The number of items that mode "newest" left out, because a newer item came before the function was ready."""
         return self._skipped_before + self._subscription.skipped
 
     @property
@@ -126,7 +127,7 @@ class Listener(BackgroundStart, BoundToProcess):
             self._dropped_before, self._skipped_before = self.dropped, self.skipped
             self._reconnects_before = self.reconnects
             self._subscription = self._subscribe(True)
-            if self._cancelled:  # `cancel` came in between
+            if self._cancelled:  # `cancel` closed only the subscription before
                 self._subscription.close()
 
     def _call(self, item: Any) -> None:

@@ -30,13 +30,13 @@ class MatchSubscription(BoundToProcess):
     """An iterator over `Matched` items (see `Group.match`), and a context manager. Any thread may call `close`.
 
     The host sends ahead as much as the reader takes in a tenth of a second, and at most 1 MiB. After the loss of a host
-    the subscription continues by itself. Each step blocks until the next match. It raises GroupNotFound once the group
-    is deleted, IncarnationLost if all its hosts were lost, and Unavailable if the client could not reach the host for
-    the duration `reconnect`.
+    the subscription continues by itself. Each step blocks until the next match. A step raises GroupNotFound once the
+    group is deleted, IncarnationLost if all hosts of the group were lost, and Unavailable if the client could not reach
+    the host of `per` for the duration `reconnect`.
 
     - `unmatched` counts items of `per` for which a member had no item within the tolerance.
     - `dropped` counts items that retention collected before the host could match them or before a slow reader took
-      them, and items that came after the host had decided about their time.
+      them. It also counts items of `per` that came so late that the host had already matched later items.
     - `losses` counts how many times the host of `per` was lost with its items.
     """
 
@@ -62,9 +62,9 @@ class MatchSubscription(BoundToProcess):
         self._payloads = payloads
         self._stream: BidiStream[group_pb.SubscribeMatchesResponse] | None = None
         self._responses: Any = None
-        self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each with the bytes of credit that it cost
+        self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each match with the bytes of credit that it cost
         self._window = CreditWindow()
-        self._after: group_pb.MatchCursor | None = None
+        self._after: group_pb.MatchCursor | None = None  # where the next stream begins after a break
         # Sums of earlier streams. On each stream the host counts from 0.
         self._unmatched_before = self._dropped_before = 0
         self._closed = False
@@ -122,7 +122,7 @@ class MatchSubscription(BoundToProcess):
             stream.cancel()
 
     def _open(self) -> None:
-        """Open the stream to the host of `per`. After a break the stream begins behind the last match."""
+        """Open the stream to the host of `per`. After a break the stream begins after the last match."""
         if self._stream is not None or self._closed:
             return
         try:
@@ -143,7 +143,7 @@ class MatchSubscription(BoundToProcess):
                 self._responses = stream.__iter__()
                 # The first response says that the subscription is open.
                 self._take(self._responses.__next__())
-            except StopIteration:  # `close` came meanwhile
+            except StopIteration:  # somebody called `close` meanwhile
                 self._resume()
             except BaseException:
                 self._resume()
@@ -152,7 +152,7 @@ class MatchSubscription(BoundToProcess):
         try:
             self._group.session.perform(self._per._state, open_at, timeout_s)
         except GroupNotFound:
-            self._group.refresh()  # looks the group up by its name, and raises GroupNotFound if it is gone
+            self._group.refresh()  # also looks for the group by its name; raises GroupNotFound if there is none
             self._group.session.perform(self._per._state, open_at, timeout_s)
 
     def _opening(self, epoch: int) -> group_pb.SubscribeMatchesOpen:
@@ -203,7 +203,7 @@ class MatchSubscription(BoundToProcess):
         self._unmatched_before, self._dropped_before = self.unmatched, self.dropped
 
     def _take(self, response: group_pb.SubscribeMatchesResponse) -> None:
-        """Add the matches of a response to those that are ready. If a fetch fails, add none of them."""
+        """Add the matches of a response to the ready matches. If the fetch of an item fails, add no match."""
         self._know_members(response)
         found = run_all([functools.partial(self._matched, message) for message in response.matches])
         for message, (matched, gone) in zip(response.matches, found, strict=True):
@@ -220,7 +220,7 @@ class MatchSubscription(BoundToProcess):
         self.dropped = self._dropped_before + response.dropped
 
     def _know_members(self, response: group_pb.SubscribeMatchesResponse) -> None:
-        """Ask for the members again if a match names unknown ones. Other processes may have changed the members."""
+        """Ask for the members again if a match names other members. Other processes may have changed the members."""
         known = {channel.info.channel_id for channel in self._group.channels}
         for message in response.matches[-1:]:
             partners = {one.channel_id for one in message.matched} | {*message.unmatched_channel_ids}
@@ -228,9 +228,9 @@ class MatchSubscription(BoundToProcess):
                 self._group.refresh()
 
     def _matched(self, message: group_pb.ItemMatch) -> tuple[Matched[Channel], int]:
-        """Return a match, and the number of its items that retention has collected.
+        """Return a match, and the number of its items that retention collected before this client fetched them.
 
-        Fetches items of other hosts in parallel.
+        Fetches the items that the response lacks, because other hosts hold them, in parallel.
         """
         by_id = {channel.info.channel_id: channel for channel in self._group.channels}
         mine = self._per._state.decoder(self._per.incarnation, payloads=self._payloads).decode([message.item])[0]
@@ -242,7 +242,7 @@ class MatchSubscription(BoundToProcess):
         return Matched(self._group.channels, found, missing=missing, time=mine.time), fetched.count(None)
 
     def _item(self, channel: Channel, matched: group_pb.MatchedItem) -> Item | None:
-        """Return an item of a match; None if its host has collected it in the meantime."""
+        """Return an item of a match; None if retention has collected the item in the meantime."""
         position = matched.position
         if matched.HasField("item"):
             decoder = channel._state.decoder(position.incarnation, payloads=self._payloads)
@@ -255,6 +255,6 @@ class MatchSubscription(BoundToProcess):
 
 
 def _charge(message: group_pb.ItemMatch) -> int:
-    """Return the bytes of credit that a match costs: the sum over all items that came with it."""
+    """Return the bytes of credit that a match costs: the sum over all items in the message."""
     runs = [message.item.run, *(one.item.run for one in message.matched if one.HasField("item"))]
     return sum(sum(run.payload_length_bytes) + ITEM_OVERHEAD_BYTES * len(run.payload_length_bytes) for run in runs)

@@ -23,7 +23,7 @@ from stampede_rt.values.queueing import parse_lease, parse_reason
 from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.queues import DeliveredMessage
 
-SETTLEMENTS_MAX = 1024
+SETTLEMENTS_MAX = 1024  # in one request
 _DONE_ONCE = ("give_back", "terminate")  # verdicts after which the host no longer knows the delivery
 
 
@@ -40,7 +40,8 @@ class Settler:
 
         Raises LeaseExpired, Unavailable.
 
-        Delivery ids hold within one incarnation of the queue. A delivery of another incarnation counts as expired.
+        Delivery ids are valid only within one incarnation of the queue. A delivery of another incarnation counts as
+        expired.
         """
         tries = 0
 
@@ -54,7 +55,7 @@ class Settler:
                 error = from_error_message(result.error)
                 once = settlement.WhichOneof("verdict") in _DONE_ONCE
                 if not (tries > 1 and once and isinstance(error, LeaseExpired)):
-                    raise error  # otherwise an earlier try has settled the message
+                    raise error  # in the other case an earlier try has settled the message, but its answer was lost
             return result
 
         return attempt(self._locator, settle_at, CALL_TIMEOUT_S)
@@ -75,9 +76,9 @@ class Settler:
             attempt(self._locator, settle_at, timeout_s)
 
     def extend(self, messages: Sequence[Message], timeout_s: float) -> list[Message]:
-        """Extend the leases of messages by their first length, from now on.
+        """Renew the lease of each message for its `lease_s`, counted from now.
 
-        Returns the messages that are still leased.
+        Returns the messages whose leases the host has renewed.
         """
         extended: list[Message] = []
         for at in range(0, len(messages), SETTLEMENTS_MAX):
@@ -107,17 +108,17 @@ class Settler:
 class Message(BoundToProcess):
     """A message that a queue or mailbox has leased to this taker.
 
-    The host delivers it again unless the taker settles it before the lease ends. The object is a context manager. At
-    the end of the block it acknowledges the message, or gives the message back if the block raised an error. If the
-    block has already settled the message, it does nothing.
+    The host delivers the message again unless the taker settles it before the lease ends. The object is a context
+    manager. The end of the block acknowledges the message, or gives it back if the block raised an error. If the block
+    has already settled the message, its end does nothing.
 
     - `payload` is bytes, `value` the decoded payload, `attributes` a mapping of text to text, `content_type` a MIME
       type.
     - `seq` is the message's number in the queue, within one `incarnation` of the queue.
     - `time` is the message's time, in nanoseconds since the epoch: by default the time at which the queue accepted it.
     - `deliveries` counts the deliveries of this message, from 1.
-    - `lease_s` is the length of its lease in seconds.
-    - `origin` says from where a dead letter comes; it is None for other messages.
+    - `lease_s` is the length of the lease in seconds at the delivery. `extend` does not change it.
+    - `origin` says which queue a dead letter left, and why. It is None for other messages.
     """
 
     def __init__(self, settler: Settler, delivery: DeliveredMessage, incarnation: int, coding: Coding | None) -> None:
@@ -147,9 +148,9 @@ class Message(BoundToProcess):
         return self._coding.decode(self.payload, self.content_type, f"message #{self.seq}")
 
     def decode(self, codec: CodecLike) -> Any:
-        """Return the payload, decoded with `codec`. Useful for mailboxes, because senders may use different codecs.
+        """Return the payload, decoded with `codec`. Use this for a mailbox, to which senders may use different codecs.
 
-        Raises CodecError, also if the message's content type is not the codec's.
+        Raises CodecError, also if the message has another content type than the codec.
         """
         coding = Coding.parse(codec, "decode")
         return coding.decode(self.payload, self.content_type, f"message #{self.seq}") if coding else self.payload
@@ -160,17 +161,17 @@ class Message(BoundToProcess):
         return max(0.0, self._lease_ends_s - monotonic_s())
 
     def ack(self) -> None:
-        """Acknowledge the message: it leaves the queue. With `copies` this taker's copy leaves the queue.
+        """Acknowledge the message, so that it leaves the queue. With `copies` only this taker's copy leaves the queue.
 
-        You may repeat the call. Blocks for at most 10 s. Raises LeaseExpired if the lease has ended: another taker may
-        have the message. Raises Unavailable if the host cannot be reached.
+        You may repeat the call. Blocks for at most 10 s. Raises LeaseExpired if the lease has ended; another taker may
+        then have the message. Raises Unavailable if the host cannot be reached.
         """
         self._settle(queue_pb2.Settlement(acknowledge=queue_pb2.Acknowledge()))
 
     def nack(self, delay: DurationLike | None = None) -> None:
-        """Give the message back to its place in the queue. Any taker may get it once `delay` has passed.
+        """Give the message back to its place in the queue. Any taker may get the message once `delay` has passed.
 
-        Later messages do not wait for it. Blocks for at most 10 s. Raises LeaseExpired, Unavailable.
+        The host delivers later messages meanwhile. Blocks for at most 10 s. Raises LeaseExpired, Unavailable.
         """
         delay_nanos = duration_of("delay", delay, least=0) or 0
         self._settle(queue_pb2.Settlement(give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos)))
@@ -178,17 +179,16 @@ class Message(BoundToProcess):
     def term(self, reason: str | None = None) -> None:
         """Give the message up for all takers.
 
-        The queue moves it to its dead-letter queue, or deletes it if it has none.
-
-        The dead letter carries `reason`, at most 1024 bytes of text. Blocks for at most 10 s. Raises LeaseExpired,
+        The message moves to the dead-letter queue of its queue. If there is none, the host deletes the message. The
+        dead letter carries `reason`, at most 1024 bytes of text. Blocks for at most 10 s. Raises LeaseExpired,
         Unavailable.
         """
         self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     def extend(self, lease: DurationLike = "30s") -> None:
-        """Move the end of the lease to `lease` from now, at most one hour. Blocks for at most 10 s.
+        """Let the lease end `lease` from now, at most one hour. Blocks for at most 10 s.
 
-        Raises LeaseExpired, Unavailable.
+        Raises LeaseExpired, Unavailable, InvalidArgument.
         """
         extension = queue_pb2.ExtendLease(lease_nanos=parse_lease(lease) or 0)
         began_s = monotonic_s()
@@ -204,19 +204,19 @@ class Message(BoundToProcess):
         return self._settler.settle(settlement, self.incarnation)
 
     def given_back(self) -> queue_pb2.Settlement:
-        """The settlement that gives the message back at once, without counting the delivery."""
+        """Return the settlement that gives the message back. `max_deliveries` then does not count the delivery."""
         give_back = queue_pb2.GiveBack(uncounted=True)
         return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, give_back=give_back)
 
     def extended(self) -> queue_pb2.Settlement:
-        """The settlement that extends the lease by its first length, from now on."""
+        """Return the settlement that renews the lease for `lease_s`, counted from now."""
         extension = queue_pb2.ExtendLease(lease_nanos=self._delivery.lease_nanos)
         return queue_pb2.Settlement(delivery_id=self._delivery.delivery_id, extend_lease=extension)
 
     def has_extended(self, result: queue_pb2.SettlementResult, began_s: float) -> bool:
-        """Note the host's answer to a request that was sent at `began_s` (monotonic).
+        """Note the host's answer to `extended`. The client sent that request at `began_s` on the monotonic clock.
 
-        Returns whether the lease was extended.
+        Returns whether the host has renewed the lease.
         """
         if result.HasField("error"):
             return False
@@ -236,5 +236,5 @@ class Message(BoundToProcess):
             return
         try:
             self.nack()
-        except StampedeError as failure:  # the caller needs the error of the block more than this one
+        except StampedeError as failure:  # the block's own error goes on, because the caller needs it more
             error.add_note(f"the message could not be given back; it comes again when its lease ends: {failure}")

@@ -10,6 +10,7 @@ from stampede_rt.errors import PeerNotFound, QueueNotFound, StampedeError, Unava
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.values.queueing import QueueInfo, QueuePolicy
 
+# The description of a mailbox that the client has not looked for yet.
 UNKNOWN = QueueInfo(
     queue_id=b"", name="", host_id=b"", host="", host_alive=False, epoch=0, incarnation=0, policy=QueuePolicy(),
     spec_version=0,
@@ -24,7 +25,7 @@ class PeerLocator(QueueLocator):
         super().__init__(session, state)
 
     def find(self, deadline_s: float) -> Binding:
-        """Return the cached binding, or look for it. Raises PeerNotFound."""
+        """Return the binding of the peer's mailbox, from the cache or from the cluster. Raises PeerNotFound."""
         if self._session.cache.owner(self._state.info.queue_id) is None:
             self._resolve(deadline_s)
         return super().find(deadline_s)
@@ -45,7 +46,7 @@ class PeerLocator(QueueLocator):
     def explain(self, error: StampedeError) -> None:
         """Add the name of the peer to the error.
 
-        If the mailbox is missing, mark the error as retryable: the peer may have a new one.
+        If the mailbox does not exist, mark the error as retryable, because the peer may have a new mailbox.
         """
         super().explain(error)
         if isinstance(error, QueueNotFound):

@@ -16,10 +16,10 @@ _log = logging.getLogger("stampede_rt")
 
 
 class PrefetchBuffer:
-    """Prefetched messages of one taker, in their order, with their leases.
+    """Prefetched messages of one taker, in the order of their delivery. The buffer also renews their leases.
 
-    The buffer extends the leases as long as callers take messages. If no caller takes any for two thirds of a lease,
-    the message goes back to the queue, and other takers get it.
+    The buffer renews the leases as long as callers take messages. If no caller takes a message for two thirds of a
+    lease, the messages go back to the queue, and other takers get them.
     """
 
     def __init__(self, settler: Settler, give_back: Callable[[list[Message]], None], name: str) -> None:
@@ -28,7 +28,7 @@ class PrefetchBuffer:
         self._name = name
         self._mutex = Mutex()  # guards the messages
         self._waiting: deque[Message] = deque()
-        self._untouched: set[Message] = set()  # messages whose leases began after the last `take`
+        self._untouched: set[Message] = set()  # messages whose leases began, or were renewed, after the last `take`
         self._changed = Signal()
         self._keeper: BackgroundTask | None = None
 
@@ -46,7 +46,7 @@ class PrefetchBuffer:
         self._changed.set()
 
     def take(self) -> Message | None:
-        """Remove and return the first message that is still leased to this taker, or None."""
+        """Remove and return the first message that is still leased to this taker; None if there is none."""
         with self._mutex:
             self._untouched.clear()
             while self._waiting:
@@ -65,7 +65,7 @@ class PrefetchBuffer:
         return messages
 
     def _keep(self) -> None:
-        """Extend or give back leases until the buffer is empty."""
+        """Renew leases or give messages back, until the buffer is empty."""
         while (wait_s := self._wait_s()) is not None:
             if wait_s > 0:
                 self._changed.wait(wait_s)
@@ -86,7 +86,10 @@ class PrefetchBuffer:
             return min(message.lease_left - message.lease_s / LEASE_PARTS for message in self._waiting)
 
     def _due(self) -> tuple[list[Message], list[Message]]:
-        """Return the messages with a lease that is due: those to give back, and those to extend."""
+        """Return two lists of messages whose leases are due: messages to give back, and messages with leases to renew.
+
+        Removes from the buffer the messages of the first list, and messages whose leases have ended.
+        """
         with self._mutex:
             due = [one for one in self._waiting if one.lease_left <= one.lease_s / LEASE_PARTS]
             idle = [one for one in due if one in self._untouched]
@@ -96,7 +99,7 @@ class PrefetchBuffer:
         return idle, kept
 
     def _extend(self, messages: list[Message]) -> None:
-        """Extend leases by their first length. If that fails for a message, another taker soon gets it."""
+        """Renew the leases of `messages`. If this fails for a message, drop the message; another taker soon gets it."""
         extended: list[Message] = []
         try:
             extended = self._settler.extend(messages, min(message.lease_left for message in messages))

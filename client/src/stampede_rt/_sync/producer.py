@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Many puts without waiting. The client fills one run with items while it sends the run before. Acks arrive later."""
+"""Many puts without waiting. While acks are on their way, the client collects the next items in one run."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant
 from stampede_rt.wire.batching import NumberedRun, RunBuilder
 from stampede_rt.wire.put_frames import put_head, put_request
 
-IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024
+IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024  # of unacknowledged runs
 IN_FLIGHT_RUNS_MAX = 64
-REJECTIONS_KEPT_MAX = 1024
+REJECTIONS_KEPT_MAX = 1024  # errors in `rejected`
 _in_flight: set[Producer] = set()  # keeps producers alive until the host has acknowledged their items
 
 
 class Producer(BoundToProcess):
-    """Puts items without waiting for their acks. The unacknowledged bytes have a bound (see `Channel.producer`).
+    """Puts items without waiting for their acks (see `Channel.producer`). The unacknowledged bytes have a bound.
 
-    Use it as a context manager, from one thread or task. At the end of the context it flushes. `accepted` counts the
-    items that the host has accepted. `rejections` counts the items that it has refused; `rejected` lists their errors
-    since the last flush, at most 1024. A program may drop a producer without closing it: its stream then ends after the
-    last ack.
+    Use the producer as a context manager, from one thread or task. The end of the block flushes, unless the block
+    raised an error. `accepted` counts the items that the host has accepted. `rejections` counts the items that the host
+    has refused; `rejected` lists the errors of these items since the last flush, at most 1024. A program may drop a
+    producer without closing it. The producer's stream then ends after the last ack.
     """
 
     def __init__(self, session: Session, state: ChannelState) -> None:
@@ -52,7 +52,7 @@ class Producer(BoundToProcess):
         self._unacked: deque[NumberedRun] = deque()
         self._unacked_bytes = 0
         self._mutex = Mutex()  # guards the builder and the order of writes
-        self._moved = Signal()  # an ack has come, or the stream has ended
+        self._moved = Signal()  # is set when an ack has come, or when the stream has ended
         self._stream: PutDuplex | None = None
         self._opened: list[PutDuplex] = []  # the latest stream; `_give_up` closes it
         self._generation = 0  # the number of the stream; acks of an older stream do not count
@@ -92,7 +92,10 @@ class Producer(BoundToProcess):
         content_type: str | None = None,
         timeout: float | None = CALL_TIMEOUT_S,
     ) -> None:
-        """Accept one item for sending. Blocks while 8 MiB or 64 runs are unacknowledged, and while a stream reopens.
+        """Accept one item for sending.
+
+        The producer collects items in a run. The call blocks if the run is full, as long as 8 MiB or 64 runs are
+        unacknowledged. It also blocks while the producer opens a stream.
 
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
         on_full="block" may need. The other arguments are those of `Channel.put`. If a put raises or is cancelled, the
@@ -159,7 +162,7 @@ class Producer(BoundToProcess):
     def _send_filled(self) -> None:
         """Send the run under construction. The caller holds the mutex.
 
-        `_open` sends it again if the stream is broken.
+        If the stream is broken, `_open` sends the run again over the next stream.
         """
         if not len(self._builder):
             return
@@ -187,7 +190,9 @@ class Producer(BoundToProcess):
                 self._moved.wait(None if left_s == float("inf") else left_s)
 
     def _recover(self, failure: StampedeError, left_s: float) -> None:
-        """Replace a failed stream. Raise its error if the error is final, or if no ack came for 10 s.
+        """Replace a stream that ended with `failure`.
+
+        Raises `failure` if it is not retryable, or if no ack came for 10 s.
 
         The producer keeps unacknowledged items. The next put or flush tries again to send them.
         """
@@ -205,7 +210,7 @@ class Producer(BoundToProcess):
         """Open a stream to the channel's present host, and send unacknowledged runs again with their old numbers."""
         self.close()
 
-        def open_at(binding: Binding) -> None:  # it does not wait, so it cannot be interrupted
+        def open_at(binding: Binding) -> None:  # awaits nothing, so no cancellation can interrupt it
             endpoint = self._session.endpoints.to(binding.target)
             on_acks = partial(_weakly(self._acked), self._generation)
             on_end = partial(_weakly(self._ended), self._generation)
@@ -239,7 +244,7 @@ class Producer(BoundToProcess):
 
     def _count(self, ack: channel_pb.PutAck) -> None:
         refusal = from_error_message(ack.error) if ack.HasField("error") else None
-        if refusal is not None and refusal.retryable:  # the channel has another host now: send the run again
+        if refusal is not None and refusal.retryable:  # the channel may have another host now: send the run again
             self._failure = refusal
             return
         run = self._unacked.popleft()

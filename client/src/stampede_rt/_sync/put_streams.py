@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""The open put streams of a connection. All its handles share them."""
+"""The open put streams of a connection, for all its handles."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.transports.concurrency_sync import Mutex, live_thread_ids, thread_id, when_dropped
 from stampede_rt.transports.grpc_sync import PutExchange
 
-STREAMS_MAX = 512
+STREAMS_MAX = 512  # of one connection
 LINES_MAX = 16  # streams of one handle and thread at the same time, for puts with different deadlines
 _handle_ids = itertools.count(1)
 
 
 class PutStream:
-    """One open stream to a host, with the number of puts under way on it, and the time when the last one gives up."""
+    """One open stream to a host.
+
+    `puts` is the number of puts under way on the stream, and `ends_s` the time at which the last of them gives up.
+    """
 
     __slots__ = ("binding", "ends_s", "exchange", "puts")
 
@@ -34,10 +37,11 @@ class PutStream:
 
 
 class PutStreams:
-    """Keeps a stream for each handle and thread. Beyond 512 it closes the stream that was unused longest.
+    """Keeps open streams for each handle and thread. Beyond 512 streams it closes the idle stream unused for longest.
 
     A put that waits for room blocks later puts on its stream. A put with an earlier deadline therefore uses another
-    stream. Puts of one handle that wait equally long stay in order, and no put waits longer than its deadline.
+    stream, so that it does not wait beyond its deadline. Puts of one handle and thread with equal timeouts stay in
+    order.
     """
 
     def __init__(self) -> None:
@@ -45,7 +49,7 @@ class PutStreams:
         self._mutex = Mutex()
 
     def handle(self, owner: object) -> int:
-        """Return the key of a new handle. Its streams close once the program no longer references `owner`."""
+        """Return the id of a new handle. The handle's streams close once the program no longer references `owner`."""
         handle_id = next(_handle_ids)
         when_dropped(owner, partial(self._let_go, handle_id))
         return handle_id
@@ -77,7 +81,10 @@ class PutStreams:
                 stream.exchange.cancel()
 
     def _line(self, handle_id: int, ends_s: float) -> tuple[int, int, int]:
-        """Return the key of a stream on which no put waits beyond `ends_s`; with very many streams, the last key."""
+        """Return the key of a stream on which no put waits beyond `ends_s`. The stream may not exist yet.
+
+        If all LINES_MAX streams of the handle and thread are busy with longer waits, returns the key of the last one.
+        """
         caller = thread_id()
         for line in range(LINES_MAX - 1):
             stream = self._streams.get((handle_id, caller, line))

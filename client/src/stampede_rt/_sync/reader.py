@@ -32,7 +32,7 @@ from stampede_rt.values.timeline import (
 
 
 class Reader(Reference):
-    """A channel that a program reads by time. `view`: the group that shows it; None for the whole channel."""
+    """A channel that a program reads by time. `view` is the group through which it reads; None: no group."""
 
     def __init__(self, session: Session, state: ChannelState, view: SeenCut | None = None) -> None:
         self._session = session
@@ -88,10 +88,11 @@ class Reader(Reference):
         """Return the items in an interval, by default those whose span shares an instant with it.
 
         `bounds`: "[]", "[)", "(]" or "()". `match`: "span", "whole" (the whole span lies in the interval) or "start"
-        (the item's time lies in it). `limit` keeps the earliest items, or with `newest_first` the latest. `after`
-        continues behind an item. `timeout` in seconds: 0 answers at once, None waits without a limit. The call waits
-        for the first match, or with `complete` until no more items can come. After the timeout it returns the items
-        that are there. Raises InvalidInterval, IncarnationLost, Unavailable.
+        (the item's time lies in it). `limit` keeps the earliest items, or with `newest_first` the latest. With `after`,
+        an item or an instant, the answer has only later items, or with `newest_first` only earlier ones. `timeout` in
+        seconds: 0 answers at once, None waits without a limit. The call waits for the first match, or with `complete`
+        until no more items can come into the interval. After the timeout it returns the items that are there. Raises
+        InvalidInterval, InvalidArgument, IncarnationLost, Unavailable.
         """
         interval = parse_interval(start, end, bounds)
         position = None if after is None else after_position(after)
@@ -114,17 +115,23 @@ class Reader(Reference):
         return self._read(ReadQuery(parse_interval(bound, bound), payloads=payloads, wait=Wait.parse(timeout)))
 
     def before(self, time: BoundLike, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """Return the newest item older than `time`, or None. If several have one time, return the last accepted."""
+        """Return the newest item older than `time`, or None. Of several items with one time, return the last accepted.
+
+        `timeout` as in `get`.
+        """
         return self._read_one(MIN_INSTANT, parse_bound(time, "time"), "[)", True, None, payloads, timeout)
 
     def oldest(self, *, payloads: bool = True, timeout: float | None = 0) -> Item | None:
-        """Return the oldest held item, or None. If several have one time, return the first accepted."""
+        """Return the oldest held item, or None. Of several items with one time, return the first accepted.
+
+        `timeout` as in `get`.
+        """
         return self._read_one(MIN_INSTANT, MAX_INSTANT, "[]", False, None, payloads, timeout)
 
     def newest(
         self, after: Item | InstantLike | None = None, *, payloads: bool = True, timeout: float | None = 0
     ) -> Item | None:
-        """Return the newest item, or None. With `after`, return it only if it is later than that instant or item.
+        """Return the newest item, or None. With `after`, return the item only if it is later than this instant or item.
 
         `timeout` in seconds: 0 answers at once, None waits without a limit.
         """
@@ -167,11 +174,14 @@ class Reader(Reference):
     ) -> Subscription:
         """Subscribe to items as the host accepts them. Returns an iterator that is also a context manager.
 
-        `mode` "all": first the held items from `start` on (None: none of them), then every later item, each once.
-        "newest": always the latest item; an earlier item never follows a later one. `after` resumes behind an item,
-        also in another process. The subscription begins when the program enters the context, or with the first step.
-        After a broken connection it tries to come back for the duration `reconnect` (None: without a limit), and
-        continues behind the last item. If it cannot, it raises Unavailable. The call itself raises InvalidArgument.
+        `mode` "all": first the held items from `start` on (None: no held items), then every item that the host accepts
+        later, each once. "newest": always the latest item; an earlier item never follows a later one. `after` is the
+        last item that the program has, perhaps from another process; the subscription continues after this item.
+
+        This call opens the subscription, and raises its errors. With asyncio the subscription opens when the program
+        enters the context, or with the first step. After a broken connection the client tries to open the subscription
+        again for the duration `reconnect` (None: without a limit), and continues after the last item. If it cannot, the
+        iterator raises Unavailable. Raises InvalidArgument.
         """
         reconnecting = Reconnecting(self._session, f"the subscription to channel {self.name!r}", reconnect)
         return self._subscribe(start, mode, after, payloads, reconnecting)
@@ -211,9 +221,10 @@ class Reader(Reference):
 
         The other arguments are those of `subscribe`. `fn` runs in a thread or task of the library. The handle logs and
         counts an exception of `fn`, and calls `fn` with the next item. Items wait at the host while `fn` runs;
-        `dropped` counts those that retention collects meanwhile. If the host is lost with its items, the handle logs
-        and counts that, and continues with the channel's new incarnation. After an outage it continues where it was;
-        `reconnect` bounds the outage (None: without a limit). Raises InvalidArgument.
+        `dropped` counts the items that retention collects meanwhile. If the host is lost with its items, the handle
+        logs and counts the loss, and continues with the channel's new incarnation. After an outage the handle continues
+        after the last item, unless the outage is longer than `reconnect` (None: without a limit). Raises
+        InvalidArgument.
         """
 
         name = f"channel {self.name!r}"

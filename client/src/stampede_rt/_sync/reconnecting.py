@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Opens streams again after a break. It tries at growing intervals, for as long as the program allows."""
+"""Opens streams again after a break: tries at growing intervals, for as long as the program allows."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from stampede_rt.pacing.retry import Backoff
 from stampede_rt.transports.concurrency_sync import monotonic_s, sleep
 from stampede_rt.values.timeline import DurationLike, format_duration, parse_duration
 
-TRY_TIMEOUT_S = 5.0
-SILENT_S = 10.0  # an outage that lasts longer is logged
+TRY_TIMEOUT_S = 5.0  # for one try, after the first opening
+SILENT_S = 10.0  # the client logs an outage that lasts longer
 _log = logging.getLogger("stampede_rt")
 
 
@@ -22,7 +22,8 @@ class Reconnecting:
     """Opens a stream, and opens it again after each break, for at most `reconnect` (None: without a limit).
 
     The first opening fails after CALL_TIMEOUT_S, so that the caller soon learns of a wrong name. With `held` the stream
-    counts as open from the beginning. `what` names the stream in logs.
+    counts as open before, so that the first opening, too, may take as long as `reconnect`. `what` names the stream in
+    logs.
     """
 
     def __init__(self, session: Session, what: str, reconnect: DurationLike | None, *, held: bool = False) -> None:
@@ -30,9 +31,9 @@ class Reconnecting:
         self._what = what
         self._bound_s = parse_reconnect(reconnect)
         self._held = held
-        self._since_s: float | None = None  # when the client noticed the break
-        self._told = False
-        self.ended = False  # by `stop`
+        self._since_s: float | None = None  # when the client noticed the present break; None while the stream is open
+        self._told = False  # whether the client has logged the present break
+        self.ended = False  # whether someone has called `stop`
         self.reconnects = 0
 
     @property
@@ -52,7 +53,7 @@ class Reconnecting:
     def open(self, open_once: Callable[[float], None]) -> None:
         """Call `open_once` with the seconds that it may take, until it succeeds or someone calls `stop`.
 
-        Raises an error at once if further tries are useless. Otherwise raises the last error after `reconnect`.
+        Raises an error that no further try can heal. Raises the last error once the break is longer than `reconnect`.
         """
         if not self._held:
             open_once(CALL_TIMEOUT_S)
@@ -63,9 +64,9 @@ class Reconnecting:
             pass
 
     def _try(self, open_once: Callable[[float], None], backoff: Backoff) -> bool:
-        """Try once.
+        """Try once. Returns True if the stream is open, or if someone has called `stop`.
 
-        Returns True if the stream is open or no longer wanted; otherwise waits for the backoff, and returns False.
+        Otherwise waits before the next try, and returns False. Raises the error if there must be no next try.
         """
         try:
             open_once(min(self._left_s(), TRY_TIMEOUT_S))
@@ -75,7 +76,7 @@ class Reconnecting:
                 return True
             over = self._left_s() <= 0
             if over:
-                self._since_s = None  # if the program continues, it has the whole time again
+                self._since_s = None  # if the program uses the stream again, a new time of `reconnect` begins
             if over or not may_heal(error) or self._session.closed:
                 raise
             self._tell(error)
@@ -107,7 +108,7 @@ class Reconnecting:
 
 
 def may_heal(error: StampedeError) -> bool:
-    """Whether another try may succeed."""
+    """Whether another try may succeed after `error`."""
     return error.retryable or isinstance(error, DeadlineExceeded)
 
 

@@ -29,8 +29,8 @@ from stampede_rt.values.policy import flag_of, parse_name
 from stampede_rt.wire.records import channel_info, policy_to_spec
 from stampede_rt.wire.runs import ItemDecoder
 
-CALL_TIMEOUT_S = 10.0
-TRY_TIMEOUT_S = 5.0
+CALL_TIMEOUT_S = 10.0  # for one call of the program, with all its tries
+TRY_TIMEOUT_S = 5.0  # for one request to a host, if the client may ask somebody else afterwards
 
 Result = TypeVar("Result")
 
@@ -88,14 +88,14 @@ class Session:
     ) -> None:
         self.frontends = frontends
         self.zone = zone
-        self._reopening = reopening
+        self._reopening = reopening  # a `ClusterReference`, which opens unpickled handles; None with asyncio
         self.endpoints = EndpointPool(credentials)
         self.supernodes = DirectoryClient(frontends, self.endpoints, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.put_streams = PutStreams()
         self._binding_locks = KeyedLock()
-        self.closing = False
-        self.closed = False
+        self.closing = False  # from the beginning of `close` on
+        self.closed = False  # once `close` has ended all tasks
         self.consumer_id = int.from_bytes(os.urandom(8), "little") | 1  # the connection as a consumer
         self.consumer_places: dict[bytes, SessionTask] = {}  # by channel id; see `consuming`
         self._attached: dict[SessionTask, None] = {}  # in the order of `attach`
@@ -105,9 +105,9 @@ class Session:
         self.supernodes.bind(CONNECT_TIMEOUT_S)
 
     def close(self) -> None:
-        """End all tasks, the latest first, and all calls.
+        """End all tasks, the latest first, and then all calls.
 
-        In a forked child it does nothing: the connection is the parent's.
+        In a forked child it only marks the connection as closed, because calls and tasks belong to the parent process.
         """
         if self.inherited:
             self.closed = True
@@ -133,9 +133,9 @@ class Session:
         return "of the parent process" if self.inherited else "connection closed" if self.closed else ""
 
     def reopened(self, kind: str, *arguments: object) -> tuple[Callable[..., object], tuple[object, ...]]:
-        """Return what pickle writes for a handle: the call that opens it elsewhere.
+        """Return the value for `__reduce__` of a handle: the function that opens the handle again, and its arguments.
 
-        Raises TypeError for asyncio handles.
+        Raises TypeError for handles of asyncio.
         """
         if self._reopening is None:
             raise TypeError(
@@ -155,7 +155,7 @@ class Session:
             raise connection_closed()
 
     def attach(self, one: SessionTask) -> None:
-        """Keep `one`, and end it before the connection closes."""
+        """Keep `one`, so that `close` ends it. Raises ForkedProcess; Unavailable if the connection is closed."""
         self.check()
         self._attached[one] = None
 
@@ -166,7 +166,10 @@ class Session:
     def open_channel(
         self, name: str, policy: Policy, host: str | None, create: bool, timeout_s: float = CALL_TIMEOUT_S
     ) -> ChannelInfo:
-        """Get or create a channel by name. The directory replaces an owner whose lease has ended."""
+        """Get a channel by name, or create it if `create` is True. Returns its description.
+
+        If the lease of the channel's owner has ended, the directory gives the channel another owner.
+        """
         request = directory_service_pb2.OpenChannelRequest(
             request_id=request_id(),
             name=name,
@@ -192,7 +195,7 @@ class Session:
         return ChannelState(info, stated, create, coding, self.supernodes.cluster_id)
 
     def place(self, state: ChannelState) -> Binding:
-        """Return the channel's binding. Waits up to 10 s for an owner if the channel has none."""
+        """Return the channel's binding. If the channel has no owner, waits for one, at most 10 s."""
 
         def itself(binding: Binding) -> Binding:
             return binding
@@ -207,7 +210,7 @@ class Session:
     ) -> Result:
         """Run `operation` at the channel's host, and again at its new host if the binding is stale.
 
-        `timeout_s` bounds the tries, not a wait inside `operation`; None: no limit. Raises the error of the last try.
+        `timeout_s` and the errors are as in `attempt`.
         """
         return attempt(ChannelLocator(self, state), operation, timeout_s)
 
@@ -232,7 +235,11 @@ class Session:
         return self._bind_at(state, owner, deadline_s)
 
     def _resolve(self, state: ChannelState, deadline_s: float) -> None:
-        """Ask a supernode for the owner. If the owner is lost, open the channel again with the handle's arguments."""
+        """Ask a supernode for the owner.
+
+        If the owner is lost, open the channel again with the handle's arguments. If these arguments do not allow to
+        create the channel, raise Unavailable.
+        """
         timeout_s = left_s(deadline_s)
         request = directory_service_pb2.ResolveChannelRequest(channel_id=state.info.channel_id)
         try:
@@ -254,8 +261,8 @@ class Session:
     def _resolve_name(self, state: ChannelState, deadline_s: float) -> None:
         """Open the channel by its name, because the directory does not know its id any more.
 
-        Creates the channel only if the directory itself began anew, for example a directory that is in memory alone.
-        Raises ChannelNotFound.
+        Creates the channel only if the directory itself began anew, for example after the restart of a directory that
+        is kept in memory only. Raises ChannelNotFound.
         """
         begun_anew = self.supernodes.present_cluster(deadline_s) != state.cluster_id
         create = state.create and begun_anew
@@ -308,7 +315,7 @@ class ChannelLocator:
     state: ChannelState
 
     def find(self, deadline_s: float) -> Binding:
-        """Return the cached binding, or look for it."""
+        """Return the channel's binding, from the cache or from the cluster."""
         return self.session.bind(self.state, deadline_s)
 
     def forget(self) -> None:
@@ -330,5 +337,5 @@ class ChannelLocator:
 
 
 def left_s(deadline_s: float) -> float:
-    """Return the timeout in seconds of one call that should end by `deadline_s`."""
+    """Return the timeout in seconds of one call that should end by `deadline_s`: 0.1 to CALL_TIMEOUT_S."""
     return max(0.1, min(deadline_s - time.monotonic(), CALL_TIMEOUT_S))

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Subscriptions: items as the host accepts them. After a break they resume by themselves (paper, section 3.2)."""
+"""Subscriptions: a reader gets items as the host accepts them, also after a broken connection (paper, section 3.2)."""
 
 from __future__ import annotations
 
@@ -33,10 +33,11 @@ class Subscription(BoundToProcess):
     Each step blocks until the next item. In mode "newest" the host sends one item for each step, the newest at that
     moment. In mode "all" it sends ahead as much as the reader takes in a tenth of a second, and at most 1 MiB.
 
-    `skipped` counts items that mode "newest" passed over. `dropped` counts items that retention collected before a slow
+    `skipped` counts items that mode "newest" left out. `dropped` counts items that retention collected before a slow
     reader took them. Any thread may call `close`, which ends the iteration. A step raises ChannelNotFound once the
-    channel is deleted, Unavailable if the client could not come back for the duration `reconnect`, and IncarnationLost
-    if the channel's host was lost with its items. After IncarnationLost subscribe again to read the new incarnation.
+    channel is deleted, Unavailable if the client could not reach the host for the duration `reconnect`, and
+    IncarnationLost if the channel's host was lost with its items. After IncarnationLost subscribe again to read the new
+    incarnation.
     """
 
     def __init__(
@@ -45,7 +46,7 @@ class Subscription(BoundToProcess):
         self._session = session
         self._reconnecting = reconnecting
         self._state = state
-        self._begun = begun
+        self._begun = begun  # the first request of the next stream
         self._stream: BidiStream[channel_pb.SubscribeResponse] | None = None
         self._responses: Any = None
         self._decoder: ItemDecoder | None = None
@@ -53,7 +54,8 @@ class Subscription(BoundToProcess):
         newest_only = begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
         self._window = CreditWindow(ONE_ITEM) if newest_only else CreditWindow()
         self._cursor: channel_pb.SubscriptionCursor | None = None  # where the next stream begins after a break
-        self._since_cursor: set[int] = set()  # seqs after the cursor, which the next stream repeats
+        # Seqs of items that came after the cursor. After a break the next stream sends these items again.
+        self._since_cursor: set[int] = set()
         self._skipped_before = 0  # sum of earlier streams; on each stream the host counts from 0
         self._closed = False
         self.skipped = 0
@@ -72,7 +74,7 @@ class Subscription(BoundToProcess):
         reconnecting: Reconnecting,
         group_id: bytes | None = None,
     ) -> Subscription:
-        """Check the arguments and make the subscription. Raises InvalidArgument."""
+        """Check the arguments and make the subscription. The blocking client also opens it. Raises InvalidArgument."""
         if mode not in _MODES:
             raise InvalidArgument(f'mode is {mode!r}; write "all" or "newest"')
         if start is not None and after is not None:
@@ -140,7 +142,7 @@ class Subscription(BoundToProcess):
             stream.cancel()
 
     def _open(self) -> None:
-        """Open the stream at the channel's present host, at first or after a break, and wait for the host's answer."""
+        """Open a stream to the channel's present host unless one is open, and wait for the host's first response."""
         if self._stream is not None or self._closed:
             return
         try:
@@ -167,7 +169,7 @@ class Subscription(BoundToProcess):
             stream.cancel()
             raise
         self._stream, self._responses = stream, responses
-        if self._closed:  # `close` came during the opening
+        if self._closed:  # somebody called `close` during the opening
             stream.cancel()
         self._window.begin()
         self._decoder = self._state.decoder(first.opened.incarnation, payloads=not self._begun.without_payloads)
@@ -200,18 +202,18 @@ class Subscription(BoundToProcess):
             self._session.cache.forget(self._state.info.channel_id)
 
     def _resume(self) -> None:
-        """Prepare the next stream. It continues behind the last item, without a gap and without a repetition."""
+        """Prepare the next stream. It continues after the last item, without a gap and without a repetition."""
         self._stream = None
         self._skipped_before = self.skipped
         if self._cursor is not None:
             self._begun.cursor.CopyFrom(self._cursor)
 
     def _lost(self, error: IncarnationLost) -> IncarnationLost:
-        """Return the error that says that the channel's incarnation is no longer that of this subscription."""
+        """Return the error for the loss of the incarnation that this subscription reads."""
         if self._cursor is None:  # the caller's start or item is of another incarnation
             return error
         lost = IncarnationLost(
-            f"channel {self._state.info.name!r} has begun anew: its host was lost with its items; those after "
+            f"channel {self._state.info.name!r} has begun anew: its host was lost with its items; items after "
             f"seq {self._cursor.next_seq - 1} may be missing; subscribe again to read the new incarnation"
         )
         lost.concerning("channel", self._state.info.name)
@@ -224,7 +226,7 @@ class Subscription(BoundToProcess):
             self._ready.extend(self._unseen(self._decoder.decode_each(response.runs)))
         if response.HasField("cursor"):
             self._cursor = response.cursor
-            if not response.HasField("opened"):  # the cursor of an "opened" response only repeats that of the request
+            if not response.HasField("opened"):  # an "opened" response only repeats the cursor of the request
                 self._since_cursor.clear()
         if response.HasField("progress"):
             self.skipped = self._skipped_before + response.progress.skipped

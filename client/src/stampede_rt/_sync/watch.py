@@ -27,7 +27,7 @@ Told = TypeVar("Told")
 
 
 class DirectoryWatch(BoundToProcess, Generic[Told]):
-    """A stream of changes from a supernode. After a break another supernode continues behind the last change."""
+    """A stream of changes from a supernode. After a break it continues after the last change, from any supernode."""
 
     def __init__(self, session: Session, request: Any, reconnect: DurationLike | None) -> None:
         self._session = session
@@ -107,7 +107,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
                 sleep(delay_s)
 
     def _look_around(self, deadline_s: float) -> None:
-        """Ask for the present cluster. Raises WatchRestart if the directory has begun anew."""
+        """Ask the supernodes for their cluster. Raises WatchRestart if the directory has begun anew."""
         if self._session.supernodes.present_cluster(deadline_s) != self._cluster_id:
             raise WatchRestart("the directory has begun anew, in another cluster; list again, then begin a new watch")
 
@@ -120,7 +120,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
             self._session.supernodes.demote(stream.target, error)
             raise
         self._stream, self._responses = stream, responses
-        if self._closed:  # `close` came during the opening
+        if self._closed:  # somebody called `close` during the opening
             stream.cancel()
 
     def _begin(self) -> ServerStream[Any]:
@@ -149,9 +149,10 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
 class Watch(DirectoryWatch[Change]):
     """An iterator over `Change` (see `Connection.watch`), and a context manager. Any thread may call `close`.
 
-    Each step blocks until the next change. After a break another supernode continues the watch behind the last change.
-    A step raises Unavailable if the client could not come back for the duration `reconnect`, and WatchRestart if the
-    supernodes no longer keep the changes since the break. After WatchRestart list again, and begin a new watch.
+    Each step blocks until the next change. After a break the watch continues after the last change, perhaps at another
+    supernode. A step raises Unavailable if the client could not reach a supernode for the duration `reconnect`. It
+    raises WatchRestart if the supernodes no longer keep the changes since the break, or if the directory has begun
+    anew. After WatchRestart list again, and begin a new watch.
     """
 
     def __init__(self, session: Session, name_glob: str, reconnect: DurationLike | None) -> None:

@@ -8,15 +8,16 @@ ITEM_OVERHEAD_BYTES = 64
 WINDOW_BYTES_MAX = 2**20
 WINDOW_AGE_S = 0.1
 ONE_ITEM = 1
+"""The window of one byte. With it the host may send one item of any size."""
 
 
 class CreditWindow:
-    """The bytes that a host may send before the reader asks for them. While some are left, the host sends items.
+    """The bytes that a host may send ahead of the reader. The host sends the next item while at least one byte is left.
 
     The window begins with one item and doubles with each step of the reader. It never exceeds `bytes_max`, nor the
-    bytes that the reader takes in WINDOW_AGE_S at the speed of its last step. Items on the way are therefore young,
-    even if the reader is slow. If `bytes_max` is ONE_ITEM, the host sends nothing before the reader asks. The reader
-    then gets the newest item.
+    bytes that the reader takes in WINDOW_AGE_S at the speed of its last step. Sent items are therefore young when the
+    reader takes them, even if the reader is slow. If `bytes_max` is ONE_ITEM, the host sends one item for each step,
+    and only after the reader asks for the item.
 
     At each step the reader calls `ask`, grants the host the result, and calls `take` with the item's size.
     """
@@ -24,9 +25,9 @@ class CreditWindow:
     def __init__(self, bytes_max: int = WINDOW_BYTES_MAX) -> None:
         self._bytes_max = bytes_max
         self._window = 1
-        self._open = 0  # bytes granted and not yet taken; negative after an item larger than them
-        self._last_bytes = 1
-        self._taken_s: float | None = None
+        self._open = 0  # bytes that are granted and not yet taken; negative if an item was larger than the grant
+        self._last_bytes = 1  # the size of the last item that the reader took
+        self._taken_s: float | None = None  # when the reader took it; None once `ask` has used this time
 
     def begin(self) -> None:
         """Begin a new stream. The reader has granted nothing on it yet."""
@@ -48,7 +49,7 @@ class CreditWindow:
         self._taken_s = now_s
 
     def drop(self, item_bytes: int) -> None:
-        """Note that an item of that size came that the reader does not take, for example because it came before."""
+        """Note that an item of that size came, and that the client drops it, for example because it is a repetition."""
         self._open -= item_bytes
 
     def _measure(self, now_s: float) -> None:

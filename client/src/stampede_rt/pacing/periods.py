@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class Periods:
     """Due times `start + k * every`, counted from the start, so that delays do not add up.
 
-    If the work is late by less than a period, the caller still does it. `missed` counts the periods that passed
-    completely; the caller skips them.
+    If the work is late by less than a period, the caller still does it. `missed` counts the due times that the caller
+    skips, because the next due time has come as well.
     """
 
     start_nanos: int

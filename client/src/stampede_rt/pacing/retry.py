@@ -10,13 +10,17 @@ DELAY_S_MAX = 1.0
 
 @dataclass(slots=True)
 class Backoff:
-    """Delays that double up to a bound, until `deadline_s` on the caller's clock. Each is random: half to all of it."""
+    """The delays between tries, until `deadline_s` on the caller's clock.
+
+    The longest possible delay doubles from try to try, from FIRST_DELAY_S to DELAY_S_MAX. Each delay is random: between
+    half of the longest possible delay and all of it.
+    """
 
     deadline_s: float
     _delay_s: float = FIRST_DELAY_S
 
     def next_delay_s(self, now_s: float, jitter: float) -> float | None:
-        """Return the seconds to wait before the next try, or None if no time is left. `jitter` lies in [0, 1)."""
+        """Return the seconds to wait before the next try, or None if no time is left. `jitter` is random, in [0, 1)."""
         if now_s >= self.deadline_s:
             return None
         delay = self._delay_s * (0.5 + jitter / 2)

@@ -16,7 +16,7 @@ from weakref import WeakValueDictionary
 from stampede_rt.errors import InvalidArgument, WrongEventLoop
 
 Result = TypeVar("Result")
-_CALLERS = frozenset((0,))
+_CALLERS = frozenset((0,))  # all values of `thread_id`
 _inherited: list[object] = []  # keeps the parent's operations in a forked child, which must not run or delete them
 _running: set[asyncio.Future[None]] = set()  # keeps tasks alive until they are done
 
@@ -25,7 +25,7 @@ monotonic_nanos = time.monotonic_ns
 
 
 class Mutex:
-    """Does nothing. It stands for a lock around sections that do not wait: tasks of one loop need none there."""
+    """Does nothing. The blocking client has a lock here, around code that never waits. Tasks of one loop need none."""
 
     def __enter__(self) -> None:
         return None
@@ -37,7 +37,7 @@ class Mutex:
 
 
 class Signal:
-    """A flag that callers can wait for. After it wakes, a caller checks again whether its condition holds."""
+    """A flag that callers can wait for. After each wait a caller must check whether its own condition holds."""
 
     def __init__(self) -> None:
         self._event = asyncio.Event()
@@ -88,14 +88,14 @@ run_concurrently = run_all
 
 
 class KeyedLock:
-    """One lock for each key. Of several callers that look for the same thing, the others wait for the first one."""
+    """One lock for each key. If several callers look for the same thing, only the first looks, and the others wait."""
 
     def __init__(self) -> None:
         self._locks: WeakValueDictionary[Hashable, asyncio.Lock] = WeakValueDictionary()
 
     @asynccontextmanager
     async def hold(self, key: Hashable, timeout_s: float) -> AsyncIterator[None]:
-        """Hold the lock of `key`. After `timeout_s` the caller continues without it."""
+        """Hold the lock of `key` during the block. If it is not free after `timeout_s`, go on without it."""
         lock, held = self._locks.setdefault(key, asyncio.Lock()), True
         try:
             async with asyncio.timeout(timeout_s):
@@ -120,7 +120,7 @@ def thread_id() -> int:
 
 
 def begin_if_blocking(operation: Callable[[], Awaitable[None]]) -> None:
-    """Do nothing. The first await of the handle runs `operation`. The blocking client runs it now."""
+    """Do nothing: an asyncio handle runs `operation` at its first await. In the blocking client this call runs it."""
 
 
 class EventLoopCheck:
@@ -169,9 +169,10 @@ class BackgroundTask:
 
 
 def when_dropped(owner: object, operation: Callable[[], Awaitable[None]]) -> None:
-    """Run `operation` on this loop once no code references `owner`. `operation` must not reference it.
+    """Run `operation` on this loop once no code references `owner`. `operation` itself must not reference `owner`.
 
-    Python deletes objects on any thread, while any lock may be held, and after the end of the loop.
+    Python may delete `owner` on any thread, while that thread holds any lock. This is why `operation` runs on the loop.
+    If the loop has ended before, `operation` does not run.
     """
     finalizer = weakref.finalize(owner, _run_soon, asyncio.get_running_loop(), os.getpid(), operation)
     finalizer.atexit = False

@@ -1,7 +1,8 @@
 """Detects forked children. If a process has used gRPC, its forked child cannot use gRPC.
 
 gRPC's threads and sockets do not survive a fork. Calls on inherited connections hang for ever, and new connections
-sometimes hang or abort the child. This module makes both fail at once; decision 0067 has the measurements.
+sometimes hang or abort the child. With this module both raise ForkedProcess instead. Decision 0067 has the
+measurements.
 """
 
 from __future__ import annotations
@@ -18,18 +19,21 @@ _WAY_OUT = (
 
 _forks = 0  # forks between the process that loaded this module and this one
 _open: WeakSet[object] = WeakSet()  # the owners of gRPC connections in this process
-_opened_ever = False
+_opened_ever = False  # whether this process, or a process that it was forked from, has opened a gRPC connection
 _inherited: list[object] = []  # referenced for ever, because the deletion of a parent's gRPC object hangs, too
 _refused = False  # whether this process is a forked child that cannot use gRPC
 
 
 def forks() -> int:
-    """Return the number of forks between the process that loaded this module and this one. A child has one more."""
+    """Return the number of forks between the process that loaded this module and this process."""
     return _forks
 
 
 def opened(connections: object) -> None:
-    """Note that `connections` open gRPC connections. Raises ForkedProcess in a child that cannot use gRPC."""
+    """Note that the object `connections` opens gRPC connections.
+
+    Raises ForkedProcess in a child that cannot use gRPC.
+    """
     global _opened_ever
     if _refused:
         raise ForkedProcess(
@@ -40,7 +44,7 @@ def opened(connections: object) -> None:
 
 
 def closed(connections: object) -> None:
-    """Note that `connections` have closed."""
+    """Note that the object `connections` has closed its gRPC connections."""
     _open.discard(connections)
 
 

@@ -25,7 +25,8 @@ from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.delivered import ItemCount
 
-# Gets on one stream; a host takes 1024, and counts a cancelled one until it learns of the cancellation.
+# The gets on one stream at the same time. A host takes 1024. This number is lower, because a host counts a cancelled
+# get until it learns of the cancellation.
 CALLS_MAX = 1000
 
 Response = TypeVar("Response")
@@ -121,11 +122,11 @@ class ServerEndpoint(Stubs):
             raise closed(self.target) from error
 
     async def aclose(self) -> None:
-        """End all calls and streams at once."""
+        """End all calls and streams, without waiting for them. `ended` waits."""
         await self._channel.close(None)
 
     async def ended(self) -> None:
-        """Wait for the tasks of all streams. They end soon after `aclose`."""
+        """Wait for the tasks of all streams, at most END_TIMEOUT_S. The tasks end soon after `aclose`."""
         tasks = self._tasks - {asyncio.current_task()}
         if tasks:
             await asyncio.wait(tasks, timeout=END_TIMEOUT_S)

@@ -15,8 +15,9 @@ class Requests:
     """Writes the requests of one call in their order, in its own task, until the call ends.
 
     If a task is cancelled while it writes, grpc.aio ends the call. If the call ends during its opening, a write waits
-    for ever. So only one task, which nobody cancels, writes. `send` only adds a request to a list; it does not block
-    and cannot be cancelled. The reader of the responses learns of the end of the call; this class reports none.
+    for ever. Therefore only one task writes, and nobody cancels this task. `send` only adds a request to a list, so it
+    does not block and cannot be cancelled. This class does not report the end of the call; the reader of the responses
+    learns of it.
     """
 
     def __init__(self, call: Any, tasks: set[asyncio.Task[None]]) -> None:
@@ -32,7 +33,7 @@ class Requests:
         return len(self._waiting)
 
     def send(self, request: Any) -> int:
-        """Add `request`, and return its number for `withdraw`. If the call has ended, drops the request."""
+        """Add `request`, and return its number for `withdraw`. After the end of the call nobody sends the request."""
         self._sent += 1
         self._waiting[self._sent] = request
         self._more.set()

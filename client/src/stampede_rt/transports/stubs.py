@@ -1,4 +1,4 @@
-"""The stubs of the RPCs that callers use, for each kind of server."""
+"""The stubs of the RPCs that clients use, for each kind of server."""
 
 from __future__ import annotations
 

@@ -12,15 +12,16 @@ from functools import partial
 
 from stampede_rt.transports.concurrency_sync import within_limit
 
-IDLE_S = 30.0
+IDLE_S = 30.0  # see `Watchdog`
 CALL_LIMIT_S = 0.1  # how long one function may delay the functions of other limits
 _log = logging.getLogger("stampede_rt")
 
 
 class Watchdog:
-    """Calls a function for each `with` block that lasts too long. One daemon thread does so; the first limit starts it.
+    """Calls a function for each `with` block that lasts too long.
 
-    The thread ends after IDLE_S without a limit. So no thread remains after the program has dropped a connection.
+    One daemon thread watches all blocks. The first block starts the thread. The thread ends after IDLE_S without a
+    block, so that no thread remains after the program has dropped a connection.
     """
 
     def __init__(self) -> None:
@@ -34,9 +35,9 @@ class Watchdog:
 
     @contextmanager
     def limit(self, timeout_s: float | None, on_overdue: Callable[[], object]) -> Iterator[list[bool]]:
-        """Call `on_overdue` if the `with` block lasts longer than `timeout_s`.
+        """Call `on_overdue` if the `with` block lasts longer than `timeout_s`. None: the block may last for ever.
 
-        Yields a list that is empty until then, and not empty afterwards.
+        Yields a list. It is empty at first, and has an entry once the block has lasted longer than `timeout_s`.
         """
         overdue: list[bool] = []
         if timeout_s is None:

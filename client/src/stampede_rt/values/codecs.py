@@ -1,4 +1,4 @@
-"""Codecs of channels and queues: they turn values into payloads and back. Pure; numpy is imported at its first use.
+"""Codecs of channels and queues: they turn values into payloads and back. Pure. numpy is imported at its first use.
 
 Each item carries its content type on the wire. A reader without the writer's codec can therefore still tell the kind of
 a payload.
@@ -49,22 +49,22 @@ class JsonCodec:
     content_type = "application/json"
 
     def encode(self, value: Any) -> bytes:
-        """Return the value as UTF-8 text. Refuses NaN and infinity, which JSON does not have."""
+        """Return the value as JSON in UTF-8. Refuses NaN and infinity, because JSON has no such numbers."""
         return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
 
     def decode(self, payload: bytes) -> Any:
-        """Parse the text."""
+        """Return the value of JSON text."""
         return json.loads(payload)
 
 
 class NumpyCodec:
-    """Arrays with shape and dtype, in numpy's file format (`.npy`), which other languages read, too."""
+    """Arrays with shape and dtype, in numpy's file format (`.npy`). Other languages have readers for this format."""
 
     content_type = "application/x-npy"
 
     def __init__(self) -> None:
         try:
-            import numpy  # noqa: F401  # the error comes now, and not at the first item
+            import numpy  # noqa: F401  # so that a missing numpy is an error here, and not at the first item
         except ImportError as error:
             raise CodecError('codec="numpy" needs numpy, which is not installed; run: pip install numpy') from error
 
@@ -96,10 +96,10 @@ class Coding:
 
     @classmethod
     def parse(cls, codec: str | Codec | None, thing: str, content_type: str | None = None) -> Coding | None:
-        """Return the codec that the argument `codec` names; None if values are payloads.
+        """Return the coding for the argument `codec` of a handle. None for "bytes" and None: a value is then a payload.
 
-        `content_type` overrides the content type of the codec. Raises InvalidArgument, and CodecError if numpy is
-        missing.
+        `content_type` replaces the content type of the codec. Raises InvalidArgument, and CodecError if the codec is
+        "numpy" and numpy is not installed.
         """
         if codec is None or codec == "bytes":
             return None
@@ -126,9 +126,9 @@ class Coding:
         return check_payload(payload)
 
     def decode(self, payload: bytes | None, content_type: str, which: str) -> Any:
-        """Return the value of a payload, or None without a payload. `which` names the item in errors.
+        """Return the value of `payload`; None if `payload` is None. `which` names the item or message in errors.
 
-        Raises CodecError.
+        Raises CodecError, also if `content_type` is not empty and has another media type than the codec.
         """
         if payload is None:
             return None
@@ -146,7 +146,7 @@ class Coding:
             ) from error
 
     def item(self, fields: Iterable[Any]) -> CodedItem:
-        """Return an item that decodes its own payload."""
+        """Return the item with these fields of `Item`, in their order. The item decodes its own payload."""
         item = CodedItem._make(fields)
         item.coding = self
         return item
@@ -160,7 +160,7 @@ class CodedItem(Item):
     @cached_property
     def value(self) -> Any:
         """The decoded payload; None in reads without payloads. Raises CodecError."""
-        if self.coding is None:  # `_replace` made this item
+        if self.coding is None:  # the item is a copy made with `_replace`, which keeps no codec
             return self.payload
         return self.coding.decode(self.payload, self.content_type, f"item #{self.seq} at {self.time}")
 

@@ -14,13 +14,14 @@ from stampede_rt.values.model import ChannelInfo, Item, Items, Reason
 from stampede_rt.values.timeline import DurationLike, parse_duration
 
 MEMBERS_MAX = 64
+"""The greatest number of channels in a group."""
 GroupBound = Literal["start", "end"]
 """The cut of a channel: the time of its newest item, or the end of that item's duration."""
 Over = Literal["start", "span"]
 """A cross-section at the time of an item, or over the whole span of the item."""
 BOUNDS: tuple[GroupBound, ...] = get_args(GroupBound)
-OLDEST_REFERENCE = "oldest"
-MAX_LEAD_DEFAULT = "5s"
+OLDEST_REFERENCE = "oldest"  # the argument for a group without a reference channel
+MAX_LEAD_DEFAULT = "5s"  # see `Connection.group`
 
 Value = TypeVar("Value")
 
@@ -40,14 +41,14 @@ Key = TypeVar("Key", bound=NamedChannel)
 class SeenCut:
     """The group through which a reader reads, and the highest cut that the reader has seen.
 
-    Later reads never have a lower cut.
+    The reader sends `cut_floor` with each read. The host then does not answer with a lower cut.
     """
 
     group_id: bytes
     cut_floor: int | None = None
 
     def saw(self, cut: int | None) -> None:
-        """Keep `cut`, which an answer had, if it is the highest so far."""
+        """Note the cut of an answer. `cut_floor` becomes this cut if it is the highest so far."""
         if cut is not None and (self.cut_floor is None or cut > self.cut_floor):
             self.cut_floor = cut
 
@@ -91,7 +92,7 @@ class Matched(ByChannel[Key, Item]):
 
 
 class NewestItems(ByChannel[Key, Item | None]):
-    """The newest visible item of each channel, or None. `reasons[channel]` says why a channel has none."""
+    """The newest visible item of each channel, or None. `reasons[channel]` says why a channel has no such item."""
 
     def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items]) -> None:
         """`answers`: for each channel an answer that has the newest item first."""
@@ -102,7 +103,7 @@ class NewestItems(ByChannel[Key, Item | None]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupInfo:
-    """A group as the directory knows it. `reference_id` None: the group's cut is the smallest cut of its members.
+    """A group as the directory knows it. If `reference_id` is None, the group has the smallest cut of its members.
 
     `bound`, `idle_after_nanos` and `max_lead_nanos` are settings of `Connection.group`. `created_by` is as in
     ChannelInfo. `spec_version` rises by 1 whenever the members or settings change.
@@ -124,12 +125,15 @@ class GroupInfo:
 class MemberStatus:
     """One member of a group, as the host that answers sees it.
 
-    `newest`: the time of the member's newest item. `advance`: its highest advance. Either is None if there was none.
-    `cut`: the member's own cut; None if it never had an item or an advance. `lead_nanos`: how far its newest item is
-    ahead of the group's cut. `hidden`: the number of held items that the group does not show yet; None if only another
-    host knows the number. `idle`: the group's cut does not wait for the member, because it has been silent for
-    `idle_after`. `window_too_short`: retention collects the member's items before the group shows them.
-    `heard_ago_nanos`: the age of the facts about the member; 0 for a member at the host that answers.
+    - `newest`: the time of the member's newest item; None if the member never had an item.
+    - `advance`: the highest advance of the member; None if no producer has stated one.
+    - `cut`: the member's own cut; None if the member never had an item or an advance.
+    - `lead_nanos`: how far the member's newest item is ahead of the group's cut.
+    - `hidden`: the number of the member's held items that the group does not show yet. It is None if the answering host
+      does not own the member and so does not know the number.
+    - `idle`: the group's cut does not wait for the member, because the member has been silent for `idle_after`.
+    - `window_too_short`: retention collects the member's items before the group shows them.
+    - `heard_ago_nanos`: the age of these facts; 0 for a member that the answering host owns.
     """
 
     newest: int | None
@@ -157,11 +161,12 @@ class GroupStatus(Generic[Key]):
 
 @dataclass(frozen=True, kw_only=True)
 class Cut(Generic[Key]):
-    """A cut event: for each channel the items that became visible since the last event, `cut[channel]`.
+    """A cut event: `cut[channel]` has the items of a channel that became visible since the event before.
 
-    `time` is the cut, exclusive. `late[channel]`: items before the cut of an earlier event that the host accepted after
-    that event. `incomplete`: the members that had not reached the cut within `max_wait`. `cut[channel].truncated`: some
-    items of the event are missing, and `.reason` says why.
+    - `time`: the cut, exclusive.
+    - `late[channel]`: items that lie before the cut of an earlier event, and that the host accepted after that event.
+    - `incomplete`: the members that had not reached the cut within `max_wait`.
+    - `cut[channel].truncated`: some of the channel's items are missing in the event. `cut[channel].reason` says why.
     """
 
     time: int
@@ -178,9 +183,9 @@ class Cut(Generic[Key]):
 
 @dataclass(frozen=True, kw_only=True)
 class CrossSection(Generic[Key]):
-    """The items of each channel at one item of the reference: `section[channel]` is Items.
+    """One item of the reference, and the items of each other channel at that item: `section[channel]` is Items.
 
-    `time` is that item's time. It is None if the reference had no item at the requested instant.
+    `time` is the time of the reference's item. It is None if the reference had no item at the requested instant.
     `section[reference].reason` then says why.
     """
 
@@ -195,14 +200,17 @@ class CrossSection(Generic[Key]):
 
 
 def parse_group_bound(bound: str) -> str:
-    """Return `bound` if it is "start" or "end". Raises InvalidArgument for another value."""
+    """Return `bound`. Raises InvalidArgument unless it is "start" or "end"."""
     if bound not in BOUNDS:
         raise InvalidArgument(f'bound is {bound!r}; write "start" or "end" (of a channel\'s newest item)')
     return bound
 
 
 def parse_members(channels: Sequence[Key]) -> list[Key]:
-    """Return the channels as a list. Raises InvalidArgument if there are none or too many, or if one is there twice."""
+    """Return the channels of a group as a list.
+
+    Raises InvalidArgument unless there are 1 to MEMBERS_MAX channel handles, each of another channel.
+    """
     if not isinstance(channels, Iterable) or isinstance(channels, str):
         raise InvalidArgument(f"channels is {channels!r}; give a list of channels, even for one")
     members = list(channels)
@@ -221,7 +229,10 @@ def parse_members(channels: Sequence[Key]) -> list[Key]:
 
 
 def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChannel]) -> bytes | None:
-    """Return the id of the reference, a member named by handle or name; None for "oldest". Raises InvalidArgument."""
+    """Return the channel id of `reference`, which is the handle or name of a member. Returns None for "oldest".
+
+    Raises InvalidArgument if `reference` is no member.
+    """
     if reference == OLDEST_REFERENCE:
         return None
     for member in members:
@@ -233,19 +244,19 @@ def parse_reference(reference: NamedChannel | str, members: Sequence[NamedChanne
 
 
 def is_named_by(named: NamedChannel | str, channel: NamedChannel) -> bool:
-    """Whether `named`, a name, a handle or a descriptor, stands for `channel`."""
+    """Whether `named` stands for `channel`. `named` is a name, a handle or a descriptor."""
     if isinstance(named, str):
         return named == channel.info.name
     return getattr(named, "info", None) is not None and named.info.channel_id == channel.info.channel_id
 
 
 def shown_name(named: NamedChannel | str) -> object:
-    """Return the name that an error shows."""
+    """Return the channel's name, for an error text. An object that is no handle or name comes back as it is."""
     return named if isinstance(named, str) or not hasattr(named, "info") else named.info.name
 
 
 def parse_tolerance(tolerance: DurationLike) -> int:
-    """Return nanoseconds, 0 or more. Raises InvalidArgument."""
+    """Return `tolerance` in nanoseconds. Raises InvalidArgument if it is negative or no duration."""
     nanos = parse_duration(tolerance, "tolerance")
     if nanos < 0:
         raise InvalidArgument(
@@ -255,7 +266,7 @@ def parse_tolerance(tolerance: DurationLike) -> int:
 
 
 def parse_lateness(lateness: DurationLike) -> int:
-    """Return nanoseconds, 0 or more. Raises InvalidArgument."""
+    """Return `lateness` in nanoseconds. Raises InvalidArgument if it is negative or no duration."""
     nanos = parse_duration(lateness, "lateness")
     if nanos < 0:
         raise InvalidArgument(f'lateness is {lateness!r}; it is a time to wait: give "0s" or more')
@@ -263,7 +274,7 @@ def parse_lateness(lateness: DurationLike) -> int:
 
 
 def parse_max_wait(max_wait: DurationLike) -> int:
-    """Return nanoseconds, 0 or more. Raises InvalidArgument."""
+    """Return `max_wait` in nanoseconds. Raises InvalidArgument if it is negative or no duration."""
     nanos = parse_duration(max_wait, "max_wait")
     if nanos < 0:
         raise InvalidArgument(f'max_wait is {max_wait!r}; it is a time to wait: give "0s" or more')

@@ -8,9 +8,10 @@ from typing import Any, Literal, NamedTuple, overload
 
 from stampede_rt.values.timeline import ResolvedInterval
 
-REPR_BYTES_MAX = 32
+REPR_BYTES_MAX = 32  # the payload bytes that the `repr` of an item shows
 OVERLAP_NANOS_MAX = 3_600_000_000_000
-"""The greatest `Policy.overlap_nanos`. A read must also look at all items in a time of this length before its start."""
+"""The greatest `Policy.overlap_nanos`, one hour. A read must also look at the items in the time `overlap_nanos` before
+its start."""
 
 OnFull = Literal["drop_oldest", "block", "reject"]
 """What the host does with a put on a full channel or queue."""
@@ -20,8 +21,9 @@ ChangeKind = Literal["added", "updated", "removed"]
 class Item(NamedTuple):
     """One item of a channel (paper, section 3.2). Times are nanoseconds since the epoch, durations are nanoseconds.
 
-    - `end` is the end of its span at the time of the read: the earlier of time + duration and the next later item's
-      time. It is None for the newest item without a duration.
+    - `end` is the end of the item's span at the time of the read: the earlier of time + duration and the time of the
+      next later item. In a channel with `overlap`, a later item does not end the span of an item with a duration before
+      time + `overlap`. `end` is None for an item without a duration and without a later item.
     - `seq` grows by one for each item that the channel accepts, within one `incarnation` of the channel.
     - `payload` is None in reads without payloads; `payload_length_bytes` is its length all the same.
     """
@@ -61,11 +63,11 @@ class Item(NamedTuple):
 class Reason(str):
     """The reason why an answer is empty or partial. It compares as a string; `detail` explains it in a sentence."""
 
-    COLLECTED: Reason
-    NEVER: Reason
-    NOT_YET: Reason
-    HIDDEN: Reason
-    LOST: Reason
+    COLLECTED: Reason  # retention has collected the items
+    NEVER: Reason  # no item was put there, and none can come
+    NOT_YET: Reason  # no item has come yet
+    HIDDEN: Reason  # there are items, but they are not before the cut of the group
+    LOST: Reason  # the items were lost with their host
     detail: str
 
     def __new__(cls, value: str, detail: str = "") -> Reason:
@@ -90,7 +92,7 @@ class Items(Sequence[Item]):
     - `interval`: the interval as the host resolved it. None if a bound is NEWEST or OLDEST and the channel has no
       items.
     - `complete`: no more items can come into the interval.
-    - `truncated`: retention may have collected earlier items of the interval.
+    - `truncated`: the interval begins before the frontier, so retention may have collected items at its beginning.
     - `more`: the limit left out items.
     - `reason`: why the answer is empty or partial; None if nothing is missing.
     - `cut`: for reads through a group, its cut, exclusive. None for other reads, and while the group shows nothing.
@@ -139,11 +141,11 @@ class Items(Sequence[Item]):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Policy:
-    """The policy of a channel (paper, section 3.4). None: not stated. Times are nanoseconds, sizes are bytes.
+    """The policy of a channel (paper, section 3.4). None means that nobody has stated the setting.
 
     `max_age_unconsumed_nanos` replaces `max_age_nanos` for items that a live consumer has still to consume.
-    `overlap_nanos`: for this time a later item does not end the span of an item with a duration; None: a later item
-    ends the span at once.
+    `overlap_nanos`: for this time after an item's own time, later items do not end the span of an item with a duration.
+    If it is None, the next later item always ends the span.
     """
 
     max_age_nanos: int | None = None
@@ -162,8 +164,9 @@ class Policy:
 class ChannelInfo:
     """A channel as the directory knows it.
 
-    `created_by`: the name of the caller that made it, as rules of access know it: that of its certificate or token,
-    "@clients" or "@cluster" for holders of a secret. Empty: not known.
+    `created_by` is the caller that created the channel, by the name that rules of access use: the name in the caller's
+    certificate or token, or "@clients" or "@cluster" for a caller that has only a secret. It is empty if not known.
+    `spec_version` rises with each change of the policy.
     """
 
     channel_id: bytes
@@ -192,7 +195,7 @@ class HostInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SupernodeInfo:
-    """A supernode, as the answering supernode sees it."""
+    """A supernode, as the supernode sees it that answered the call."""
 
     supernode_id: str
     endpoint: str
@@ -204,8 +207,8 @@ class SupernodeInfo:
 class ConsumerStats:
     """A consumer place of a channel.
 
-    `waiting`: the number of held items that the consumer has still to consume. `lease_nanos` 0: the lease has ended,
-    and the place holds back no item until a consumer takes it again.
+    `waiting` is the number of held items that the consumer has still to consume. `lease_nanos` is the rest of the
+    place's lease. If it is 0, the lease has ended, and the place holds back no item until a consumer takes the place.
     """
 
     consumer_id: int
@@ -217,10 +220,13 @@ class ConsumerStats:
 class ChannelStats:
     """A channel's counters at one moment: `accepted == held + sum(collected.values())`, always.
 
-    `collected` is by cause (age, count, bytes, consumption), `rejected` by reason. Times are nanoseconds since the
-    epoch, or None. `consumers` lists the taken places; `policy.consumers` counts all places. `clock_offset_nanos`:
-    how far the host's clock is ahead of this machine's clock. The error is at most half the round trip of the call. The
-    offset is None in a list of channels.
+    - `collected` counts the collected items by cause: age, count, bytes, consumption. `rejected` counts the refused
+      items by reason.
+    - `newest` and `oldest` are the times of the newest and the oldest held item, `frontier` is the latest end of the
+      spans of collected items, and `advance` the highest advance. Each is None if there is no such item or advance.
+    - `consumers` lists the taken places; `policy.consumers` counts all places.
+    - `clock_offset_nanos`: how far the host's clock is ahead of this machine's clock. The error is at most half the
+      round trip of the call. The offset is None in a list of channels.
     """
 
     accepted: int
@@ -248,7 +254,8 @@ class ChannelStats:
 class Change:
     """One change of the directory.
 
-    `kind` is "added", "updated" or "removed"; `subject` is the thing after the change.
+    `kind` is "added", "updated" or "removed". `subject` is the channel or host after the change, or before its removal.
+    `index` is the position of the change in the replicated log.
     """
 
     index: int

@@ -25,7 +25,7 @@ def check_payload(payload: object) -> bytes:
 
 
 def _instead(payload: object) -> str:
-    """Return a text that says which value to give instead."""
+    """Return the part of an error text that says what to give instead of `payload`."""
     if isinstance(payload, str):
         return 'give text.encode(), or open the channel or queue with codec="json"'
     if hasattr(payload, "__array_interface__"):

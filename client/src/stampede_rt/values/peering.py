@@ -30,9 +30,9 @@ class ClockOffset:
         """Return the offset, computed from a call in which a supernode told its time.
 
         The peer sent the request at `sent_unix_nano` of its own clock, and got the answer `took_nanos` later. The
-        supernode had the request for `held_nanos`, and read `told_unix_nano` from its clock at the end of that time.
-        The peer assumes that the rest of the round trip took equally long in both directions. The error is at most half
-        of that rest.
+        supernode worked on the request for `held_nanos`, and read `told_unix_nano` from its clock at the end of that
+        time. The peer assumes that the rest of the round trip took equally long in both directions. The error is at
+        most half of that rest.
         """
         uncertainty = (max(0, took_nanos - held_nanos) + 1) // 2
         return cls(
@@ -49,9 +49,11 @@ class PeerInfo:
     `clock` is the peer's last measurement. It is None if the peer has not sent a measurement (a peer of an old release
     never does), if the leader of the supernodes did not answer, or if the record comes from a watch.
 
-    `owner`: the name of the caller that registered the peer, as rules of access know it. Besides
-    members of the cluster and operators, only this caller may renew, replace or end the peer. `owner` is empty if a
-    member or an operator registered the peer, and None if the owner is not known.
+    `owner` is the caller that registered the peer, by the name that rules of access use. Only this caller, the members
+    of the cluster and operators may renew, replace or end the peer. `owner` is empty if a member or an operator
+    registered the peer, and None if the owner is not known.
+
+    `boot_incarnation` is a random number. Each start of the peer's process has another one.
     """
 
     peer_id: bytes
@@ -83,16 +85,17 @@ class PeerChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeerIdentity:
-    """The id of a peer, and the bytes by which the directory recognises the peer after a restart."""
+    """The id of a peer, and the secret bytes by which the directory recognises the peer after a restart."""
 
     peer_id: bytes
     proof: bytes = field(repr=False)
 
     @classmethod
     def parse(cls, name: str, proof: str | None, randomness: bytes) -> PeerIdentity:
-        """Derive both fields from the text `proof`. The same name and text always give the same identity.
+        """Return the identity that `name` and the text `proof` give. It is the same in every process.
 
-        If `proof` is None, take them from `randomness` (48 bytes). Raises InvalidArgument, InvalidName.
+        If `proof` is None, the two fields come from `randomness` (48 bytes). Raises InvalidArgument if `proof` is no
+        text of PROOF_CHARACTERS_MIN characters or more.
         """
         if proof is None:
             return cls(peer_id=randomness[:16], proof=randomness[16:48])

@@ -17,7 +17,7 @@ ON_FULL: tuple[OnFull, ...] = get_args(OnFull)
 
 
 def parse_name(name: str, what: str = "channel") -> str:
-    """Return `name`. Raises InvalidName."""
+    """Return `name`. Raises InvalidName unless it matches NAME_GRAMMAR. `what` names the kind of thing in the error."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise InvalidName(
             f"the {what} name {name!r} is not allowed; use 1 to 128 of A-Z, a-z, 0-9, '.', '_', '/', '-', beginning "
@@ -38,7 +38,10 @@ def parse_policy(
     max_age_unconsumed: DurationLike | None = None,
     overlap: DurationLike | None = None,
 ) -> Policy:
-    """Return the stated policy; None stands for not stated. Raises InvalidArgument, which names the argument."""
+    """Return the policy that the arguments state. An argument that is None is not stated.
+
+    Raises InvalidArgument, which names the wrong argument.
+    """
     if on_full is not None and on_full not in ON_FULL:
         raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
     return Policy(
@@ -55,14 +58,17 @@ def parse_policy(
 
 
 def content_type_of(value: str | None) -> str | None:
-    """Return a MIME type, or None. Raises InvalidArgument."""
+    """Return `value`. Raises InvalidArgument unless it is None or ASCII text of 1 to 255 characters."""
     if value is not None and not (isinstance(value, str) and value.isascii() and 0 < len(value) <= 255):
         raise InvalidArgument(f"content_type is {value!r}; write a MIME type of at most 255 characters")
     return value
 
 
 def duration_of(what: str, value: DurationLike | None, *, least: int) -> int | None:
-    """Return nanoseconds, `least` or more, or None. Raises InvalidArgument, which names `what`."""
+    """Return `value` in nanoseconds; None for None. Raises InvalidArgument, which names `what`.
+
+    `least` is 1 if the duration must be more than 0, and 0 if it may be 0.
+    """
     if value is None:
         return None
     nanos = parse_duration(value, what)
@@ -72,7 +78,7 @@ def duration_of(what: str, value: DurationLike | None, *, least: int) -> int | N
 
 
 def count_of(what: str, value: int | None) -> int | None:
-    """Return a whole number, 1 or more, or None. Raises InvalidArgument, which names `what`."""
+    """Return `value`, a whole number of 1 or more; None for None. Raises InvalidArgument, which names `what`."""
     if value is None:
         return None
     count = whole_number_of(what, value)
@@ -89,7 +95,7 @@ def whole_number_of(what: str, value: int) -> int:
 
 
 def flag_of(what: str, value: bool) -> bool:
-    """Return True or False. Raises InvalidArgument for other values, because "no" would count as true."""
+    """Return `value`. Raises InvalidArgument unless it is True or False, because Python takes the text "no" as true."""
     if not isinstance(value, bool):
         raise InvalidArgument(f"{what} is {value!r}; write True or False")
     return value

@@ -15,17 +15,17 @@ from stampede_rt.values.policy import content_type_of, count_of, duration_of
 from stampede_rt.values.timeline import DurationLike
 
 ON_FULL = ("block", "reject", "drop_oldest")
-LEASE_NANOS_MAX = 3_600_000_000_000
+LEASE_NANOS_MAX = 3_600_000_000_000  # one hour
 LEASE_NANOS_DEFAULT = 30_000_000_000  # the lease of a queue whose policy states none
-DELAY_NANOS_MAX = 2**63 - 1
-PREFETCH_MAX = 1024
+DELAY_NANOS_MAX = 2**63 - 1  # for the `delay` of `Message.nack`
+PREFETCH_MAX = 1024  # messages
 MESSAGE_ID_BYTES_MAX = 128
-REASON_BYTES_MAX = 1024
+REASON_BYTES_MAX = 1024  # for the `reason` of `Message.term`
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueuePolicy:
-    """The policy of a queue. None: not stated."""
+    """The policy of a queue (see `Connection.queue`). None means that nobody has stated the setting."""
 
     max_items: int | None = None
     max_bytes: int | None = None
@@ -40,9 +40,10 @@ class QueuePolicy:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueInfo:
-    """A queue as the directory knows it. A mailbox has no name of its own; `mailbox_of` is the id of its peer.
+    """A queue or mailbox as the directory knows it.
 
-    `created_by` is as in ChannelInfo; empty for a mailbox, whose peer has an `owner`.
+    The `name` of a mailbox is empty, and `mailbox_of` is the id of its peer. `created_by` is as in ChannelInfo. It is
+    empty for a mailbox; the mailbox's peer has an `owner`.
     """
 
     queue_id: bytes
@@ -62,11 +63,12 @@ class QueueInfo:
 class QueueStats:
     """A queue's counters at one moment: `accepted == held + consumed + dropped + dead_lettered + expelled`, always.
 
-    - `leased`: the held messages that takers have at this moment.
+    - `leased`: the held messages that are leased to at least one taker.
     - `dropped`: messages that on_full="drop_oldest" removed. `expelled`: messages that reached max_deliveries, or that
       a taker gave up, in a queue without a dead-letter queue.
     - `delivered`: all deliveries, also repeated ones. `given_back`, `leases_expired` and `terminated` count the
-      deliveries that ended without an acknowledgement.
+      deliveries that ended without an acknowledgement: the taker gave the message back, its lease ended, or the taker
+      gave the message up.
     - `duplicates`: puts with a message id that the queue already knew. `rejected`: refused puts, by reason.
     - `oldest`: the time at which the queue accepted the oldest held message.
     """
@@ -97,8 +99,8 @@ class QueueStats:
 class Enqueued(NamedTuple):
     """The place of an accepted message: its `seq` within one `incarnation` of the queue.
 
-    `duplicate`: the queue has accepted a message with the same id before, and stored nothing now. `seq` is then the seq
-    of that first message.
+    `duplicate` is True if the queue has accepted a message with the same message id before. It then stores nothing, and
+    `seq` is the seq of the earlier message.
     """
 
     seq: int
@@ -108,10 +110,11 @@ class Enqueued(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PendingMessage:
-    """A message that a taker has and has not settled.
+    """A message that is leased to a taker and not yet settled.
 
-    `taker` is the taker's peer name, or its machine and process. `taker_id` is the unique id of its handle.
-    `deliveries` counts the deliveries of this message, from 1.
+    `taker` is the peer name of the taker's connection, or its machine and process if the connection has no name.
+    `taker_id` is a number of the taker's handle. No other handle has it. `deliveries` counts the deliveries of this
+    message, from 1. `leased` and `expires` are the instants at which the lease began and at which it ends.
     """
 
     seq: int
@@ -126,9 +129,10 @@ class PendingMessage:
 class DeadLetterOrigin:
     """The queue that a dead letter left, and how its last delivery there ended.
 
-    `queue` is that queue's name, empty for a mailbox. `enqueued` is the time at which it accepted the message.
-    `deliveries` counts the deliveries there. `ended` is "lease_expired", "given_back", "terminated", or empty if
-    unknown. `reason` is the last taker's text. `taker` and `taker_id` are as in PendingMessage.
+    `queue` is the name of that queue, or empty for a mailbox. `seq` and `incarnation` are those of the message there.
+    `enqueued` is the time at which that queue accepted the message. `deliveries` counts the deliveries from that queue.
+    `ended` is "lease_expired", "given_back" or "terminated", or empty if unknown. `reason` is the text that the last
+    taker gave to `Message.term`. `taker` and `taker_id` name the last taker, as in PendingMessage.
     """
 
     queue: str
@@ -144,7 +148,7 @@ class DeadLetterOrigin:
 
 
 def parse_message_id(value: str | None) -> str:
-    """Return the message id; an empty text for None. Raises InvalidArgument."""
+    """Return the message id; an empty text for None. Raises InvalidArgument unless it has 1 to 128 bytes in UTF-8."""
     if value is None:
         return ""
     if not isinstance(value, str) or not 0 < len(value.encode()) <= MESSAGE_ID_BYTES_MAX:
@@ -153,7 +157,10 @@ def parse_message_id(value: str | None) -> str:
 
 
 def parse_reason(value: str | None) -> str:
-    """Return the reason for giving a message up; an empty text for None. Raises InvalidArgument."""
+    """Return the text of a taker that gives a message up; an empty text for None.
+
+    Raises InvalidArgument if it has more than REASON_BYTES_MAX bytes in UTF-8.
+    """
     if value is not None and not (isinstance(value, str) and len(value.encode()) <= REASON_BYTES_MAX):
         raise InvalidArgument(f"reason is {value!r}; give text of at most {REASON_BYTES_MAX} bytes")
     return value or ""
@@ -170,7 +177,10 @@ def parse_queue_policy(
     dead_letter_queue_id: bytes | None = None,
     content_type: str | None = None,
 ) -> QueuePolicy:
-    """Return the stated policy; None stands for not stated. Raises InvalidArgument, which names the argument."""
+    """Return the policy that the arguments state. An argument that is None is not stated.
+
+    Raises InvalidArgument, which names the wrong argument.
+    """
     if on_full is not None and on_full not in ON_FULL:
         raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
     return QueuePolicy(
@@ -186,7 +196,7 @@ def parse_queue_policy(
 
 
 def parse_lease(value: DurationLike | None) -> int | None:
-    """Return a lease in nanoseconds, more than 0 and at most one hour, or None. Raises InvalidArgument."""
+    """Return a lease in nanoseconds; None for None. Raises InvalidArgument unless it is over 0 and at most one hour."""
     nanos = duration_of("lease", value, least=1)
     if nanos is not None and nanos > LEASE_NANOS_MAX:
         raise InvalidArgument(f"lease is {value!r}; it is at most 1 h: extend it while you work")
@@ -194,7 +204,7 @@ def parse_lease(value: DurationLike | None) -> int | None:
 
 
 def parse_prefetch(value: int) -> int:
-    """Return how many messages the host may send ahead of the callers. Raises InvalidArgument."""
+    """Return the number of messages that the host may send before callers ask for them. Raises InvalidArgument."""
     count = count_of("prefetch", value)
     if count is None or count > PREFETCH_MAX:
         raise InvalidArgument(f"prefetch is {value!r}; it must be 1 to {PREFETCH_MAX}")

@@ -11,21 +11,21 @@ from stampede_rt.values.model import Item
 from stampede_rt.values.policy import flag_of, whole_number_of
 from stampede_rt.values.timeline import InstantLike, Interval, Match, parse_instant
 
-TIMEOUT_S_MAX = 10**9
+TIMEOUT_S_MAX = 10**9  # a longer timeout counts as this one, about 32 years
 SubscribeMode = Literal["all", "newest"]
 """A subscription delivers all items, or always the newest one."""
-RENEW_S = 30.0  # a client with a longer wait asks again after this time
+RENEW_S = 30.0  # the longest wait that one request asks for; for a longer wait the client sends several requests
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """How long a call may wait: `seconds`, None for no limit."""
+    """How long a call may wait: `seconds`, or without a limit if it is None."""
 
     seconds: float | None
 
     @classmethod
     def parse(cls, timeout: float | None) -> Wait:
-        """Return a timeout in seconds, 0 or more; None: no limit. Raises InvalidArgument."""
+        """Return the wait for a `timeout`: seconds, 0 or more, or None for no limit. Raises InvalidArgument."""
         if timeout is None:
             return cls(None)
         if isinstance(timeout, bool | str) or not isinstance(timeout, int | float) or not 0 <= timeout < math.inf:
@@ -49,9 +49,10 @@ NO_WAIT = Wait(0)
 class ReadQuery:
     """One read of a channel (see `Channel.get`).
 
-    `after` is an item or an instant. The answer has only later items, or with `newest_first` only earlier ones. With
-    `newer_than` it has only items later than that item or instant, even if the read has `newest_first`. `cut`: read
-    through a group at exactly this cut, which one of its hosts gave. None: read at the present cut.
+    - `after` is an item or an instant. The answer has only later items, or with `newest_first` only earlier ones.
+    - `newer_than` is an item or an instant. The answer has only later items, even with `newest_first`.
+    - `cut` is for reads through a group. The host reads at exactly this cut, which a host of the group gave before. If
+      `cut` is None, the host reads at the present cut.
     """
 
     interval: Interval
@@ -78,7 +79,7 @@ def after_position(after: Item | InstantLike) -> Item | int:
 
 
 def parse_limit(limit: int | None) -> int | None:
-    """Return the greatest number of items; None: all. Raises InvalidArgument."""
+    """Return `limit`, the greatest number of items in an answer; None: all. Raises InvalidArgument."""
     if limit is None:
         return None
     count = whole_number_of("limit", limit)

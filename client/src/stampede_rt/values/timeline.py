@@ -1,7 +1,7 @@
 """Instants, durations, bounds and intervals (paper, sections 3.1 and 3.2). Pure.
 
-Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. Time is continuous; only the
-written bounds are whole nanoseconds. So `(10, 11)` is not empty, but `[10, 10)` is.
+Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. Time is continuous: only the
+bounds of an interval are whole nanoseconds. The interval `(10, 11)` is therefore not empty, but `[10, 10)` is.
 """
 
 from __future__ import annotations
@@ -70,9 +70,10 @@ def _read_duration(value: str, what: str) -> int:
 
 
 def parse_item_duration(value: DurationLike | int | None) -> int | None:
-    """Return the nanoseconds of an item's duration. An int is nanoseconds here, so that `duration=item.duration` works.
+    """Return the nanoseconds of an item's duration; None for None.
 
-    Raises InvalidArgument.
+    Unlike `parse_duration`, takes an int as nanoseconds, so that a caller can write `duration=item.duration`. Raises
+    InvalidArgument.
     """
     if value is None:
         return None
@@ -147,7 +148,7 @@ class MetaTime(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """An end of an interval: a meta-time plus an offset, or with `meta` None the instant `offset` itself."""
+    """An end of an interval: a meta-time plus `offset` nanoseconds, or the instant `offset` if `meta` is None."""
 
     meta: MetaTime | None
     offset: int = 0
@@ -175,12 +176,15 @@ BoundLike = Bound | InstantLike
 
 
 def parse_bound(value: BoundLike, what: str = "a bound") -> Bound:
-    """Return a bound, or the bound of an instant. Raises InvalidArgument."""
+    """Return `value` as a bound. Raises InvalidArgument if `value` is no bound and no instant."""
     return value if isinstance(value, Bound) else Bound(None, parse_instant(value, what))
 
 
 def last(duration: DurationLike) -> tuple[Bound, Bound]:
-    """Return the two bounds of the last `duration`, up to now: `channel.get(*last("30s"))`. Raises InvalidArgument."""
+    """Return the bounds NOW - `duration` and NOW, as in `channel.get(*last("30s"))`.
+
+    Raises InvalidArgument for a negative duration.
+    """
     if parse_duration(duration, "the duration") < 0:
         raise InvalidArgument(f"the duration is {duration!r}; it reaches back from now: leave the minus out")
     return NOW - duration, NOW
@@ -188,7 +192,7 @@ def last(duration: DurationLike) -> tuple[Bound, Bound]:
 
 @dataclass(frozen=True, slots=True)
 class ResolvedInterval:
-    """A set of instants between two concrete bounds."""
+    """The instants between two bounds that are instants themselves."""
 
     start: int
     end: int
@@ -223,11 +227,14 @@ class Interval:
 
     @property
     def needs_items(self) -> bool:
-        """Whether a bound is NEWEST or OLDEST, which an empty channel does not have."""
+        """Whether a bound is NEWEST or OLDEST. An empty channel has no such times."""
         return not {self.start.meta, self.end.meta}.isdisjoint({MetaTime.NEWEST, MetaTime.OLDEST})
 
     def resolve(self, *, now: int, newest: int | None, oldest: int | None) -> ResolvedInterval | None:
-        """Resolve both bounds at once. None if a bound needs items and there are none."""
+        """Return the interval at the host's time `now`, with the times of the newest and the oldest item.
+
+        Returns None if a bound is NEWEST or OLDEST and the channel has no items.
+        """
         if self.needs_items and (newest is None or oldest is None):
             return None
         anchors = {None: 0, MetaTime.NOW: now, MetaTime.NEWEST: newest or 0, MetaTime.OLDEST: oldest or 0}
@@ -240,7 +247,11 @@ class Interval:
 
 
 def fixed(interval: Interval, resolved: ResolvedInterval | None) -> Interval:
-    """Return `interval` with the bounds that a host has resolved, so that a repeated request has the same bounds."""
+    """Return `interval` with the instants to which a host has resolved its bounds.
+
+    A request that repeats a read then has the same bounds as the first request. Returns `interval` itself if the host
+    could not resolve it, or if its start came to lie after its end.
+    """
     if resolved is None or resolved.start > resolved.end:
         return interval
     ends = Bound(None, resolved.start), Bound(None, resolved.end)
@@ -253,7 +264,7 @@ _BOUNDS = {"[]": (False, False), "[)": (False, True), "(]": (True, False), "()":
 def parse_interval(start: BoundLike, end: BoundLike, bounds: str = "[]") -> Interval:
     """Return the interval between `start` and `end`; `bounds` is one of "[]", "[)", "(]", "()".
 
-    Raises InvalidInterval if both bounds are instants and `start` is later than `end`.
+    Raises InvalidArgument, and InvalidInterval if both bounds are instants and `start` is later than `end`.
     """
     if bounds not in _BOUNDS:
         raise InvalidArgument(f'bounds is {bounds!r}; write one of "[]", "[)", "(]", "()"')
@@ -265,17 +276,17 @@ def parse_interval(start: BoundLike, end: BoundLike, bounds: str = "[]") -> Inte
 class Match(Enum):
     """The rule by which an interval selects items (paper, section 3.2)."""
 
-    SPAN = "span"
-    WHOLE = "whole"
-    START = "start"
+    SPAN = "span"  # items whose span shares an instant with the interval
+    WHOLE = "whole"  # items whose whole span lies in the interval
+    START = "start"  # items whose time lies in the interval
 
 
 MatchLike = Literal["span", "whole", "start"] | Match
-"""The rule by which an interval selects items, by name."""
+"""The rule by which an interval selects items, or the name of the rule."""
 
 
 def parse_match(value: str | Match) -> Match:
-    """Return the rule of that name. Raises InvalidArgument."""
+    """Return the rule with that name, or the rule itself. Raises InvalidArgument."""
     try:
         return Match(value)
     except ValueError:
