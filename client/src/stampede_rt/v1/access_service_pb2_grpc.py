@@ -124,8 +124,9 @@ class AccessServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def RevokeCredential(self, request, context):
-        """Revoke a certificate or client token for good: all services refuse it. They end its open streams within 2 s.
-        Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+        """Revoke a certificate or client token for good. All services refuse it, and within 2 s end the streams that were
+        opened with it. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000 revocations), NO_QUORUM,
+        VERSION_MISMATCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -139,8 +140,8 @@ class AccessServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def GetAccessState(self, request, context):
-        """Get the facts that a port needs to judge its callers. For hosts and other members. They learn of changes by
-        DirectoryService.Watch with include_access.
+        """Get the facts that a port needs to judge its callers. For hosts and other members of the cluster. Hosts learn of
+        changes by DirectoryService.Watch with include_access, and front-ends by the version in DirectoryService.Ping.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -52,14 +52,15 @@ class AccessServiceStub:
     CheckAccess: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]
     """Check whether a client of a name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
     RevokeCredential: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.RevokeCredentialRequest, _access_service_pb2.RevokeCredentialResponse]
-    """Revoke a certificate or client token for good: all services refuse it. They end its open streams within 2 s.
-    Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+    """Revoke a certificate or client token for good. All services refuse it, and within 2 s end the streams that were
+    opened with it. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000 revocations), NO_QUORUM,
+    VERSION_MISMATCH.
     """
     ListRevokedCredentials: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.ListRevokedCredentialsRequest, _access_service_pb2.ListRevokedCredentialsResponse]
     """List all revoked certificates and client tokens."""
     GetAccessState: _grpc.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]
-    """Get the facts that a port needs to judge its callers. For hosts and other members. They learn of changes by
-    DirectoryService.Watch with include_access.
+    """Get the facts that a port needs to judge its callers. For hosts and other members of the cluster. Hosts learn of
+    changes by DirectoryService.Watch with include_access, and front-ends by the version in DirectoryService.Ping.
     """
 
 @_typing.type_check_only
@@ -86,14 +87,15 @@ class AccessServiceAsyncStub(AccessServiceStub):
     CheckAccess: _aio.UnaryUnaryMultiCallable[_access_service_pb2.CheckAccessRequest, _access_service_pb2.CheckAccessResponse]  # type: ignore[assignment]
     """Check whether a client of a name may do something, and by which rule. Changes nothing. Errors: INVALID_ARGUMENT."""
     RevokeCredential: _aio.UnaryUnaryMultiCallable[_access_service_pb2.RevokeCredentialRequest, _access_service_pb2.RevokeCredentialResponse]  # type: ignore[assignment]
-    """Revoke a certificate or client token for good: all services refuse it. They end its open streams within 2 s.
-    Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+    """Revoke a certificate or client token for good. All services refuse it, and within 2 s end the streams that were
+    opened with it. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000 revocations), NO_QUORUM,
+    VERSION_MISMATCH.
     """
     ListRevokedCredentials: _aio.UnaryUnaryMultiCallable[_access_service_pb2.ListRevokedCredentialsRequest, _access_service_pb2.ListRevokedCredentialsResponse]  # type: ignore[assignment]
     """List all revoked certificates and client tokens."""
     GetAccessState: _aio.UnaryUnaryMultiCallable[_access_service_pb2.GetAccessStateRequest, _access_service_pb2.GetAccessStateResponse]  # type: ignore[assignment]
-    """Get the facts that a port needs to judge its callers. For hosts and other members. They learn of changes by
-    DirectoryService.Watch with include_access.
+    """Get the facts that a port needs to judge its callers. For hosts and other members of the cluster. Hosts learn of
+    changes by DirectoryService.Watch with include_access, and front-ends by the version in DirectoryService.Ping.
     """
 
 class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -153,8 +155,9 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.RevokeCredentialRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.RevokeCredentialResponse, _abc.Awaitable[_access_service_pb2.RevokeCredentialResponse]]:
-        """Revoke a certificate or client token for good: all services refuse it. They end its open streams within 2 s.
-        Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000), NO_QUORUM, VERSION_MISMATCH.
+        """Revoke a certificate or client token for good. All services refuse it, and within 2 s end the streams that were
+        opened with it. Idempotent. Errors: INVALID_ARGUMENT (also for more than 1000 revocations), NO_QUORUM,
+        VERSION_MISMATCH.
         """
 
     @_abc_1.abstractmethod
@@ -171,8 +174,8 @@ class AccessServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _access_service_pb2.GetAccessStateRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_access_service_pb2.GetAccessStateResponse, _abc.Awaitable[_access_service_pb2.GetAccessStateResponse]]:
-        """Get the facts that a port needs to judge its callers. For hosts and other members. They learn of changes by
-        DirectoryService.Watch with include_access.
+        """Get the facts that a port needs to judge its callers. For hosts and other members of the cluster. Hosts learn of
+        changes by DirectoryService.Watch with include_access, and front-ends by the version in DirectoryService.Ping.
         """
 
 def add_AccessServiceServicer_to_server(servicer: AccessServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

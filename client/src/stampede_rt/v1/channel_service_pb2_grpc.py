@@ -122,7 +122,7 @@ class ChannelServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def GetChannelStatus(self, request, context):
-        """Get counters and bounds of one moment.
+        """Get the counters of a channel, and the times that bound its items, at one moment.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

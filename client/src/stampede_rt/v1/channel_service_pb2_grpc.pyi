@@ -63,7 +63,7 @@ class ChannelServiceStub:
     CHANNEL_FULL (all places are taken), INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
     """
     GetChannelStatus: _grpc.UnaryUnaryMultiCallable[_channel_service_pb2.GetChannelStatusRequest, _channel_service_pb2.GetChannelStatusResponse]
-    """Get counters and bounds of one moment."""
+    """Get the counters of a channel, and the times that bound its items, at one moment."""
 
 @_typing.type_check_only
 class ChannelServiceAsyncStub(ChannelServiceStub):
@@ -100,7 +100,7 @@ class ChannelServiceAsyncStub(ChannelServiceStub):
     CHANNEL_FULL (all places are taken), INCARNATION_LOST, WRONG_EPOCH, NOT_HERE, MOVED.
     """
     GetChannelStatus: _aio.UnaryUnaryMultiCallable[_channel_service_pb2.GetChannelStatusRequest, _channel_service_pb2.GetChannelStatusResponse]  # type: ignore[assignment]
-    """Get counters and bounds of one moment."""
+    """Get the counters of a channel, and the times that bound its items, at one moment."""
 
 class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
     """The data of channels. The host that owns a channel serves it (paper, sections 3.2 and 4.1). To find the host, call
@@ -170,6 +170,6 @@ class ChannelServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _channel_service_pb2.GetChannelStatusRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_channel_service_pb2.GetChannelStatusResponse, _abc.Awaitable[_channel_service_pb2.GetChannelStatusResponse]]:
-        """Get counters and bounds of one moment."""
+        """Get the counters of a channel, and the times that bound its items, at one moment."""
 
 def add_ChannelServiceServicer_to_server(servicer: ChannelServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

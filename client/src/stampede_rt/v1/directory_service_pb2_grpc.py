@@ -36,13 +36,14 @@ class DirectoryServiceStub(object):
     (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
-    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
     (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
     call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
+    begins with "memory-", too.
 
-    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
-    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
+    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
     def __init__(self, channel):
@@ -129,13 +130,14 @@ class DirectoryServiceServicer(object):
     (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
-    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
     (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
     call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
+    begins with "memory-", too.
 
-    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
-    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
+    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
     def Ping(self, request, context):
@@ -193,14 +195,14 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def RenewHostLease(self, request, context):
-        """Renew a lease. Only the leader does so (NOT_LEADER names it). LEASE_EXPIRED: register again.
+        """Renew a lease. Only the leader does so (NOT_LEADER names the leader). LEASE_EXPIRED: register again.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterHost(self, request, context):
-        """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another one.
+        """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another owner.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -228,7 +230,8 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Watch(self, request, context):
-        """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all of them any more.
+        """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all changes since that
+        index any more.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -321,13 +324,14 @@ class DirectoryService(object):
     (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
-    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
     (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
     call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
+    begins with "memory-", too.
 
-    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
-    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
+    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
     @staticmethod

@@ -37,13 +37,14 @@ class DirectoryServiceStub:
     (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
-    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
     (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
     call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
+    begins with "memory-", too.
 
-    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
-    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
+    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
     @_typing.overload
@@ -73,9 +74,9 @@ class DirectoryServiceStub:
     all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
     """
     RenewHostLease: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.RenewHostLeaseRequest, _directory_service_pb2.RenewHostLeaseResponse]
-    """Renew a lease. Only the leader does so (NOT_LEADER names it). LEASE_EXPIRED: register again."""
+    """Renew a lease. Only the leader does so (NOT_LEADER names the leader). LEASE_EXPIRED: register again."""
     DeregisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]
-    """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another one."""
+    """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another owner."""
     ResolveHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]
     """Find a host by id or name."""
     ListHosts: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListHostsRequest, _directory_service_pb2.ListHostsResponse]
@@ -83,7 +84,9 @@ class DirectoryServiceStub:
     ListSupernodes: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListSupernodesRequest, _directory_service_pb2.ListSupernodesResponse]
     """List the members of the consensus group, as this supernode sees them."""
     Watch: _grpc.UnaryStreamMultiCallable[_directory_service_pb2.WatchRequest, _directory_service_pb2.WatchResponse]
-    """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all of them any more."""
+    """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all changes since that
+    index any more.
+    """
 
 @_typing.type_check_only
 class DirectoryServiceAsyncStub(DirectoryServiceStub):
@@ -97,13 +100,14 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
-    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
     (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
     call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
+    begins with "memory-", too.
 
-    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
-    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
+    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -130,9 +134,9 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
     """
     RenewHostLease: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.RenewHostLeaseRequest, _directory_service_pb2.RenewHostLeaseResponse]  # type: ignore[assignment]
-    """Renew a lease. Only the leader does so (NOT_LEADER names it). LEASE_EXPIRED: register again."""
+    """Renew a lease. Only the leader does so (NOT_LEADER names the leader). LEASE_EXPIRED: register again."""
     DeregisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]  # type: ignore[assignment]
-    """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another one."""
+    """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another owner."""
     ResolveHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]  # type: ignore[assignment]
     """Find a host by id or name."""
     ListHosts: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListHostsRequest, _directory_service_pb2.ListHostsResponse]  # type: ignore[assignment]
@@ -140,7 +144,9 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     ListSupernodes: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListSupernodesRequest, _directory_service_pb2.ListSupernodesResponse]  # type: ignore[assignment]
     """List the members of the consensus group, as this supernode sees them."""
     Watch: _aio.UnaryStreamMultiCallable[_directory_service_pb2.WatchRequest, _directory_service_pb2.WatchResponse]  # type: ignore[assignment]
-    """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all of them any more."""
+    """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all changes since that
+    index any more.
+    """
 
 class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     """The replicated directory. Every supernode serves it in the same way (paper, section 4.3). An update is acknowledged
@@ -153,13 +159,14 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
-    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses it
+    (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
     (WRONG_CLUSTER). A server that does not know its own cluster yet answers NO_QUORUM. Only Ping answers all callers. A
     call that names no cluster is served. An id that begins with "memory-" belongs to a cluster that ends with its
-    processes. Another cluster serves its callers if its own id begins with "memory-", too.
+    processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
+    begins with "memory-", too.
 
-    AMBIGUOUS: this attempt took too long and was not performed, but an earlier attempt may have been: repeat the
-    request. OVERLOADED: the directory cannot remember more answers at present; it did nothing.
+    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
     @_abc_1.abstractmethod
@@ -232,7 +239,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.RenewHostLeaseRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.RenewHostLeaseResponse, _abc.Awaitable[_directory_service_pb2.RenewHostLeaseResponse]]:
-        """Renew a lease. Only the leader does so (NOT_LEADER names it). LEASE_EXPIRED: register again."""
+        """Renew a lease. Only the leader does so (NOT_LEADER names the leader). LEASE_EXPIRED: register again."""
 
     @_abc_1.abstractmethod
     def DeregisterHost(
@@ -240,7 +247,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DeregisterHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DeregisterHostResponse, _abc.Awaitable[_directory_service_pb2.DeregisterHostResponse]]:
-        """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another one."""
+        """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another owner."""
 
     @_abc_1.abstractmethod
     def ResolveHost(
@@ -272,6 +279,8 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.WatchRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_directory_service_pb2.WatchResponse], _abc.AsyncIterator[_directory_service_pb2.WatchResponse]]:
-        """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all of them any more."""
+        """Watch changes from an index on, without gaps. WATCH_RESTART: the supernode does not have all changes since that
+        index any more.
+        """
 
 def add_DirectoryServiceServicer_to_server(servicer: DirectoryServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

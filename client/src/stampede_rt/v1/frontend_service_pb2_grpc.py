@@ -26,8 +26,8 @@ if _version_not_supported:
 
 
 class FrontendServiceStub(object):
-    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
-    any number of front-ends may run.
+    """The first service of every caller (paper, section 4). A front-end tells callers the addresses of the supernodes. It
+    keeps no state, so any number of front-ends may run.
     """
 
     def __init__(self, channel):
@@ -44,8 +44,8 @@ class FrontendServiceStub(object):
 
 
 class FrontendServiceServicer(object):
-    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
-    any number of front-ends may run.
+    """The first service of every caller (paper, section 4). A front-end tells callers the addresses of the supernodes. It
+    keeps no state, so any number of front-ends may run.
     """
 
     def Bind(self, request, context):
@@ -73,8 +73,8 @@ def add_FrontendServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class FrontendService(object):
-    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
-    any number of front-ends may run.
+    """The first service of every caller (paper, section 4). A front-end tells callers the addresses of the supernodes. It
+    keeps no state, so any number of front-ends may run.
     """
 
     @staticmethod

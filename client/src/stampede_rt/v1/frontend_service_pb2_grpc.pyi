@@ -27,8 +27,8 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class FrontendServiceStub:
-    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
-    any number of front-ends may run.
+    """The first service of every caller (paper, section 4). A front-end tells callers the addresses of the supernodes. It
+    keeps no state, so any number of front-ends may run.
     """
 
     @_typing.overload
@@ -42,8 +42,8 @@ class FrontendServiceStub:
 
 @_typing.type_check_only
 class FrontendServiceAsyncStub(FrontendServiceStub):
-    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
-    any number of front-ends may run.
+    """The first service of every caller (paper, section 4). A front-end tells callers the addresses of the supernodes. It
+    keeps no state, so any number of front-ends may run.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -53,8 +53,8 @@ class FrontendServiceAsyncStub(FrontendServiceStub):
     """
 
 class FrontendServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The first service of every caller (paper, section 4). It tells the addresses of the supernodes. It keeps no state;
-    any number of front-ends may run.
+    """The first service of every caller (paper, section 4). A front-end tells callers the addresses of the supernodes. It
+    keeps no state, so any number of front-ends may run.
     """
 
     @_abc_1.abstractmethod

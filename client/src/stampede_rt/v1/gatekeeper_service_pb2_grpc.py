@@ -26,8 +26,8 @@ if _version_not_supported:
 
 
 class GatekeeperServiceStub(object):
-    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
-    transport.
+    """The first service of every channel host (paper, section 4.1). It tells callers the address of a channel's data, and
+    chooses a transport that both sides have.
     """
 
     def __init__(self, channel):
@@ -64,8 +64,8 @@ class GatekeeperServiceStub(object):
 
 
 class GatekeeperServiceServicer(object):
-    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
-    transport.
+    """The first service of every channel host (paper, section 4.1). It tells callers the address of a channel's data, and
+    chooses a transport that both sides have.
     """
 
     def Ping(self, request, context):
@@ -84,7 +84,8 @@ class GatekeeperServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DropChannel(self, request, context):
-        """Delete a channel, here and in the directory. The host tells its readers.
+        """Delete a channel, here and in the directory. The host ends the calls of the channel's readers with
+        CHANNEL_NOT_FOUND.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -141,8 +142,8 @@ def add_GatekeeperServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class GatekeeperService(object):
-    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
-    transport.
+    """The first service of every channel host (paper, section 4.1). It tells callers the address of a channel's data, and
+    chooses a transport that both sides have.
     """
 
     @staticmethod

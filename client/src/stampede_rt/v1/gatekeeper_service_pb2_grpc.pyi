@@ -27,8 +27,8 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class GatekeeperServiceStub:
-    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
-    transport.
+    """The first service of every channel host (paper, section 4.1). It tells callers the address of a channel's data, and
+    chooses a transport that both sides have.
     """
 
     @_typing.overload
@@ -42,7 +42,9 @@ class GatekeeperServiceStub:
     Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND.
     """
     DropChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.DropChannelRequest, _gatekeeper_service_pb2.DropChannelResponse]
-    """Delete a channel, here and in the directory. The host tells its readers."""
+    """Delete a channel, here and in the directory. The host ends the calls of the channel's readers with
+    CHANNEL_NOT_FOUND.
+    """
     ConfigureChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ConfigureChannelRequest, _gatekeeper_service_pb2.ConfigureChannelResponse]
     """Change the policy of a channel, here and in the directory. A field that is left out stays as it is."""
     ListHostedChannels: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListHostedChannelsRequest, _gatekeeper_service_pb2.ListHostedChannelsResponse]
@@ -50,8 +52,8 @@ class GatekeeperServiceStub:
 
 @_typing.type_check_only
 class GatekeeperServiceAsyncStub(GatekeeperServiceStub):
-    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
-    transport.
+    """The first service of every channel host (paper, section 4.1). It tells callers the address of a channel's data, and
+    chooses a transport that both sides have.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -62,15 +64,17 @@ class GatekeeperServiceAsyncStub(GatekeeperServiceStub):
     Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND.
     """
     DropChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.DropChannelRequest, _gatekeeper_service_pb2.DropChannelResponse]  # type: ignore[assignment]
-    """Delete a channel, here and in the directory. The host tells its readers."""
+    """Delete a channel, here and in the directory. The host ends the calls of the channel's readers with
+    CHANNEL_NOT_FOUND.
+    """
     ConfigureChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ConfigureChannelRequest, _gatekeeper_service_pb2.ConfigureChannelResponse]  # type: ignore[assignment]
     """Change the policy of a channel, here and in the directory. A field that is left out stays as it is."""
     ListHostedChannels: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListHostedChannelsRequest, _gatekeeper_service_pb2.ListHostedChannelsResponse]  # type: ignore[assignment]
     """List the channels at this host with their counters, page by page."""
 
 class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
-    """The first service of every channel host (paper, section 4.1). It binds callers to channels, and agrees on a
-    transport.
+    """The first service of every channel host (paper, section 4.1). It tells callers the address of a channel's data, and
+    chooses a transport that both sides have.
     """
 
     @_abc_1.abstractmethod
@@ -97,7 +101,9 @@ class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _gatekeeper_service_pb2.DropChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_gatekeeper_service_pb2.DropChannelResponse, _abc.Awaitable[_gatekeeper_service_pb2.DropChannelResponse]]:
-        """Delete a channel, here and in the directory. The host tells its readers."""
+        """Delete a channel, here and in the directory. The host ends the calls of the channel's readers with
+        CHANNEL_NOT_FOUND.
+        """
 
     @_abc_1.abstractmethod
     def ConfigureChannel(

@@ -29,8 +29,8 @@ class GroupDirectoryServiceStub(object):
     """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
-    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
-    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
+    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     def __init__(self, channel):
@@ -70,8 +70,8 @@ class GroupDirectoryServiceServicer(object):
     """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
-    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
-    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
+    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     def OpenGroup(self, request, context):
@@ -154,8 +154,8 @@ class GroupDirectoryService(object):
     """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
-    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
-    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
+    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     @staticmethod

@@ -30,8 +30,8 @@ class GroupDirectoryServiceStub:
     """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
-    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
-    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
+    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     @_typing.overload
@@ -62,8 +62,8 @@ class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
     """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
-    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
-    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
+    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -90,8 +90,8 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     """The groups of the replicated directory. Every supernode serves them on the port of DirectoryService, with the same
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
-    groups, which raises their spec_version. A group that loses its reference or its last member in this way is deleted,
-    too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
+    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
     """
 
     @_abc_1.abstractmethod

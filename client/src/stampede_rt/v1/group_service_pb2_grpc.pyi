@@ -39,8 +39,8 @@ class GroupServiceStub:
     ExchangeTimes: _grpc.StreamStreamMultiCallable[_group_service_pb2.ExchangeTimesRequest, _group_service_pb2.ExchangeTimesResponse]
     """Only between hosts: exchange the times of channels, and cuts. There is one stream for each pair of hosts that own
     members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
-    keeps only the latest values of each channel and group for the next one. After a break both sides begin with all
-    values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
+    keeps only the latest values of each channel and group for the next message. After a break both sides begin with
+    all values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
     HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
     host).
     """
@@ -75,8 +75,8 @@ class GroupServiceAsyncStub(GroupServiceStub):
     ExchangeTimes: _aio.StreamStreamMultiCallable[_group_service_pb2.ExchangeTimesRequest, _group_service_pb2.ExchangeTimesResponse]  # type: ignore[assignment]
     """Only between hosts: exchange the times of channels, and cuts. There is one stream for each pair of hosts that own
     members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
-    keeps only the latest values of each channel and group for the next one. After a break both sides begin with all
-    values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
+    keeps only the latest values of each channel and group for the next message. After a break both sides begin with
+    all values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
     HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
     host).
     """
@@ -114,8 +114,8 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_abc.Iterator[_group_service_pb2.ExchangeTimesResponse], _abc.AsyncIterator[_group_service_pb2.ExchangeTimesResponse]]:
         """Only between hosts: exchange the times of channels, and cuts. There is one stream for each pair of hosts that own
         members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
-        keeps only the latest values of each channel and group for the next one. After a break both sides begin with all
-        values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
+        keeps only the latest values of each channel and group for the next message. After a break both sides begin with
+        all values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
         HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
         host).
         """

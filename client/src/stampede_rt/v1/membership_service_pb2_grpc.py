@@ -26,8 +26,8 @@ if _version_not_supported:
 
 
 class MembershipServiceStub(object):
-    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
-    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time. A supernode may run on any machine. Every supernode
+    serves this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     def __init__(self, channel):
@@ -59,8 +59,8 @@ class MembershipServiceStub(object):
 
 
 class MembershipServiceServicer(object):
-    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
-    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time. A supernode may run on any machine. Every supernode
+    serves this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     def CreateJoinToken(self, request, context):
@@ -83,9 +83,10 @@ class MembershipServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def RemoveSupernode(self, request, context):
-        """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the leader is to be
-        removed, it first hands over to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under
-        way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority), AMBIGUOUS.
+        """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the member to
+        remove is the leader, it first passes the leadership to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED
+        (another change is under way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority),
+        AMBIGUOUS.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -134,8 +135,8 @@ def add_MembershipServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class MembershipService(object):
-    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
-    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time. A supernode may run on any machine. Every supernode
+    serves this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     @staticmethod

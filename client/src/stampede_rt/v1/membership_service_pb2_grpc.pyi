@@ -27,8 +27,8 @@ GRPC_GENERATED_VERSION: str
 GRPC_VERSION: str
 
 class MembershipServiceStub:
-    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
-    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time. A supernode may run on any machine. Every supernode
+    serves this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     @_typing.overload
@@ -47,9 +47,10 @@ class MembershipServiceStub:
     is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _grpc.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]
-    """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the leader is to be
-    removed, it first hands over to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under
-    way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority), AMBIGUOUS.
+    """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the member to
+    remove is the leader, it first passes the leadership to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED
+    (another change is under way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority),
+    AMBIGUOUS.
     """
     TakeSnapshot: _grpc.UnaryStreamMultiCallable[_membership_service_pb2.TakeSnapshotRequest, _membership_service_pb2.TakeSnapshotResponse]
     """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
@@ -61,8 +62,8 @@ class MembershipServiceStub:
 
 @_typing.type_check_only
 class MembershipServiceAsyncStub(MembershipServiceStub):
-    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
-    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time. A supernode may run on any machine. Every supernode
+    serves this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -78,9 +79,10 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     is under way), VERSION_MISMATCH, DEADLINE_EXCEEDED (the work goes on), AMBIGUOUS (repeat, or call ListSupernodes).
     """
     RemoveSupernode: _aio.UnaryUnaryMultiCallable[_membership_service_pb2.RemoveSupernodeRequest, _membership_service_pb2.RemoveSupernodeResponse]  # type: ignore[assignment]
-    """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the leader is to be
-    removed, it first hands over to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under
-    way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority), AMBIGUOUS.
+    """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the member to
+    remove is the leader, it first passes the leadership to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED
+    (another change is under way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority),
+    AMBIGUOUS.
     """
     TakeSnapshot: _aio.UnaryStreamMultiCallable[_membership_service_pb2.TakeSnapshotRequest, _membership_service_pb2.TakeSnapshotResponse]  # type: ignore[assignment]
     """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
@@ -91,8 +93,8 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     """
 
 class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
-    """Adds and removes supernodes (paper, section 4.3), one at a time; any machine may offer one. Every supernode serves
-    this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
+    """Adds and removes supernodes (paper, section 4.3), one at a time. A supernode may run on any machine. Every supernode
+    serves this on the port of DirectoryService. DirectoryService.ListSupernodes lists the members.
     """
 
     @_abc_1.abstractmethod
@@ -124,9 +126,10 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _membership_service_pb2.RemoveSupernodeRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_membership_service_pb2.RemoveSupernodeResponse, _abc.Awaitable[_membership_service_pb2.RemoveSupernodeResponse]]:
-        """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the leader is to be
-        removed, it first hands over to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED (another change is under
-        way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority), AMBIGUOUS.
+        """Remove a member for ever; its id never comes back. Idempotent: an absent member is no error. If the member to
+        remove is the leader, it first passes the leadership to another member. Errors: NOT_LEADER, NO_QUORUM, OVERLOADED
+        (another change is under way), INVALID_ARGUMENT (it is the last member, or the others would have no live majority),
+        AMBIGUOUS.
         """
 
     @_abc_1.abstractmethod

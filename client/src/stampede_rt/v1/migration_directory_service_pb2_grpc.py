@@ -100,8 +100,8 @@ class MigrationDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def GetMove(self, request, context):
-        """The state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT (an
-        unknown move: the directory keeps the record for 10 minutes).
+        """Get the state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT
+        (an unknown move: the directory keeps the record for 10 minutes).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

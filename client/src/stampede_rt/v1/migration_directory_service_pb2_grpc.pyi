@@ -53,8 +53,8 @@ class MigrationDirectoryServiceStub:
     INVALID_ARGUMENT.
     """
     GetMove: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.GetMoveRequest, _migration_directory_service_pb2.GetMoveResponse]
-    """The state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT (an
-    unknown move: the directory keeps the record for 10 minutes).
+    """Get the state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT
+    (an unknown move: the directory keeps the record for 10 minutes).
     """
     ListMoves: _grpc.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListMovesRequest, _migration_directory_service_pb2.ListMovesResponse]
     """List moves by time, the newest first, page by page. Changes nothing. Errors: INVALID_ARGUMENT."""
@@ -84,8 +84,8 @@ class MigrationDirectoryServiceAsyncStub(MigrationDirectoryServiceStub):
     INVALID_ARGUMENT.
     """
     GetMove: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.GetMoveRequest, _migration_directory_service_pb2.GetMoveResponse]  # type: ignore[assignment]
-    """The state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT (an
-    unknown move: the directory keeps the record for 10 minutes).
+    """Get the state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT
+    (an unknown move: the directory keeps the record for 10 minutes).
     """
     ListMoves: _aio.UnaryUnaryMultiCallable[_migration_directory_service_pb2.ListMovesRequest, _migration_directory_service_pb2.ListMovesResponse]  # type: ignore[assignment]
     """List moves by time, the newest first, page by page. Changes nothing. Errors: INVALID_ARGUMENT."""
@@ -136,8 +136,8 @@ class MigrationDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_directory_service_pb2.GetMoveRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_directory_service_pb2.GetMoveResponse, _abc.Awaitable[_migration_directory_service_pb2.GetMoveResponse]]:
-        """The state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT (an
-        unknown move: the directory keeps the record for 10 minutes).
+        """Get the state of a move. Changes nothing. The answer reflects every acknowledged update. Errors: INVALID_ARGUMENT
+        (an unknown move: the directory keeps the record for 10 minutes).
         """
 
     @_abc_1.abstractmethod

@@ -81,8 +81,9 @@ class MigrationServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def OfferSubjects(self, request, context):
-        """Between hosts only: a host that is about to leave asks this host what it would take over. The answer obliges neither
-        host. This host then moves what it takes. Idempotent. Errors: SHUTTING_DOWN (this host leaves, too).
+        """Between hosts only: a host that is about to leave asks this host which channels and queues it would take over. The
+        answer obliges neither host. This host then moves those that it takes to itself (as MoveHere). Idempotent. Errors:
+        SHUTTING_DOWN (this host leaves, too).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -45,8 +45,9 @@ class MigrationServiceStub:
     AMBIGUOUS (see GetMove), DEADLINE_EXCEEDED (the move continues).
     """
     OfferSubjects: _grpc.UnaryUnaryMultiCallable[_migration_service_pb2.OfferSubjectsRequest, _migration_service_pb2.OfferSubjectsResponse]
-    """Between hosts only: a host that is about to leave asks this host what it would take over. The answer obliges neither
-    host. This host then moves what it takes. Idempotent. Errors: SHUTTING_DOWN (this host leaves, too).
+    """Between hosts only: a host that is about to leave asks this host which channels and queues it would take over. The
+    answer obliges neither host. This host then moves those that it takes to itself (as MoveHere). Idempotent. Errors:
+    SHUTTING_DOWN (this host leaves, too).
     """
     HoldSubject: _grpc.UnaryStreamMultiCallable[_migration_service_pb2.HoldSubjectRequest, _migration_service_pb2.HoldSubjectResponse]
     """Between hosts only: the source stops accepting puts, and sends its handoff record. Puts wait for 5 s at most, with 64
@@ -78,8 +79,9 @@ class MigrationServiceAsyncStub(MigrationServiceStub):
     AMBIGUOUS (see GetMove), DEADLINE_EXCEEDED (the move continues).
     """
     OfferSubjects: _aio.UnaryUnaryMultiCallable[_migration_service_pb2.OfferSubjectsRequest, _migration_service_pb2.OfferSubjectsResponse]  # type: ignore[assignment]
-    """Between hosts only: a host that is about to leave asks this host what it would take over. The answer obliges neither
-    host. This host then moves what it takes. Idempotent. Errors: SHUTTING_DOWN (this host leaves, too).
+    """Between hosts only: a host that is about to leave asks this host which channels and queues it would take over. The
+    answer obliges neither host. This host then moves those that it takes to itself (as MoveHere). Idempotent. Errors:
+    SHUTTING_DOWN (this host leaves, too).
     """
     HoldSubject: _aio.UnaryStreamMultiCallable[_migration_service_pb2.HoldSubjectRequest, _migration_service_pb2.HoldSubjectResponse]  # type: ignore[assignment]
     """Between hosts only: the source stops accepting puts, and sends its handoff record. Puts wait for 5 s at most, with 64
@@ -120,8 +122,9 @@ class MigrationServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _migration_service_pb2.OfferSubjectsRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_migration_service_pb2.OfferSubjectsResponse, _abc.Awaitable[_migration_service_pb2.OfferSubjectsResponse]]:
-        """Between hosts only: a host that is about to leave asks this host what it would take over. The answer obliges neither
-        host. This host then moves what it takes. Idempotent. Errors: SHUTTING_DOWN (this host leaves, too).
+        """Between hosts only: a host that is about to leave asks this host which channels and queues it would take over. The
+        answer obliges neither host. This host then moves those that it takes to itself (as MoveHere). Idempotent. Errors:
+        SHUTTING_DOWN (this host leaves, too).
         """
 
     @_abc_1.abstractmethod

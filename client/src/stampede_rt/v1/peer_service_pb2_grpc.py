@@ -93,7 +93,7 @@ class PeerServiceServicer(object):
 
     def DeregisterPeer(self, request, context):
         """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
-        boot of the same peer is registered).
+        process of the same peer is registered).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -45,7 +45,7 @@ class PeerServiceStub:
     """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]
     """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
-    boot of the same peer is registered).
+    process of the same peer is registered).
     """
     ResolvePeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]
     """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
@@ -75,7 +75,7 @@ class PeerServiceAsyncStub(PeerServiceStub):
     """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]  # type: ignore[assignment]
     """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
-    boot of the same peer is registered).
+    process of the same peer is registered).
     """
     ResolvePeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]  # type: ignore[assignment]
     """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
@@ -120,7 +120,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.DeregisterPeerResponse, _abc.Awaitable[_peer_service_pb2.DeregisterPeerResponse]]:
         """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
-        boot of the same peer is registered).
+        process of the same peer is registered).
         """
 
     @_abc_1.abstractmethod

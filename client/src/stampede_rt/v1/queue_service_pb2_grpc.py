@@ -82,12 +82,12 @@ class QueueServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Take(self, request_iterator, context):
-        """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. A taker
-        may be frozen if one of its leases has ended and the host has heard nothing of it since that lease began. The host
-        sends it a sign of life at once, and gives it no messages until it answers. The end of the stream gives no messages
-        back: delivered messages stay leased until the taker settles them or their leases end. A taker that comes back may
-        settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
-        INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+        """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. If one of
+        a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
+        frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
+        the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
+        A taker that comes back may settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED,
+        QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -44,12 +44,12 @@ class QueueServiceStub:
     OVERLOADED, SHUTTING_DOWN.
     """
     Take: _grpc.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]
-    """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. A taker
-    may be frozen if one of its leases has ended and the host has heard nothing of it since that lease began. The host
-    sends it a sign of life at once, and gives it no messages until it answers. The end of the stream gives no messages
-    back: delivered messages stay leased until the taker settles them or their leases end. A taker that comes back may
-    settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
-    INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+    """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. If one of
+    a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
+    frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
+    the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
+    A taker that comes back may settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED,
+    QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
     """
     Settle: _grpc.UnaryUnaryMultiCallable[_queue_service_pb2.SettleRequest, _queue_service_pb2.SettleResponse]
     """Settle deliveries without a Take stream, for example after it broke. Idempotent for acknowledgements. Each
@@ -80,12 +80,12 @@ class QueueServiceAsyncStub(QueueServiceStub):
     OVERLOADED, SHUTTING_DOWN.
     """
     Take: _aio.StreamStreamMultiCallable[_queue_service_pb2.TakeRequest, _queue_service_pb2.TakeResponse]  # type: ignore[assignment]
-    """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. A taker
-    may be frozen if one of its leases has ended and the host has heard nothing of it since that lease began. The host
-    sends it a sign of life at once, and gives it no messages until it answers. The end of the stream gives no messages
-    back: delivered messages stay leased until the taker settles them or their leases end. A taker that comes back may
-    settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
-    INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+    """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. If one of
+    a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
+    frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
+    the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
+    A taker that comes back may settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED,
+    QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
     """
     Settle: _aio.UnaryUnaryMultiCallable[_queue_service_pb2.SettleRequest, _queue_service_pb2.SettleResponse]  # type: ignore[assignment]
     """Settle deliveries without a Take stream, for example after it broke. Idempotent for acknowledgements. Each
@@ -125,12 +125,12 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_queue_service_pb2.TakeRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_queue_service_pb2.TakeResponse], _abc.AsyncIterator[_queue_service_pb2.TakeResponse]]:
-        """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. A taker
-        may be frozen if one of its leases has ended and the host has heard nothing of it since that lease began. The host
-        sends it a sign of life at once, and gives it no messages until it answers. The end of the stream gives no messages
-        back: delivered messages stay leased until the taker settles them or their leases end. A taker that comes back may
-        settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND,
-        INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
+        """Take messages. The host leases each to this taker, while it has credit. It serves waiting takers in turn. If one of
+        a taker's leases has ended, and the host has heard nothing from the taker since that lease began, the taker may be
+        frozen. The host then immediately sends it a sign of life, and gives it no messages until it answers. The end of
+        the stream gives no messages back: delivered messages stay leased until the taker settles them or their leases end.
+        A taker that comes back may settle them by their ids. Errors that end the stream: WRONG_EPOCH, NOT_HERE, MOVED,
+        QUEUE_NOT_FOUND, INVALID_ARGUMENT, OVERLOADED, SHUTTING_DOWN.
         """
 
     @_abc_1.abstractmethod

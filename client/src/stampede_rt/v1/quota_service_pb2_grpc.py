@@ -28,7 +28,7 @@ if _version_not_supported:
 class QuotaServiceStub(object):
     """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
     change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
-    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
+    do not know it). Request ids are as in DirectoryService. Services use a change within a second.
     """
 
     def __init__(self, channel):
@@ -62,7 +62,7 @@ class QuotaServiceStub(object):
 class QuotaServiceServicer(object):
     """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
     change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
-    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
+    do not know it). Request ids are as in DirectoryService. Services use a change within a second.
     """
 
     def SetQuotas(self, request, context):
@@ -128,7 +128,7 @@ def add_QuotaServiceServicer_to_server(servicer, server):
 class QuotaService(object):
     """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
     change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
-    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
+    do not know it). Request ids are as in DirectoryService. Services use a change within a second.
     """
 
     @staticmethod

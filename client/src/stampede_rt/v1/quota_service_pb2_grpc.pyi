@@ -29,7 +29,7 @@ GRPC_VERSION: str
 class QuotaServiceStub:
     """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
     change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
-    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
+    do not know it). Request ids are as in DirectoryService. Services use a change within a second.
     """
 
     @_typing.overload
@@ -51,7 +51,7 @@ class QuotaServiceStub:
 class QuotaServiceAsyncStub(QuotaServiceStub):
     """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
     change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
-    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
+    do not know it). Request ids are as in DirectoryService. Services use a change within a second.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -69,7 +69,7 @@ class QuotaServiceAsyncStub(QuotaServiceStub):
 class QuotaServiceServicer(metaclass=_abc_1.ABCMeta):
     """The limits of quotas, for operators. Every supernode serves them on the port of DirectoryService. A read sees every
     change that was acknowledged before it began. Changes need feature level 2 (VERSION_MISMATCH names the members that
-    do not know it). Request ids are as in DirectoryService. Services use a change within a moment.
+    do not know it). Request ids are as in DirectoryService. Services use a change within a second.
     """
 
     @_abc_1.abstractmethod

@@ -32,8 +32,8 @@ class ReplicaDirectoryServiceStub(object):
     hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
     registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
     incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
-    sync.
+    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
+    which are not in sync until they have all items.
     """
 
     def __init__(self, channel):
@@ -76,8 +76,8 @@ class ReplicaDirectoryServiceServicer(object):
     hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
     registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
     incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
-    sync.
+    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
+    which are not in sync until they have all items.
     """
 
     def AddReplica(self, request, context):
@@ -117,8 +117,8 @@ class ReplicaDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ListReplicas(self, request, context):
-        """The hosts that can serve readers of a channel: its owner and its copies with their loads, the least loaded first.
-        Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
+        """List the hosts that can serve readers of a channel: its owner and the hosts of its copies, with their loads, the
+        least loaded first. Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -167,8 +167,8 @@ class ReplicaDirectoryService(object):
     hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
     registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
     incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
-    sync.
+    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
+    which are not in sync until they have all items.
     """
 
     @staticmethod

@@ -33,8 +33,8 @@ class ReplicaDirectoryServiceStub:
     hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
     registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
     incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
-    sync.
+    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
+    which are not in sync until they have all items.
     """
 
     @_typing.overload
@@ -62,8 +62,8 @@ class ReplicaDirectoryServiceStub:
     memory and not in the log. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED.
     """
     ListReplicas: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ListReplicasRequest, _replica_directory_service_pb2.ListReplicasResponse]
-    """The hosts that can serve readers of a channel: its owner and its copies with their loads, the least loaded first.
-    Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
+    """List the hosts that can serve readers of a channel: its owner and the hosts of its copies, with their loads, the
+    least loaded first. Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
     """
 
 @_typing.type_check_only
@@ -74,8 +74,8 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
     registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
     incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
-    sync.
+    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
+    which are not in sync until they have all items.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -100,8 +100,8 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     memory and not in the log. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED.
     """
     ListReplicas: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ListReplicasRequest, _replica_directory_service_pb2.ListReplicasResponse]  # type: ignore[assignment]
-    """The hosts that can serve readers of a channel: its owner and its copies with their loads, the least loaded first.
-    Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
+    """List the hosts that can serve readers of a channel: its owner and the hosts of its copies, with their loads, the
+    least loaded first. Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
     """
 
 class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -111,8 +111,8 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
     registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
     incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. It then sends the items to the other copies, which are not in
-    sync.
+    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
+    which are not in sync until they have all items.
     """
 
     @_abc_1.abstractmethod
@@ -165,8 +165,8 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _replica_directory_service_pb2.ListReplicasRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_replica_directory_service_pb2.ListReplicasResponse, _abc.Awaitable[_replica_directory_service_pb2.ListReplicasResponse]]:
-        """The hosts that can serve readers of a channel: its owner and its copies with their loads, the least loaded first.
-        Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
+        """List the hosts that can serve readers of a channel: its owner and the hosts of its copies, with their loads, the
+        least loaded first. Changes nothing. Errors: CHANNEL_NOT_FOUND, QUEUE_NOT_FOUND.
         """
 
 def add_ReplicaDirectoryServiceServicer_to_server(servicer: ReplicaDirectoryServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

@@ -80,18 +80,19 @@ class ReplicaServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Feed(self, request_iterator, context):
-        """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`. The
-        next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They also
-        have what a later owner must know. After a broken stream the copy resumes with `after`. Errors that end the stream:
-        NOT_HERE, WRONG_EPOCH, MOVED, INCARNATION_LOST (the copy drops its items, and begins again at the oldest item),
-        OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
+        """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`.
+        The next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They
+        also have the other facts that a later owner needs: the numbers of producers, consumptions and removals. After a
+        broken stream the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
+        INCARNATION_LOST (the copy drops its items, and begins again at the oldest item), OVERLOADED, SHUTTING_DOWN,
+        PERMISSION_DENIED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def GetReplicaStatus(self, request, context):
-        """The status of the copy at this host. Changes nothing. Errors: NOT_HERE.
+        """Get the status of the copy at this host. Changes nothing. Errors: NOT_HERE.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -43,14 +43,15 @@ class ReplicaServiceStub:
     StopReplica: _grpc.UnaryUnaryMultiCallable[_replica_service_pb2.StopReplicaRequest, _replica_service_pb2.StopReplicaResponse]
     """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner)."""
     Feed: _grpc.StreamStreamMultiCallable[_replica_service_pb2.FeedRequest, _replica_service_pb2.FeedResponse]
-    """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`. The
-    next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They also
-    have what a later owner must know. After a broken stream the copy resumes with `after`. Errors that end the stream:
-    NOT_HERE, WRONG_EPOCH, MOVED, INCARNATION_LOST (the copy drops its items, and begins again at the oldest item),
-    OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
+    """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`.
+    The next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They
+    also have the other facts that a later owner needs: the numbers of producers, consumptions and removals. After a
+    broken stream the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
+    INCARNATION_LOST (the copy drops its items, and begins again at the oldest item), OVERLOADED, SHUTTING_DOWN,
+    PERMISSION_DENIED.
     """
     GetReplicaStatus: _grpc.UnaryUnaryMultiCallable[_replica_service_pb2.GetReplicaStatusRequest, _replica_service_pb2.GetReplicaStatusResponse]
-    """The status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
+    """Get the status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 @_typing.type_check_only
 class ReplicaServiceAsyncStub(ReplicaServiceStub):
@@ -67,14 +68,15 @@ class ReplicaServiceAsyncStub(ReplicaServiceStub):
     StopReplica: _aio.UnaryUnaryMultiCallable[_replica_service_pb2.StopReplicaRequest, _replica_service_pb2.StopReplicaResponse]  # type: ignore[assignment]
     """Drop the copy at this host, and remove it from the directory. Idempotent. Errors: NOT_HERE (this host is the owner)."""
     Feed: _aio.StreamStreamMultiCallable[_replica_service_pb2.FeedRequest, _replica_service_pb2.FeedResponse]  # type: ignore[assignment]
-    """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`. The
-    next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They also
-    have what a later owner must know. After a broken stream the copy resumes with `after`. Errors that end the stream:
-    NOT_HERE, WRONG_EPOCH, MOVED, INCARNATION_LOST (the copy drops its items, and begins again at the oldest item),
-    OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
+    """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`.
+    The next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They
+    also have the other facts that a later owner needs: the numbers of producers, consumptions and removals. After a
+    broken stream the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
+    INCARNATION_LOST (the copy drops its items, and begins again at the oldest item), OVERLOADED, SHUTTING_DOWN,
+    PERMISSION_DENIED.
     """
     GetReplicaStatus: _aio.UnaryUnaryMultiCallable[_replica_service_pb2.GetReplicaStatusRequest, _replica_service_pb2.GetReplicaStatusResponse]  # type: ignore[assignment]
-    """The status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
+    """Get the status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
     """Copies of channels and queues on the hosts, on the gatekeeper's port (paper, section 4.1).
@@ -106,11 +108,12 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
         request_iterator: _MaybeAsyncIterator[_replica_service_pb2.FeedRequest],
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_replica_service_pb2.FeedResponse], _abc.AsyncIterator[_replica_service_pb2.FeedResponse]]:
-        """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`. The
-        next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They also
-        have what a later owner must know. After a broken stream the copy resumes with `after`. Errors that end the stream:
-        NOT_HERE, WRONG_EPOCH, MOVED, INCARNATION_LOST (the copy drops its items, and begins again at the oldest item),
-        OVERLOADED, SHUTTING_DOWN, PERMISSION_DENIED.
+        """Between hosts only: send the items to a copy. The copy's host calls its source. The first response has `opened`.
+        The next responses have all held items in seq order, then every later accepted item once, as Subscribe does. They
+        also have the other facts that a later owner needs: the numbers of producers, consumptions and removals. After a
+        broken stream the copy resumes with `after`. Errors that end the stream: NOT_HERE, WRONG_EPOCH, MOVED,
+        INCARNATION_LOST (the copy drops its items, and begins again at the oldest item), OVERLOADED, SHUTTING_DOWN,
+        PERMISSION_DENIED.
         """
 
     @_abc_1.abstractmethod
@@ -119,6 +122,6 @@ class ReplicaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _replica_service_pb2.GetReplicaStatusRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_replica_service_pb2.GetReplicaStatusResponse, _abc.Awaitable[_replica_service_pb2.GetReplicaStatusResponse]]:
-        """The status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
+        """Get the status of the copy at this host. Changes nothing. Errors: NOT_HERE."""
 
 def add_ReplicaServiceServicer_to_server(servicer: ReplicaServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...
