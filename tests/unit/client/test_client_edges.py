@@ -109,7 +109,7 @@ def test_anything_with_a_buffer_is_a_payload_but_text_is_not() -> None:
         check_payload("x")
 
 
-@pytest.mark.parametrize("attributes", [{"a": 1}, {1: "a"}, ["a"], "a"])
+@pytest.mark.parametrize("attributes", [{"a": 1}, {1: "a"}, ["a"], "a", {"a": "\ud800"}])
 def test_attributes_are_text(attributes: object) -> None:
     with pytest.raises(InvalidArgument, match="attributes"):
         check_attributes(attributes)  # type: ignore[arg-type]

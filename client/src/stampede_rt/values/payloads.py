@@ -38,7 +38,17 @@ def check_attributes(attributes: Mapping[str, str] | None) -> None:
     if attributes is None:
         return
     if isinstance(attributes, Mapping) and all(
-        isinstance(key, str) and isinstance(value, str) for key, value in attributes.items()
+        text_length_bytes(part) is not None for pair in attributes.items() for part in pair
     ):
         return
     raise InvalidArgument(f"the attributes are {attributes!r}; give a mapping of text to text")
+
+
+def text_length_bytes(value: object) -> int | None:
+    """Return the length of a text in bytes; None for other values, and for text that UTF-8 cannot encode."""
+    if not isinstance(value, str):
+        return None
+    try:
+        return len(value.encode())
+    except UnicodeEncodeError:  # one half of a surrogate pair
+        return None

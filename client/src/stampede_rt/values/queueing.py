@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import OnFull
+from stampede_rt.values.payloads import text_length_bytes
 from stampede_rt.values.policy import content_type_of, count_of, duration_of
 from stampede_rt.values.timeline import DurationLike
 
@@ -151,8 +152,8 @@ def parse_message_id(value: str | None) -> str:
     """Return the message id; an empty text for None. Raises InvalidArgument unless it has 1 to 128 bytes in UTF-8."""
     if value is None:
         return ""
-    if not isinstance(value, str) or not 0 < len(value.encode()) <= MESSAGE_ID_BYTES_MAX:
-        raise InvalidArgument(f"message_id is {value!r}; give 1 to {MESSAGE_ID_BYTES_MAX} bytes of text")
+    if not 0 < (text_length_bytes(value) or 0) <= MESSAGE_ID_BYTES_MAX:
+        raise InvalidArgument(f"message_id is {value!r:.300}; give 1 to {MESSAGE_ID_BYTES_MAX} bytes of text")
     return value
 
 
@@ -161,9 +162,12 @@ def parse_reason(value: str | None) -> str:
 
     Raises InvalidArgument if it has more than REASON_BYTES_MAX bytes in UTF-8.
     """
-    if value is not None and not (isinstance(value, str) and len(value.encode()) <= REASON_BYTES_MAX):
-        raise InvalidArgument(f"reason is {value!r}; give text of at most {REASON_BYTES_MAX} bytes")
-    return value or ""
+    if value is None:
+        return ""
+    length_bytes = text_length_bytes(value)
+    if length_bytes is None or length_bytes > REASON_BYTES_MAX:
+        raise InvalidArgument(f"reason is {value!r:.100}; give text of at most {REASON_BYTES_MAX} bytes")
+    return value
 
 
 def parse_queue_policy(

@@ -84,5 +84,5 @@ def parse_limit(limit: int | None) -> int | None:
         return None
     count = whole_number_of("limit", limit)
     if not 1 <= count < 2**32:
-        raise InvalidArgument(f"limit is {limit!r}; it must be 1 or more, or None for all")
+        raise InvalidArgument(f"limit is {limit!r}; it must be 1 to {2**32 - 1}, or None for all")
     return count
