@@ -1,7 +1,7 @@
 """The credit of a reader (decision 0064).
 
 The reader grants credit as it takes messages. The host spends the credit as it sends. A subscription
-to cut events counts events; every other stream counts bytes.
+to cut events counts events. Subscriptions to items and to matches count bytes.
 """
 
 from __future__ import annotations

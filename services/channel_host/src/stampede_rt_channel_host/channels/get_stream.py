@@ -95,7 +95,7 @@ class GetStream:
         self._work = CallerWork(self._account)
         self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: its answer is still to be sent
         self._plans = GetPlans()
-        self._idle = asyncio.Event()
+        self._idle = asyncio.Event()  # set when no call is under way any more
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
         # how many calls the caller's quota counts for this stream
         self._under_way = self._account.hold(Quota.WAITING_CALLS)

@@ -57,7 +57,7 @@ class HostedChannel:
         self.puts = ChannelPuts(self.channel, self._charge, now, self._announce, self._touched, may_serve)
         self.listeners = Observers(begin)  # subscriptions
         self.matches = Observers(begin)  # streams of matches for the items of this channel
-        self.followers: dict[ChannelObserver, None] = {}  # groups and their blocked gets; woken at once, not in pieces
+        self.followers: dict[ChannelObserver, None] = {}  # groups and their blocked gets; woken in one step
         self.group_gets: set[object] = set()  # blocked gets through groups
         self.group_readers: set[object] = set()  # streams of cut events, and of matches for another channel's items
         self.messages = SharedMessages()
@@ -106,7 +106,7 @@ class HostedChannel:
 
     def ending(self, error: StampedeError) -> Pieces[None]:
         """End the waits of the channel's callers and the streams of its readers with `error`, in pieces."""
-        for follower in [*self.followers]:  # a follower only notes the error
+        for follower in [*self.followers]:  # each call is short: a follower leaves long work to the scheduler
             follower.end(error)
         listeners, matches = self.listeners.ending(error), self.matches.ending(error)
         yield from self.puts.ending(error)  # first, so that no waiting put is accepted any more

@@ -29,7 +29,7 @@ class MemoryBudget:
         steady_nanos: Callable[[], int] = time.monotonic_ns,
         accounts: Accounts | None = None,
     ) -> None:
-        """`accounts`: those of the callers that created the channels and queues; None: bytes count for no caller."""
+        """`accounts`: the accounts of the callers that create channels and queues; None: bytes count for no caller."""
         self._accounts = accounts
         self.used_bytes = 0
         self.bytes_max = bytes_max
@@ -76,7 +76,7 @@ class Charge:
     __slots__ = ("_account", "_budget", "_bytes", "_held")
 
     def __init__(self, budget: MemoryBudget, account: Account | None = None) -> None:
-        """`account`: that of the creator; None: the bytes count for no caller."""
+        """`account`: the account of the creator; None: the bytes count for no caller."""
         self._budget = budget
         self._account = account or unlimited()
         self._held = self._account.hold(Quota.BYTES_HELD)

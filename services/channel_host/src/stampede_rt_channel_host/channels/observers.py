@@ -26,7 +26,7 @@ class ChannelObserver(Protocol):
 
 
 class Backlog(Generic[Thing]):
-    """A list of things to look at. `add` looks at the first few things itself, and `begin` at the others, in pieces.
+    """A list of things to look at. `add` looks at the first few things itself, and lets `begin` do the rest.
 
     A thing that waits keeps its place if it is added again, and is looked at once. `look` may add and drop things.
     `begin` does long work that nobody waits for (`PieceScheduler.begin`).

@@ -78,7 +78,10 @@ class Outbox:
         self, call_id: int, messages: Iterator[EncodedMessage], on_sent: Callable[[int], None], kept_bytes: int = 0,
         slices: Sequence[Slice] = (),
     ) -> None:  # fmt: skip
-        """Queue an answer that was made of `slices`. `flush` or `kick` writes it. After `close`, only free it."""
+        """Queue an answer that was made of `slices`. `flush` or `kick` writes it.
+
+        After `close` the outbox only frees the answer.
+        """
         if self._is_closed:
             self._begin(emptying(slices))
             return
@@ -102,7 +105,8 @@ class Outbox:
     async def flush(self) -> None:
         """Write the queued answers. The loop that reads the requests calls this after each request.
 
-        If one answer is queued, writes its first message itself, without a task. Leaves all other messages to a task.
+        If one answer is queued and no task is writing, this call writes the next message of that answer itself. It
+        leaves all other messages to a task.
         Also waits while the queue is full, which slows the caller down.
         """
         if len(self._answers) == 1 and not self._writing:

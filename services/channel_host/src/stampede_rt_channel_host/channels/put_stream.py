@@ -54,8 +54,8 @@ class _Came(NamedTuple):
 class PutStream:
     """Serves one stream. A run that waits for room blocks the later runs.
 
-    The limit of each run counts from the arrival of its request. If it is over when the run's turn comes, the run is
-    accepted or refused without a further wait.
+    The waiting time of each run counts from the arrival of its request. If this time has passed when the run's turn
+    comes, the host accepts or refuses the run without a further wait.
     """
 
     def __init__(self, store: ChannelStore, context: Context, stream: OpenStream) -> None:
@@ -67,8 +67,8 @@ class PutStream:
         self._producer_id = 0
         self._acks: list[pb.PutAck] = []
         self._closed = False
-        self._news = asyncio.Event()
-        self._room = asyncio.Event()
+        self._news = asyncio.Event()  # there are acks to write, or the caller has closed its side
+        self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
         self._work = CallerWork(self._account)
         self._requests = ReadAhead(context.read, store.memory, self._account)

@@ -100,7 +100,7 @@ class ChannelStore:
         return hosted
 
     def find_any_epoch(self, channel_id: bytes) -> HostedChannel:
-        """The channel, for a caller that does not care about its epoch. Raises StaleBinding."""
+        """The channel, for a request without an epoch. Raises the errors of `find`."""
         hosted = self._channels.get(channel_id)
         return self.find(channel_id, hosted.epoch if hosted else 0)
 

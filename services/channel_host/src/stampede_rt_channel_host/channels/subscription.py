@@ -98,7 +98,7 @@ class Subscription:
         self._told_cursor: SavedCursor | None = None
         self._told_skipped = 0
         self._work = current_work()
-        self._owes_cursor = False  # whether the last message had no cursor, because there was none to continue from
+        self._owes_cursor = False  # whether the reader must get the next cursor as soon as there is one
         self._credit = Credit(self._look)
         self._silent_at_s = 0.0  # loop time at which a progress message is due; only a write postpones it
 

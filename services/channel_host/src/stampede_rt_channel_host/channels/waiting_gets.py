@@ -112,7 +112,7 @@ class Source(Polled, Protocol):
 
 
 class _Release:
-    """One change, and the gets that it may release: those that arrived before it and whose needs it may fulfil."""
+    """One change, and the gets that it may release: they arrived before the change, and it may fulfil their needs."""
 
     def __init__(self, reach: Reach, arrivals: int) -> None:
         self.reach = reach
@@ -182,7 +182,7 @@ class WaitingGets:
         self._timer: asyncio.TimerHandle | None = None
         self._timer_instant = 0
         self._releases: deque[_Release] = deque()
-        self._working = False
+        self._working = False  # whether `_pieces` is under way
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -232,7 +232,7 @@ class WaitingGets:
     def ending(self, error: StampedeError) -> Pieces[None]:
         """End the gets that wait now with `error`, in pieces, because the host serves the channel no more."""
         self._drop_releases()
-        gets = deque(self._waiting)  # emptied step by step: to free very many gets at once takes long
+        gets = deque(self._waiting)  # emptied step by step, because to free very many gets in one step takes long
         while gets:
             for _ in range(min(GETS_PER_PIECE, len(gets))):
                 get = gets.popleft()
@@ -301,7 +301,7 @@ class WaitingGets:
             get.finish(found)
 
     def _put_aside(self, get: WaitingGet, wake: WakeAt) -> None:
-        """Sort a get that is not released by the needs and the instant of its last poll."""
+        """Let a get wait, sorted by the needs and the instant that its last poll returned."""
         needs = wake.needs or Needs(BEFORE_ALL)
         if get not in self._waiting or needs != get.needs:
             self._leave(get)

@@ -46,9 +46,9 @@ def load_host_id(folder: Path | None) -> bytes:
 
 
 class HomeCluster:
-    """The cluster with which this host has registered. Kept in a file in `folder`, if there is a folder.
+    """The cluster with which this host has registered. Its id is kept in a file in `folder`, if there is a folder.
 
-    Reads and writes the file.
+    Reads and writes the file. `cluster_id` is empty before the first registration.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
@@ -70,7 +70,7 @@ class HomeCluster:
     def note(self, cluster_id: str, former: Iterable[str] = ()) -> None:
         """Note the cluster that has let this host in, and the clusters `former` that it has replaced.
 
-        Raises OSError.
+        Raises OSError if the file cannot be written.
         """
         self._former = tuple(former)
         self._noted = cluster_id

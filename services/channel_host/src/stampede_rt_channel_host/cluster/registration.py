@@ -79,7 +79,7 @@ class Registration:
         self._has_ended = False  # whether the lease has ended and the host has not registered since
         self._target = ""
         self._has_left = False
-        self._fence: asyncio.TimerHandle | None = None
+        self._fence: asyncio.TimerHandle | None = None  # runs `_check_fence` when the lease has run out
 
     def lease_held(self) -> bool:
         """Whether the host may serve its channels now."""

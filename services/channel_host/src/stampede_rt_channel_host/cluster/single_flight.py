@@ -1,4 +1,4 @@
-"""When many callers need the same answer of the directory at once, only one of them asks."""
+"""When many callers need the same answer of the directory at the same time, only one of them asks."""
 
 from __future__ import annotations
 

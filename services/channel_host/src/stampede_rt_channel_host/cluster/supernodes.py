@@ -122,7 +122,7 @@ class Supernodes:
             call.cancel()
 
     def known(self) -> tuple[str, ...]:
-        """The addresses of the supernodes, in the order in which they are asked. Callable on any thread."""
+        """The addresses of the supernodes, in the order in which the host asks them. Any thread may call this."""
         return tuple(self._targets)
 
     def learn(self, targets: Sequence[str]) -> None:

@@ -63,7 +63,7 @@ class CutEvents:
         self._kept: dict[bytes, pb.ChannelCursor] = {}
         self._boundaries: deque[Boundary] = deque()  # received and not answered yet
         self._credit = Credit(self._waiter.wake)  # for events, if this host decides
-        self._room = asyncio.Event()
+        self._room = asyncio.Event()  # there is room for another boundary
         self._cut: int | None = None  # of the last event
 
     async def run(self) -> None:

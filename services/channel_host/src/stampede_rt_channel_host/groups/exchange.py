@@ -90,7 +90,7 @@ class Exchange:
         group.changed()
 
     def take_floors(self, group_id: bytes) -> dict[bytes, CutFloor]:
-        """The floors that hosts told of a group before this host knew it. Does not keep them any longer."""
+        """Take out the floors of a group that other hosts have told and that waited for the directory's answer."""
         floors = self._floors.pop(group_id, {})
         self._waiting_floors -= Counter(floors.keys())
         return floors

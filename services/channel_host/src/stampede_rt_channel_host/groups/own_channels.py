@@ -1,4 +1,4 @@
-"""The channels of this host that are members of groups. Each change of their times goes on the board at once."""
+"""The channels of this host that are members of groups. The host enters each change of their times on the board."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class GroupStore:
             HostedGroup.changed, channels.scheduler.begin, GROUPS_PER_PIECE
         )
         self._to_learn: set[bytes] = set()  # channels that other hosts ask for and that no group known here has
-        self.in_use = asyncio.Event()
+        self.in_use = asyncio.Event()  # set once this host has learned a group
 
     def known(self, group_id: bytes) -> HostedGroup | None:
         """The group, if this host has learned it."""

@@ -48,7 +48,7 @@ class HostedGroups:
         return is_anew
 
     def forget(self, group_id: bytes) -> HostedGroup:
-        """Remove a group that is gone."""
+        """Remove a group that the directory has deleted."""
         group = self.groups.pop(group_id)
         self.idling.discard(group_id)
         self._leave(group, frozenset())

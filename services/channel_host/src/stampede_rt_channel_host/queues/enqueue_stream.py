@@ -43,8 +43,8 @@ _ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # refusals that end the stream, as an
 class EnqueueStream:
     """Serves one stream. A run that waits for room blocks the later runs.
 
-    The limit of each run counts from the arrival of its request. If it is over when the run's turn comes, the host
-    refuses the run, unless the queue has room or can make room.
+    The waiting time of each run counts from the arrival of its request. If this time has passed when the run's turn
+    comes, the host refuses the run, unless the queue has room or can make room.
     """
 
     def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
@@ -56,8 +56,8 @@ class EnqueueStream:
         self._producer_id = 0
         self._acks: list[channel_service_pb2.PutAck] = []
         self._closed = False
-        self._news = asyncio.Event()
-        self._room = asyncio.Event()
+        self._news = asyncio.Event()  # there are acks to write, or the stream takes in nothing more
+        self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
         self._work = CallerWork(self._account)
         self._requests = ReadAhead(context.read, store.memory, self._account)

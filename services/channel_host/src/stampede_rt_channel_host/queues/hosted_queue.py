@@ -154,7 +154,7 @@ class HostedQueue:
         self._follow_up()
 
     def leave(self, taker: TakerState) -> None:
-        """Forget a stream that has ended. Its leases stay."""
+        """Forget a stream that has ended. Sent messages stay leased; messages that were not sent go back."""
         del self._streams[taker]
         self.queue.leave(taker, self._now())
         self._follow_up()

@@ -44,11 +44,11 @@ class TakeStream:
         self._stream = stream
         self._batch: Batch | None = None
         self._results: list[queue_pb2.SettlementResult] = []
-        # the answer to `drain` is due; the taker drains; the caller has closed its side; the queue asks for a request
+        # the answer to `drain` is due; the taker drains; the caller has closed its side; `ask` was called
         self._owes_drained = self._drains = self._closed = self._asks = False
-        self._news = asyncio.Event()
+        self._news = asyncio.Event()  # there is something to write, or the caller has closed its side
         self._silent_at_s = 0.0  # loop time at which a sign of life is due; only a write postpones it
-        self._room = asyncio.Event()
+        self._room = asyncio.Event()  # the writer has taken the results
 
     def deliver(self, batch: Batch) -> None:
         """Send a batch. The queue gives this stream the next batch only after `HostedQueue.sent`."""
