@@ -26,7 +26,7 @@ class ChannelObserver(Protocol):
 
 
 class Backlog(Generic[Thing]):
-    """A list of things to look at. `add` looks at the first few things itself, and lets `begin` do the rest.
+    """A list of things to look at, in pieces. The first piece runs in `add`, unless earlier things still wait.
 
     A thing that waits keeps its place if it is added again, and is looked at once. `look` may add and drop things.
     `begin` does long work that nobody waits for (`PieceScheduler.begin`).
@@ -91,7 +91,7 @@ class Observers:
         self._to_wake.drop(observer)
 
     def wake(self) -> None:
-        """Wake all observers: the first few before this call returns, the others in pieces."""
+        """Wake all observers, in pieces. The first piece runs in this call, unless pieces of an earlier wake are left."""
         if self._observers:
             self._to_wake.add(self._observers)
 

@@ -175,7 +175,8 @@ class ChannelStore:
     def _compare(self, hosted: HostedChannel, record: RecordedChannel | None, *, all_told: bool) -> None:
         """Adopt the directory's record of a channel that has not changed since the registration.
 
-        None: the answer has no record of the channel.
+        None: the answer has no record of the channel. Then the store drops the channel, or, if the answer was not
+        complete, asks the directory at the next `bind`.
         """
         if record is not None:
             self._adopt(record)

@@ -50,7 +50,7 @@ class _Call(NamedTuple):
 
 
 class Supernodes:
-    """Calls the directory. Asks the supernode first that answered last, and after each `bind` the leader.
+    """Calls the directory. First asks the supernode that answered last, or, right after a `bind`, the leader.
 
     `explain` may give a better reason than gRPC for a failed connection to a front-end.
     """

@@ -100,7 +100,7 @@ class DeadLetterMover:
     async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
         """Move some messages. Raises an error if some of them could not be moved.
 
-        `refusals`: how often the dead-letter queue has refused each message, by seq.
+        `refusals` counts the rejections of each message, by seq. An error of a whole run does not count.
         """
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:
@@ -147,8 +147,7 @@ def _requests(
 def _run_of(item: Departure, content_type: str) -> bytes:
     """The message as its producer put it.
 
-    A message without a content type gets that of its queue, because the dead-letter queue may
-    have another one.
+    A message without a content type gets that of its queue, because the dead-letter queue may have another one.
     """
     alone = select_items(item.run.body, [item.position])
     if content_type and not item_pb2.ItemRun.FromString(alone).content_type:

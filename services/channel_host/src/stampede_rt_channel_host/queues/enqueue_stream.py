@@ -86,8 +86,9 @@ class EnqueueStream:
         await writer
 
     def _read_request(self, raw: Any, came_s: float) -> tuple[deque[EnqueueRun], float] | None:
-        """The runs of a request, and the time at which it came; None at the end of the stream. Keeps no
-        reference to the request.
+        """The runs of a request, and the time at which it came; None at the end of the stream.
+
+        Keeps no reference to the request.
         """
         if raw is EOF:
             return None

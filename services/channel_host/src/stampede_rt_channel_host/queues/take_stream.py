@@ -34,8 +34,8 @@ WRITE_SECONDS_MAX = 30.0  # if the taker reads nothing for this time during a wr
 class TakeStream:
     """Serves one stream, as a `TakerStream` of its queue. All of it runs on the event loop.
 
-    After the caller has closed its side, the stream goes on until its credit is used up. So a caller can take
-    a fixed number of messages: it gives that credit, closes its side, and reads to the end.
+    After the caller has closed its side, the stream goes on until its credit is used up. So a caller
+    can take a fixed number of messages: it gives that credit, closes its side, and reads to the end.
     """
 
     def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
