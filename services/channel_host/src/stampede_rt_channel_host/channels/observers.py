@@ -91,7 +91,7 @@ class Observers:
         self._to_wake.drop(observer)
 
     def wake(self) -> None:
-        """Wake all observers, in pieces. The first piece runs in this call, unless pieces of an earlier wake are left."""
+        """Wake all observers, in pieces. The first piece runs in this call, unless an earlier wake still goes on."""
         if self._observers:
             self._to_wake.add(self._observers)
 

@@ -3,7 +3,7 @@
 A message stays in its queue until the dead-letter queue has acknowledged it. The move is an enqueue like any other. The
 producer id of the move follows from the queue, and its number from the message's seq. So the dead-letter queue stores
 the message only once, even if another host repeats the move. After a refusal the next move of the message has another
-number, because the same number would get the same refusal.
+number, so that no former answer applies to that move.
 """
 
 from __future__ import annotations

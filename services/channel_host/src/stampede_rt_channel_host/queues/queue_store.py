@@ -114,8 +114,8 @@ class QueueStore:
     def _compare(self, hosted: HostedQueue, record: RecordedQueue | None, *, all_told: bool) -> None:
         """Adopt the directory's record of a queue that has not changed since the registration.
 
-        None: the list has no record of the queue. Then the store drops the queue, or, if the list was not complete, asks
-        the directory at the next `use`.
+        None: the list has no record of the queue. Then the store drops the queue, or, if the list was not complete,
+        asks the directory at the next `use`.
         """
         if record is not None:
             self._adopt(record)
