@@ -1,4 +1,4 @@
-"""Keeps this front-end's copy of the access state (token keys, revoked serials) equal to the directory's."""
+"""Keeps this front-end's copy of the access state (such as token keys and revoked serials) equal to the directory's."""
 
 from __future__ import annotations
 

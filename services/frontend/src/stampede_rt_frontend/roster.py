@@ -17,9 +17,10 @@ SUPERNODES_MAX = 64  # probed at the same time; a consensus group has 3 to 7 mem
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProbeAnswer:
-    """The answer of one supernode to a probe.
+    """The answer of one supernode to a probe. `ready`: it can serve.
 
-    `round_trip_nanos` is None if the probe had to make the connection first.
+    `round_trip_nanos` is None if the probe had to make the connection first. `access_version`: the version of the
+    supernode's access state.
     """
 
     supernode_id: str
@@ -50,9 +51,9 @@ class SupernodeRoster:
     cluster_id: str = ""
     former_cluster_ids: tuple[str, ...] = ()  # of the clusters that this cluster has replaced
     _nodes: dict[str, Supernode] = field(init=False)
-    _failures: dict[str, str] = field(init=False, default_factory=dict)
+    _failures: dict[str, str] = field(init=False, default_factory=dict)  # target -> why its last probe failed
     _listed: dict[str, str] = field(init=False, default_factory=dict)  # the members of the last list: target -> id
-    _position: tuple[int, int] = field(init=False, default=(0, 0))
+    _position: tuple[int, int] = field(init=False, default=(0, 0))  # the (term, applied index) of the last list
 
     def __post_init__(self) -> None:
         if not 0 < len(self.seeds) <= SUPERNODES_MAX:
@@ -124,7 +125,7 @@ class SupernodeRoster:
     def states(self) -> dict[str, str | None]:
         """For each target the reason why it cannot serve, or None if it can.
 
-        Leaves out targets that never answered or failed.
+        Leaves out targets that have neither answered nor failed yet.
         """
         states: dict[str, str | None] = {}
         for target, node in self._nodes.items():

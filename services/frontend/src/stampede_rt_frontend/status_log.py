@@ -7,13 +7,15 @@ from typing import NamedTuple
 
 from stampede_rt_frontend.roster import SupernodeRoster
 
+# How long the parts of a cluster may take to start.
 START_SECONDS = 5.0
 
 
 class Note(NamedTuple):
     """One line of the log.
 
-    `is_well`: the line reports a good state. `is_return`: an earlier line reported the bad state before it.
+    `is_well`: the line reports a good state. `is_return`: the line reports the end of a bad state that an earlier line
+    has reported.
     """
 
     text: str
@@ -31,6 +33,7 @@ class StatusLog:
 
     def __init__(self) -> None:
         self._starts_until_s: float | None = None
+        # The states that were reported last: by target, whether the supernode could serve, and whether any could.
         self._served: dict[str, bool] = {}
         self._any_served: bool | None = None
 

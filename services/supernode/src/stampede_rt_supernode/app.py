@@ -61,9 +61,9 @@ from stampede_rt_supernode.settings import SupernodeSettings
 
 logger = logging.getLogger(__name__)
 
-HEALTH_SECONDS = 0.1
-ACCESS_SECONDS = 0.25
-HAND_OVER_SECONDS = 1.2
+HEALTH_SECONDS = 0.1  # how often the supernode looks at its own state
+ACCESS_SECONDS = 0.25  # how often it ends the streams of callers that have lost a right
+HAND_OVER_SECONDS = 1.2  # how long it waits at its end until another member leads
 
 
 async def serve(settings: SupernodeSettings) -> None:
@@ -242,8 +242,8 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
             raise StampedeError(f"supernode {status.too_old}; {NEWER_RELEASE}")
         if status.has_old_store:
             raise StampedeError(
-                f"supernode {status.self_id} has promised more than its data folder holds, which is an older copy, "
-                f"as of a backup or a machine that was restored; start it with its latest data folder, or {anew}"
+                f"supernode {status.self_id} has reported entries or a term that its data folder lacks. The folder is "
+                f"an older copy, as after the restore of a disk or a machine: use the latest data folder, or {anew}"
             )
         await asyncio.sleep(HEALTH_SECONDS)
 

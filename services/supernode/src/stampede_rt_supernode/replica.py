@@ -70,7 +70,7 @@ class DirectoryReplica:
     def takes(self, command: bytes) -> bool:
         """Whether the command may enter the log.
 
-        Callable on any thread. A True stays true: the cluster's level never falls.
+        Callable on any thread. An answer True stays right, because the cluster's level never falls.
         """
         return may_be_used(self.level_needed(self.kind_in(command)), self.feature_level)
 
@@ -116,7 +116,7 @@ class DirectoryReplica:
         return restore
 
     def read(self, question: Callable[[Directory], T]) -> T:
-        """The answer of `question`. It sees the state between two commands, and must neither keep nor change it."""
+        """The answer of `question`, which gets the state between two commands, and must neither keep nor change it."""
         with self._lock:
             return question(self._directory)
 

@@ -85,7 +85,7 @@ async def test_a_forgotten_data_dir_is_named_as_soon_as_the_other_members_call(
         while "takes it for its member b" not in printed:
             await status_has(founder.address, "supernode-1 is there")
             printed += capfd.readouterr().err
-        assert "start it with the --data-dir of that one" in printed
+        assert "start it with that member's --data-dir" in printed
     finally:
         for one in (founder, other):
             if one is not None:

@@ -50,7 +50,10 @@ T = TypeVar("T")
 
 
 class SnapshotWriter:
-    """Writes one snapshot after the other of one directory. Keeps the encoded form of everything but the hosts."""
+    """Writes the snapshots of one directory, one after the other.
+
+    Between two snapshots it keeps the encoded forms of all channels, groups, copies, queues, peers and answers.
+    """
 
     def __init__(self) -> None:
         self._channels = _ChannelParts()
@@ -150,7 +153,7 @@ def _head(directory: Directory) -> bytes:
         join_key=directory.join_key,
         digest=directory.digest,
         feature_level=directory.feature_level,
-        # A release that does not know the following fields refuses the snapshot, because its feature level is too high.
+        # A release that does not know the following fields refuses the snapshot for its feature level.
         access_rules=map(rule_message, directory.access.rules.rules),
         token_key=directory.access.token_key,
         access_version=directory.access.version,

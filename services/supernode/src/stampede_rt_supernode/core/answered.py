@@ -1,8 +1,8 @@
 """The latest operations by operation id. A repeated request repeats the answer, not the operation. Pure.
 
-The replicas share no clock that tells the age of an operation. So the leader puts marks into the log, one in MARK_NANOS
-of its own clock. Every replica keeps the last MARKS_KEPT marks, and forgets the operations before the oldest one. So
-all replicas forget an operation at the same log position.
+The replicas share no clock that tells the age of an operation. So the leader puts marks into the log, at most one in
+each MARK_NANOS of its own clock. Every replica keeps the last MARKS_KEPT marks, and forgets the operations before the
+oldest one. So all replicas forget an operation at the same log position.
 
 No replica does a forgotten operation again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago or
 earlier (calls.py). And the directory refuses a command whose request came to its supernode before the last mark but one
@@ -25,11 +25,11 @@ REPEAT_NANOS_MAX = 30 * 10**9
 MARK_NANOS = 10 * 10**9
 MARKS_KEPT = 6
 
-BYTES_MAX = 64 << 20
-ANSWER_BYTES = 512
-MEMBER_BYTES = 64
-FORGOTTEN_AT_ONCE = 64  # by each command
-FORGOTTEN_BY_MARK = 4096  # by each mark
+BYTES_MAX = 64 << 20  # the most memory for answers
+ANSWER_BYTES = 512  # the estimated memory for one answer
+MEMBER_BYTES = 64  # the estimated memory for each member, if the answer has a group
+FORGOTTEN_AT_ONCE = 64  # the most answers that each command forgets
+FORGOTTEN_BY_MARK = 4096  # the most answers that each mark forgets
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class Answered:
         return answer.result
 
     def check_in_time(self, as_of_index: int) -> None:
-        """Check whether a command may still be done. Its proposer had applied the log up to `as_of_index` (0: unknown).
+        """Check that a command does not come too late. `as_of_index`: see Command.
 
         Raises Unavailable with reason AMBIGUOUS if the proposer got the request before the last mark but one.
         """
@@ -118,7 +118,7 @@ class Answered:
         self._size_bytes += answer.size_bytes
 
     def mark(self, index: int) -> None:
-        """Add a mark at `index`. The leader adds one when the time of a mark has passed."""
+        """Add a mark at `index`, and forget some of the answers before the oldest mark."""
         self.marks = (*self.marks, index)[-MARKS_KEPT:]
         self.forget_some(FORGOTTEN_BY_MARK)
 

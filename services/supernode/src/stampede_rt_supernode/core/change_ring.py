@@ -95,5 +95,5 @@ class ChangeRing:
         following = start + len(changes)
         index = self.end_index
         if following < len(self._changes):
-            index = self._changes[following].index - 1  # of that log position some changes may be left
+            index = self._changes[following].index - 1  # the next page has changes of that log position
         return ChangePage(changes, position + len(changes), index)

@@ -38,7 +38,9 @@ class Success:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Command:
-    """One entry of the log. A repeated `op_id` repeats the result. `time_unix_nano`: the proposer's time.
+    """One entry of the log. A command with the `op_id` of an earlier one only repeats the earlier result.
+
+    `time_unix_nano`: the proposer's time.
 
     `as_of_index`: the log position of the proposer's state when the request came; 0 if it is unknown.
     """

@@ -1,8 +1,8 @@
 """The directory: a state machine driven by the replicated log (paper, section 4.3). Pure.
 
 The same commands at the same positions give the same state and the same results on every replica. The directory reads
-no clock and no random numbers: commands carry such values. An invalid command gets a refusal as its result. It never
-raises an exception.
+no clock and no random numbers: commands carry such values. The result of an invalid command is a refusal, and no
+exception is raised.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The leases of hosts, or of peers, as their leader keeps them.
+"""The leases of hosts, or of peers, as the leader keeps them.
 
-Pure: every method takes `now`, nanoseconds of a clock that counts suspension (CLOCK_BOOTTIME). Renewals are not in the
-log, so a table is valid only while its leader leads. Two rules prevent two owners. A host stops serving 0.8 TTL after
-it *sent* its last acknowledged renewal, and the leader ends a lease at the earliest one TTL after it *received* the
-renewal. And a new leader first grants everybody a full TTL.
+Pure: a method that needs the time takes `now`, in nanoseconds of a clock that also runs while the machine is suspended
+(CLOCK_BOOTTIME). Renewals are not in the log, so a table is valid only while its supernode leads. Two rules prevent two
+owners. A host stops serving 0.8 TTL after it *sent* its last acknowledged renewal, and the leader ends a lease at the
+earliest one TTL after it *received* the renewal. And a new leader first grants everybody a full TTL.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stampede_rt.values.peering import ClockOffset
 LEASE_TTL_NANOS = 5 * 10**9
 LOOKS_MAX = 1024
 """The most leases that one call looks at."""
-MAX_INDEX = 2**63
+MAX_INDEX = 2**63  # above all log positions
 STALL_FRACTION = 2  # a leader that did not look for TTL / 2 did not receive renewals either
 
 
@@ -58,15 +58,15 @@ class LeaseTable:
         self.tenure = 0  # 0 while this supernode does not lead, or its tenure is not committed yet
         self._leases: dict[bytes, _Lease] = {}
         # A heap of (time of the next look at a lease, its registered index, its holder's id). The time is never after
-        # the lease's end. Some leases in it are dropped already.
+        # the lease's end. Some of these leases are dropped already.
         self._looks: list[tuple[int, int, bytes]] = []
         # By holder id: the leases whose end is proposed.
         self._ending: dict[bytes, _Lease] = {}
         # The leases and looks of former tenures that are not freed yet.
         self._forgotten: list[tuple[dict[bytes, _Lease], list[tuple[int, int, bytes]]]] = []
         self._granted_nanos = 0  # all leases that are not ending hold at least until then
-        self._walks = 0
-        self._looked_nanos = 0
+        self._walks = 0  # the number of the last walk over all live holders
+        self._looked_nanos = 0  # when `due` was last called
 
     def lead(self, tenure: int, live: Iterable[Registered], now: int, *, ttl_nanos: int) -> None:
         """Begin a committed tenure: every live holder gets a full TTL from `now`."""
@@ -176,11 +176,11 @@ class LeaseTable:
         return held.clock if held is not None and held.registered_index == holder.registered_index else None
 
     def due(self, now: int) -> list[tuple[bytes, int, int]]:
-        """The (holder id, boot incarnation, registered index) of each lease that ends now. It can be renewed no more.
+        """The (holder id, boot incarnation, registered index) of leases that have run out, LOOKS_MAX at most.
 
-        Later calls return a lease again until `follow` finds its holder gone, because a proposal can fail. A leader
-        that was itself stalled received no renewals, so it grants everybody a full TTL instead. If very many leases
-        end, returns the first ones, and `is_behind` is True.
+        From now on `renew` refuses to prolong them. Later calls return a lease again until its holder is noted as gone,
+        because a proposal can fail. A leader that was itself stalled received no renewals, so it grants everybody a
+        full TTL instead. One call looks at LOOKS_MAX leases at most; see `is_behind`.
         """
         if now - self._looked_nanos > self.ttl_nanos // STALL_FRACTION:
             self._granted_nanos = now + self.ttl_nanos

@@ -1,4 +1,4 @@
-"""Questions to the directory's tables: pages of channels and hosts. Pure. O(page), for any pattern."""
+"""Questions to the directory's tables: pages of channels and hosts. Pure. A page of channels takes O(page)."""
 
 from __future__ import annotations
 
@@ -67,9 +67,10 @@ def _owners(tables: Tables, channels: list[ChannelRecord]) -> tuple[HostRecord, 
 def host_page(
     tables: Tables, after_key: tuple[str, bytes], hosts_max: int, *, include_dead: bool, lost_since: int = 0
 ) -> HostPage:
-    """Up to `hosts_max` (0: the limit) hosts after `after_key`. O(hosts).
+    """Up to `hosts_max` (0: the limit) hosts after `after_key`. O(all hosts).
 
-    Leaves out hosts that own nothing and whose lease ended before `lost_since` (Unix nanoseconds).
+    `include_dead`: gives hosts without a lease, too, but not those that own nothing and whose lease ended before
+    `lost_since` (Unix nanoseconds).
     """
     limit = min(hosts_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
     dead = (one for one in tables.hosts.values() if not one.alive and _is_of_interest(tables, one, lost_since))

@@ -26,10 +26,11 @@ class Endpoint:
 class HostRecord:
     """A process that hosts channels.
 
-    `name` is unique among live hosts. `channels` is the number of channels that it owns. `registered_index` is the log
-    position of its last registration. A lease, and the end of a lease, belong to one registration.
-    `lease_ended_unix_nano`: when its lease ended, by the leader's clock; None while it lives, and after it
-    deregistered. `registration_epoch` grows with each process that replaces another, see `registration_epochs`.
+    `name` is unique among live hosts. `boot_incarnation` is a random number; a new one says that the host has lost its
+    items. `channels` is the number of channels that it owns. `registered_index` is the log position of its last
+    registration. A lease, and the end of a lease, belong to one registration. `lease_ended_unix_nano`: for a lost host,
+    when its lease ended, by the leader's clock; None for other hosts. `registration_epoch` grows with each process that
+    replaces another, see `registration_epochs`.
     """
 
     host_id: bytes
@@ -45,7 +46,7 @@ class HostRecord:
 
     @property
     def is_lost(self) -> bool:
-        """Whether its lease ended without a deregistration."""
+        """Whether it counts as lost: its lease ended without a deregistration, and it has not come back."""
         return self.lease_ended_unix_nano is not None
 
     @property
@@ -58,7 +59,9 @@ class HostRecord:
 class ChannelRecord:
     """A channel and its owner. `epoch` never falls. `incarnation` changes only if items may have been lost.
 
-    `created_by`: the name by which rules of access know the caller that created it; empty if it is unknown.
+    `policy_version` grows by 1 with every change of `policy`. `proxy_host_ids`: the hosts of all copies, in the order
+    of addition; warm replicas are among them. `created_by`: the name by which rules of access know the caller that
+    created it; empty if it is unknown.
     """
 
     channel_id: bytes
@@ -74,7 +77,8 @@ class ChannelRecord:
     def begun_anew(self, incarnation: int) -> ChannelRecord:
         """The channel at the next epoch, at the same host.
 
-        Built by hand, because there may be very many and `replace` takes three times as long.
+        Calls the constructor itself, because a host may own very many channels, and `replace` takes three times as
+        long.
         """
         return ChannelRecord(
             channel_id=self.channel_id,
@@ -94,7 +98,8 @@ class GroupSpec:
     """The set-up of a group (paper, section 3.3). A field is None if it was not stated.
 
     `channel_ids`: the members, each once, in any order. `reference_channel_id`: the member that is the reference; if it
-    is None, the group has the smallest cut of all members. `bound`: "start" or "end".
+    is None, the group has the smallest cut of all members. `bound`: "start" or "end". For the other fields see
+    GroupSpec in group.proto.
     """
 
     channel_ids: tuple[bytes, ...]
@@ -130,9 +135,9 @@ class ReplicaKind(Enum):
 class ReplicaRecord:
     """A copy of a channel at `host_id`. It ends when that host gets another boot incarnation (paper, section 4.1).
 
-    `in_sync`: it holds all acknowledged items, and may become the owner; only warm replicas can be in sync.
-    `acknowledged`: puts wait for it while it is in sync. `epoch`: the epoch of the channel when this copy was added or
-    last changed.
+    `source_host_id`: the host that feeds the copy. `in_sync`: the copy holds all acknowledged items, and may become the
+    owner; only warm replicas can be in sync. `acknowledged`: puts wait for the copy while it is in sync. `epoch`: the
+    epoch of the channel when this copy was added or last changed.
     """
 
     channel_id: bytes
@@ -167,8 +172,9 @@ class QueueSpec:
 class QueueRecord:
     """A queue and its host, or the mailbox of the peer `mailbox_peer_id`, which has no name of its own.
 
-    The peer's name and owner are known if it was registered at feature level 2 or above. `epoch` never falls.
-    `incarnation` changes only if messages may have been lost. `created_by`: as for channels; empty for a mailbox.
+    `mailbox_peer_name` and `mailbox_owner` are stored if the peer was registered at feature level 2 or above. `epoch`
+    never falls. `incarnation` changes only if messages may have been lost. `created_by`: as for channels; empty for a
+    mailbox.
     """
 
     queue_id: bytes
@@ -188,8 +194,9 @@ class QueueRecord:
 class PeerRecord:
     """A participant (paper, sections 3.5 and 4.2).
 
-    A peer with a name, which is unique among live peers, has a mailbox while it lives. `owner`: the name by which rules
-    of access know the caller that registered it; empty if rules do not judge that caller; None if it is unknown.
+    A peer with a name, which is unique among live peers, has a mailbox while it lives. `host_id`: the id of the
+    host that this peer is; None if it is no host. `owner`: the name by which rules of access know the caller that
+    registered it; empty if rules do not judge that caller; None if it is unknown.
     `proof_sha256` is empty if the peer gave no proof. `registered_index`, `registration_epoch`: as for hosts.
     `ended_index`: the log position at which its lease ended; 0 while it lives.
     """

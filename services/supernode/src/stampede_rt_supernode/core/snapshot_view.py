@@ -20,11 +20,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class SnapshotView:
-    """A directory as of one log position. `directory` has no channels, and can only be read in order."""
+    """A directory as of one log position.
+
+    `directory` has no channels. Its sorted maps are plain dictionaries in the same order, so they can be iterated, but
+    not searched by range.
+    """
 
     directory: Directory
     channels: tuple[ChannelRecord, ...]  # all channels, in no order; or none if `changes` is set
-    changes: tuple[DirectoryChange, ...] | None  # changes of all kinds since the stated position
+    changes: tuple[DirectoryChange, ...] | None  # changes of all kinds since the position of the last snapshot
     position: int  # after the newest change
 
 

@@ -24,8 +24,9 @@ DIGEST_BYTES = 16
 class DirectoryState:
     """The tables, and the facts about the cluster as a whole.
 
-    `tenure` never falls. The first tenure sets the cluster's id and the TTL of its leases, which is 0 until then. No
-    later tenure changes the TTL, because hosts and all leaders must use the same. The feature level never falls.
+    `tenure` never falls. The first tenure sets the cluster's id and the TTL of its leases, which is 0 until then. In a
+    restored cluster, the first tenure after the restore sets another id. No later tenure changes the TTL, because hosts
+    and all leaders must use the same. The feature level never falls.
     """
 
     def __init__(
@@ -56,9 +57,9 @@ class DirectoryState:
         # The digest of all results so far. Replicas with different digests have different states. It is empty if it is
         # unknown, as after a snapshot without a digest.
         self.digest = digest or (b"" if index else bytes(DIGEST_BYTES))
-        # The clusters that this one has replaced.
+        # The ids of the clusters that this one has replaced.
         self.former_cluster_ids = tuple(former_cluster_ids)
-        # Signs join tokens. No caller ever gets it.
+        # The key that signs join tokens. No caller ever gets it.
         self.join_key = join_key
         self.access = access or AccessTable()
         self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)

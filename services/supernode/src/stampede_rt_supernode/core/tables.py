@@ -29,11 +29,12 @@ from stampede_rt_supernode.core.records import (
 )
 from stampede_rt_supernode.core.replicas.table import ReplicaTable
 
+# The most hosts that count as lost at a time.
 LOST_HOSTS_MAX = 100
 
 
 class Tables:
-    """Edits are atomic: none can fail half-way. O(log n) each."""
+    """The maps. Every edit is atomic: it cannot fail half-way. Each edit takes O(log n)."""
 
     def __init__(
         self,
@@ -50,12 +51,13 @@ class Tables:
         self.changes = ChangeRing(index)
         self.hosts: dict[bytes, HostRecord] = {host.host_id: host for host in hosts}
         self.channels: dict[bytes, ChannelRecord] = {channel.channel_id: channel for channel in channels}
-        # The channel's id by its name, for all channels. Built at once, because name by name takes twenty times as
-        # long.
+        # The channel's id by its name, for all channels. Built in one call, because to add name by name takes twenty
+        # times as long.
         self.channel_ids: SortedDict[str, bytes] = SortedDict({one.name: key for key, one in self.channels.items()})
         self.host_ids: SortedDict[str, bytes] = SortedDict()  # the host's id by its name, for all live hosts
         # The ids of the hosts whose lease ended without a deregistration.
         self.lost: set[bytes] = {host.host_id for host in self.hosts.values() if host.is_lost}
+        # By host id, for all hosts: the ids of the channels that the host owns.
         self._channel_ids_at: dict[bytes, set[bytes]] = {host_id: set() for host_id in self.hosts}
         for host in self.hosts.values():
             if host.alive:

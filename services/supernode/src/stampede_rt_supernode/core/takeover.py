@@ -55,7 +55,10 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
 
 
 def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:
-    """The live host with the fewest channels that has a warm replica in sync. Among equals the first that was added."""
+    """Of the live hosts with a warm replica in sync, the one with the fewest channels; None if there is no such host.
+
+    Among equals it is the host whose replica was added first.
+    """
     in_sync = (tables.hosts[one.host_id] for one in tables.replicas.of(channel.channel_id) if one.in_sync)
     live = (host for host in in_sync if host.alive and host.host_id != channel.host_id)
     return min(live, key=lambda host: host.channels, default=None)

@@ -24,12 +24,16 @@ FILE_NAME = "supernode.json"
 # This file exists while `init --restore` writes.
 RESTORING_NAME = "supernode.restoring"
 FORMAT_VERSION = 1
+# The hosts that stand for all addresses of a machine. A server can listen there, but nobody can call them.
 ANYWHERE = ("0.0.0.0", "::")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Founding:
-    """The origin of a member. `members` are all founders, or, for one that joins, the members that the user named."""
+    """The origin of a member. `members`: by id, the addresses of all founders.
+
+    For a member that joins, they are the addresses of the members that the cluster had at `join`.
+    """
 
     supernode_id: str
     address: str
@@ -38,8 +42,9 @@ class Founding:
     log_cluster_id: str = ""
     # Whether the cluster is founded with a list of members, which all founders got.
     listed: bool = False
-    # Whether the hosts of the former cluster, whose directory was restored here, may join this one.
+    # Whether callers of the former cluster, whose directory was restored here, may go over to this one.
     takes_over: bool = False
+    # Whether the member joins a running cluster, and founds none.
     joining: bool = False
     # The join token, deleted once the supernode is a member. Never shown.
     token: str = field(default="", repr=False)
@@ -80,7 +85,7 @@ def read_founding(data_dir: Path) -> Founding | None:
 
 
 def write_founding(data_dir: Path, founding: Founding) -> None:
-    """Write the file, whole or not at all, and readable only by its user. Blocks. Raises OSError."""
+    """Write the file, whole or not at all, and readable only by the user of the process. Blocks. Raises OSError."""
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
     text = json.dumps({"format_version": FORMAT_VERSION, **asdict(founding)}, indent=2) + "\n"
     draft = data_dir / f".{FILE_NAME}.{secrets.token_hex(4)}"
@@ -103,7 +108,7 @@ def note_started(data_dir: Path, founding: Founding) -> Founding:
 
 @contextlib.contextmanager
 def restoring(data_dir: Path) -> Iterator[None]:
-    """Mark the folder while the block writes into it. A mark that stays means that the block was interrupted.
+    """Mark the folder while the block writes into it. A mark that stays means that the block failed or was interrupted.
 
     If the block fails before it has written a store, removes the mark, and the folder if this call has made it.
     """

@@ -1,8 +1,9 @@
-"""Join tokens: any supernode makes them, any other checks them, and no supernode stores them before their use. Pure.
+"""Join tokens: any supernode can make and check them, and no supernode stores them before their use. Pure.
 
-A token contains the time at which it ends, the id of the cluster's log, which a newcomer needs, and a proof (HMAC, RFC
-2104) for one supernode id and one address. The first leader makes the random key of the proofs. The supernodes keep the
-key in the directory, and tell it to nobody. The log makes sure that a token lets in only one member.
+A token contains the time at which it ends, the id of the cluster's log, and a proof (HMAC, RFC 2104) for one supernode
+id and one address. The newcomer needs the id of the log for its first hello. The first leader makes the random key of
+the proofs. The supernodes keep the key in the directory, and tell it to nobody. The log makes sure that a token lets in
+only one member.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ PROBE_SECONDS = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of the last probe of a member. `round_trip_nanos` is None if it did not answer."""
+    """The result of the last probe of a member. `round_trip_nanos` is None if the member did not answer."""
 
     healthy: bool
     round_trip_nanos: int | None
@@ -84,7 +84,7 @@ class Probe:
         return Finding(pong.ready, time.monotonic_ns() - began)
 
     async def _tell_why(self, member: Member) -> None:
-        """Log once that certificates are the reason, if they are."""
+        """Log once that certificates are the reason why the member does not answer, if they are the reason."""
         refusal = await self._explain(member.address) if self._explain else None
         if refusal is not None and self._told.get(member.address) != refusal.message:
             self._told[member.address] = refusal.message

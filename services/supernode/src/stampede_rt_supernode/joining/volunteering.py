@@ -24,7 +24,9 @@ logger = logging.getLogger(__name__)
 
 ATTEMPT_SECONDS = 30.0
 PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
+# the longest wait of a supernode that was refused before
 REFUSED_SECONDS_MAX = 300
+# the errors after which another attempt would fail, too
 _HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
 NEWER_RELEASE = "start it with the release of the others and the same data folder, and it goes on"
 
@@ -38,9 +40,10 @@ async def volunteer(
     zone: str,
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
 ) -> None:
-    """Ask one member after the other, and the leader that they name. Raises StampedeError if a member refuses for good.
+    """Ask one member after the other, and the leader that they name, until this supernode is a member.
 
-    A supernode that was refused before waits first, longer each time, because a supervisor may restart it at once.
+    Raises StampedeError if a member refuses for good. A supernode that was refused before waits first, longer each
+    time, because a supervisor may restart it at once.
     """
     if founding.refused:
         pause_seconds = seconds_before_asking(founding.refusals)

@@ -40,7 +40,10 @@ SERIAL_BYTES = 8
 
 
 class _Change(NamedTuple):
-    """The rules before and after a change, and its effects. `version`: the log position of the change before it."""
+    """The rules before and after a planned change, and its effects.
+
+    `version`: the log position of the last change of access that was made.
+    """
 
     version: int
     before: AccessRules
@@ -59,7 +62,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     async def CreateClientToken(
         self, request: pb.CreateClientTokenRequest, context: Context
     ) -> pb.CreateClientTokenResponse:
-        """Issues a token. Creates the key for tokens first if the cluster has none, being older than client tokens."""
+        """Issues a token. If the cluster is older than client tokens and has no key for them, creates the key first."""
         check_id(request.request_id, "request_id")
         valid_nanos = request.valid_nanos if request.HasField("valid_nanos") else VALID_NANOS_DEFAULT
         roles = check_claims(request.name, request.roles, valid_nanos)
@@ -85,7 +88,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
 
     @errors_as_status
     async def AddAccessRule(self, request: pb.AddAccessRuleRequest, context: Context) -> pb.AddAccessRuleResponse:
-        """With dry_run it only answers, without a log entry."""
+        """With dry_run it adds nothing: it answers with the effects that the rule would have."""
         operation = commands.AddAccessRule(rule=rule_from(request.rule))
         change = await self._change(context, operation, lambda rules: with_rule(rules, operation.rule))
         added, version = change.after is not change.before, change.version
@@ -101,7 +104,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     async def RemoveAccessRule(
         self, request: pb.RemoveAccessRuleRequest, context: Context
     ) -> pb.RemoveAccessRuleResponse:
-        """With dry_run it only answers, without a log entry."""
+        """With dry_run it removes nothing: it answers with the effects that the removal would have."""
         operation = commands.RemoveAccessRule(rule=rule_from(request.rule))
         change = await self._change(context, operation, lambda rules: without_rule(rules, operation.rule))
         removed, version = len(change.after.rules) < len(change.before.rules), change.version
@@ -137,7 +140,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
 
     @errors_as_status
     async def CheckAccess(self, request: pb.CheckAccessRequest, context: Context) -> pb.CheckAccessResponse:
-        """Answers whether a client of that name may do that."""
+        """Answers whether a client with the name `who` has the right `verb` on the named thing."""
         verb, kind = verb_from(request.verb), kind_from(request.kind)
         check_rule(AccessRule(request.who, (verb,), kind, request.name))
         rules = await self._calls.read(context, lambda directory: directory.access.rules)

@@ -27,6 +27,7 @@ from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.submission import Submission
 
+# the longest time that a call waits for the other supernodes, even if the caller's deadline is later
 WAIT_SECONDS_MAX = 10.0
 # subtracted from the caller's deadline, so that the caller gets the reason and not only a deadline error
 ANSWER_SECONDS = 0.1

@@ -50,6 +50,7 @@ from stampede_rt_supernode.servicers.shown import shown_to_caller
 from stampede_rt_supernode.servicers.submission import Submission
 from stampede_rt_supernode.servicers.watch import Watches
 
+# How long ListHosts shows a lost host that owns nothing.
 LOST_SHOWN_NANOS = 3600 * 10**9
 
 
@@ -98,7 +99,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Context) -> pb.OpenChannelResponse:
-        """If nothing changes, answers from a confirmed read, without a log entry."""
+        """If nothing changes, answers a first request from a confirmed read, without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.CHANNEL, request.name)
         operation = OpenChannel(

@@ -42,7 +42,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
 
     @errors_as_status
     async def OpenGroup(self, request: pb.OpenGroupRequest, context: Context) -> pb.OpenGroupResponse:
-        """If the group exists, answers from a confirmed read, without a log entry."""
+        """If the group exists, answers a first request from a confirmed read, without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.GROUP, request.name)
         operation = OpenGroup(

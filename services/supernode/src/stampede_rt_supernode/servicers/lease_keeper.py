@@ -37,10 +37,10 @@ from stampede_rt_supernode.servicers.submission import Submission
 logger = logging.getLogger(__name__)
 
 TICK_SECONDS = 0.1
-PROPOSAL_SECONDS = 5.0
-ENDINGS_AT_ONCE_MAX = 64
-PEERS_PER_ENTRY_MAX = 256
-PEERS_PER_TURN = 1024
+PROPOSAL_SECONDS = 5.0  # how long a tick waits for the outcome of a command
+ENDINGS_AT_ONCE_MAX = 64  # the most commands under way that each end the lease of a host
+PEERS_PER_ENTRY_MAX = 256  # the most leases of peers that one command ends
+PEERS_PER_TURN = 1024  # the most peers at which one turn of the event loop looks
 
 T = TypeVar("T", HostRecord, PeerRecord)
 
@@ -77,12 +77,13 @@ class LeaseKeeper:
         self._founding_ttl_nanos = founding_ttl_nanos
         self._hosts = LeaseTable()
         self._peers = LeaseTable()
-        # (`restored`, position): the state of the replica, and the position in its ring of peers, up to which the table
-        # of peers has followed. None if it has followed nothing yet.
+        # How far the table of peers has followed the directory: `replica.restored` at that time, and the position in
+        # the ring of peers. None if it has followed nothing in this tenure.
         self._peers_followed: tuple[int, int] | None = None
         # The log position of the last mark of time, and when this leader first saw the mark, or began to lead.
         self._last_mark = self._marked_nanos = 0
-        # The id that the founder gave the cluster, and whether this cluster replaces a restored one.
+        # The id that the founder gave the cluster, and whether callers of the cluster that was restored here may go
+        # over to this one.
         self.founding_cluster_id, self.takes_over = "", False
         # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id says so.
         self.in_memory = False
@@ -188,7 +189,7 @@ class LeaseKeeper:
             logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
 
     async def _follow_peers(self, now: int) -> None:
-        """Follow the peers that came and went, a part in each turn. If too many did, go through all peers instead."""
+        """Follow the peers that came and went, a part in each turn. If the ring has dropped some, go through all."""
         while True:  # ends with the last change
             page = self._replica.read(self._changed_peers)
             if page is None:

@@ -16,6 +16,7 @@ from stampede_rt_supernode.servicers.submission import Submission
 logger = logging.getLogger(__name__)
 
 TICK_SECONDS = 0.5
+# how long a tick waits for the outcome of its command
 PROPOSAL_SECONDS = 5.0
 
 

@@ -20,7 +20,7 @@ from stampede_rt_supernode.servicers.lease_keeper import not_leader
 
 
 class LoadKeeper:
-    """The loads that hosts report, about every 2 s each. Use it on one event loop. No method waits."""
+    """The loads that hosts report. Each host reports about every 2 s. Use it on one event loop. No method waits."""
 
     def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, *, clock: HostClock) -> None:
         self._log = log

@@ -29,12 +29,13 @@ from stampede_rt_supernode.replication.interface import too_old
 from stampede_rt_supernode.servicers.lease_keeper import not_leader
 
 PROTOCOL_VERSION = 1
+# the longest time that a call waits for the newcomer and the other supernodes, even if the caller's deadline is later
 WAIT_SECONDS_MAX = 60.0
 # subtracted from the caller's deadline, so that the caller gets the reason and not only a deadline error
 ANSWER_SECONDS = 0.1
 MEMBER_ID_CHARACTERS_MAX = 128
-SNAPSHOTS_MAX = 4
-QUORUM_SECONDS = 5.0  # a reachable majority answers at once, or elects a leader within 4 s
+SNAPSHOTS_MAX = 4  # the most calls of TakeSnapshot at the same time
+QUORUM_SECONDS = 5.0  # the wait for a majority; a reachable one answers at once, or elects a leader within 4 s
 
 
 class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):

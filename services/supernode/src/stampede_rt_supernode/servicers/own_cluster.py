@@ -10,7 +10,7 @@ from stampede_rt_supernode.replica import DirectoryReplica
 
 
 class OwnCluster:
-    """Knows the id of this cluster from the data folder, or, if it was founded with a list, from the directory."""
+    """Knows the cluster's id from the data folder, or, if a list of members founded the cluster, from the directory."""
 
     def __init__(self, replica: DirectoryReplica) -> None:
         self._replica = replica

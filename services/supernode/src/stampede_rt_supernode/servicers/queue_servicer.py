@@ -42,7 +42,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
 
     @errors_as_status
     async def OpenQueue(self, request: pb.OpenQueueRequest, context: Context) -> pb.OpenQueueResponse:
-        """If nothing changes, answers from a confirmed read, without a log entry."""
+        """If nothing changes, answers a first request from a confirmed read, without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.QUEUE, request.name)
         operation = OpenQueue(

@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import ChannelRecord, DirectoryChange, G
 
 
 def shown_to_caller() -> Callable[[DirectoryChange], bool]:
-    """Returns a function that tells whether the caller gets a change, by the rules at the time of the change.
+    """Returns a function that tells whether the caller gets a change, by the rules at the time of the function's call.
 
     Everybody gets changes of hosts, and the news that the rules have changed.
     """

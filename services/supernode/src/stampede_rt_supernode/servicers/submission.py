@@ -41,9 +41,10 @@ class Submission:
     ) -> R:
         """Replicate `operation` and return its result, a `kind`. The directory does it once for each `op_id`.
 
-        `as_of_index`: see Command. Raises the error of the directory's refusal; VersionMismatch if not all supernodes
-        know such a command; Unavailable with reason AMBIGUOUS if the operation may be done or not, NO_QUORUM if it is
-        certainly not done, SHUTTING_DOWN if this supernode stops or its state has diverged.
+        `as_of_index`: see Command. Raises the error of the directory's refusal. Raises VersionMismatch if the command
+        needs a higher feature level than the cluster's. Raises Unavailable with reason AMBIGUOUS if the operation may
+        be done or not, NO_QUORUM if it is certainly not done, SHUTTING_DOWN if this supernode stops or its state has
+        diverged.
         """
         now = self._time_unix_nano()
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))

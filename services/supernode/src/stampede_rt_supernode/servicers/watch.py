@@ -34,6 +34,7 @@ logger = logging.getLogger(__name__)
 CHANGES_PER_RESPONSE_MAX = 64
 """The most changes that one watch looks at in one turn of the event loop."""
 WATCHES_PER_TURN = 8
+"""The most watches that are woken in one turn of the event loop."""
 SIGN_OF_LIFE_SECONDS = 5.0
 
 
@@ -186,10 +187,10 @@ async def _happens(event: asyncio.Event, seconds: float) -> None:
 
 
 class _SignOfLife:
-    """When a stream owes its reader a sign of life: some seconds after the last message, whatever woke it meanwhile.
+    """When a stream owes its reader a sign of life: `every_seconds` after the last message.
 
-    A commit that changes nothing of the watched tables wakes the watches, too, and commits may come more often than
-    signs of life.
+    It does not matter how often the watch was woken meanwhile. Commits without a watched change wake it, too, and they
+    may come more often than signs of life.
     """
 
     def __init__(self, every_seconds: float) -> None:
@@ -202,7 +203,7 @@ class _SignOfLife:
 
     @property
     def seconds_left(self) -> float:
-        """The seconds until it is due; 0 or less: now."""
+        """The seconds until the sign of life is due; 0 or less if it is due now."""
         return self._due_s - asyncio.get_running_loop().time()
 
     @property
@@ -215,7 +216,7 @@ class _Bell:
     """Wakes all waiting coroutines on the event loop, WATCHES_PER_TURN of them in each turn.
 
     Any thread may ring it. Several rings before the waking count as one. A coroutine that is not yet woken keeps its
-    place.
+    place in the order if the bell rings again.
     """
 
     def __init__(self) -> None:

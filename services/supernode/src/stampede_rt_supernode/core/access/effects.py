@@ -44,9 +44,9 @@ def without_rule(rules: AccessRules, rule: AccessRule) -> AccessRules:
 
 
 def effects_on(tables: Tables, before: AccessRules, after: AccessRules, rule: AccessRule) -> list[AccessEffect]:
-    """The changed rights of a client with the name `who` of the rule, on existing things to which the rule applies.
+    """The changed rights of a client with the name `rule.who`, on existing things to which the rule applies.
 
-    EFFECTS_MAX at most, of the first NAMES_EXAMINED_MAX names of each kind.
+    Gives EFFECTS_MAX rights at most. Examines only the first NAMES_EXAMINED_MAX names of each kind.
     """
     return list(islice(_effects(tables, before, after, rule), EFFECTS_MAX))
 

@@ -11,7 +11,10 @@ from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenChannel(Creation):
-    """Get or create a channel. `new_channel_id` and `new_incarnation` are used if it is created or gets a new owner."""
+    """Get or create a channel. `host_name`: the host that shall own it; empty if the caller does not care.
+
+    `new_channel_id` is used if the channel is created, and `new_incarnation` also if it gets a new owner.
+    """
 
     name: str
     policy: Policy = field(default_factory=Policy)
@@ -23,7 +26,7 @@ class OpenChannel(Creation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UpdateChannel(Operation):
-    """Change the stated fields of a channel's set-up."""
+    """Change the stated fields of a channel's set-up. `epoch`: the present epoch, as the caller knows it."""
 
     channel_id: bytes
     epoch: int

@@ -1,4 +1,4 @@
-"""Checks which channel set-ups are possible, and which of two agree (paper, section 3.4). Pure.
+"""Checks which channel set-ups are possible, and whether two of them agree (paper, section 3.4). Pure.
 
 A field that is None was never stated. A stated value holds from then on. A later open may repeat it or leave it out.
 Only an update changes it.
@@ -17,7 +17,7 @@ CONTENT_TYPE_BYTES_MAX = 255
 ON_FULL = ("drop_oldest", "block", "reject")
 LIMITS = ("max_age_nanos", "max_items", "max_bytes", "consumers")
 # The values of unstated fields once a limit was stated. content_type is not here: unstated, it has no effect on items.
-IN_EFFECT_UNSTATED = {
+IN_EFFECT_UNSTATED = {  # by field
     "max_bytes": 256 * 2**20,
     "on_full": "drop_oldest",
     "max_future_nanos": 10**9,

@@ -12,7 +12,8 @@ class BeginTenure(Operation):
     """A new leader takes over the leases. The very first leader founds the cluster, and gives it its id and its TTL.
 
     `founded_anew`: the cluster was restored, so the id replaces that of the former cluster. `takes_over`: whether the
-    hosts of that former cluster may join this one. `new_feature_level`: the first level of a new cluster.
+    hosts and other callers of that former cluster may go over to this one. `new_feature_level`: the first level of a
+    new cluster.
     """
 
     tenure: int
@@ -28,9 +29,9 @@ class BeginTenure(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MarkTime(Operation):
-    """The leader of `tenure` notes that the time of a mark has passed.
+    """The leader of `tenure` notes that MARK_NANOS have passed since the last mark; see `answered`.
 
-    `after_index`: the position of the last mark that it knows. See `answered`.
+    `after_index`: the log position of the last mark that the leader knows.
     """
 
     tenure: int

@@ -15,7 +15,7 @@ from stampede_rt_supernode.core.cluster.commands import (
 )
 from stampede_rt_supernode.core.state import DirectoryState
 
-FORMER_MAX = 16
+FORMER_MAX = 16  # the most ids of former clusters that the state keeps
 TOKENS_LEVEL = 2  # below this level no replica keeps a key for client tokens
 
 

@@ -40,8 +40,8 @@ def group_view(tables: Tables, group: GroupRecord) -> GroupView:
 def group_page(tables: Tables, glob: str, channel_id: bytes, after_name: str, groups_max: int) -> GroupPage:
     """Up to `groups_max` groups (0: the limit) after `after_name` with matching names.
 
-    If `channel_id` is not empty, only groups with that channel.
-    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern or id.
+    If `channel_id` is not empty, gives only groups with that channel. A page may be short, even empty, and yet not be
+    the last. Raises InvalidArgument for an invalid pattern or id.
     """
     matches, limit = matcher(glob), min(groups_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     found: list[GroupRecord] = []

@@ -1,4 +1,4 @@
-"""Checks which set-ups of a group are possible, and which of two are the same (paper, section 3.3). Pure."""
+"""Checks which set-ups of a group are possible, and whether two of them mean the same (paper, section 3.3). Pure."""
 
 from __future__ import annotations
 

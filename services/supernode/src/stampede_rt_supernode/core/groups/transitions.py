@@ -175,7 +175,7 @@ def _witnessed(tables: Tables, group: GroupRecord, restarted: bytes | None = Non
     hosts = _hosts_of(tables, group)
     left = tuple(one for one in tables.groups.witnesses_of(group) if one in hosts and one != restarted)
     if not left:
-        # Random at first and then counted up, so the group never had it before.
+        # The incarnation is random at first and then counted up, so the group never had the new one before.
         group, left = replace(group, incarnation=(group.incarnation + 1) % 2**64 or 1), hosts
     tables.groups.replace(group, left)
     return group

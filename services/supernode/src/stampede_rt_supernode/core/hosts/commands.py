@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import Endpoint, HostRecord
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RegisterHost(Operation):
-    """A host registers. Its channels get `new_incarnation` if its boot incarnation is new.
+    """A host registers. Its channels and queues get `new_incarnation` if its boot incarnation is new.
 
     `registration_epoch`: see `registration_epochs`.
     """

@@ -32,7 +32,8 @@ def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
     """Register a host, perhaps again.
 
     A new boot incarnation means that the host lost its items. Then, in this one step, all its channels and queues get a
-    new epoch and incarnation. A channel or queue with a warm replica in sync moves there. The others stay at the host.
+    new epoch and incarnation. A channel with a warm replica in sync moves to the host of that replica. The other
+    channels and all queues stay at the host.
     """
     check_register(operation)
     _check_name_is_free(tables, operation)

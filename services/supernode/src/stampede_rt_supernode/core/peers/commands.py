@@ -80,6 +80,6 @@ class PeerDeregistered(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PeersExpired(Success):
-    """The number of leases that the command ended. The others had ended or had been renewed before."""
+    """The number of leases that the command ended. The others had ended before, or their peers had registered again."""
 
     expired: int

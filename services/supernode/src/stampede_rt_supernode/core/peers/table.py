@@ -15,7 +15,7 @@ PeerKey = tuple[bool, str, bytes]
 
 
 class PeerTable:
-    """The peers. The last DEAD_PEERS_MAX peers whose lease has ended stay, for people to see.
+    """The peers. The last DEAD_PEERS_MAX peers whose lease has ended stay, so that operators can list them.
 
     Changes are noted in a ring of their own. So thousands of peers that come and go do not push out the changes of
     channels.

@@ -1,7 +1,7 @@
 """Registers, deregisters and expires peers in the tables (paper, sections 3.5 and 4.2). Pure.
 
 As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. A named peer has
-a mailbox from the step that registers it to the step that ends it.
+a mailbox from the step that registers the peer to the step that ends its registration.
 """
 
 from __future__ import annotations

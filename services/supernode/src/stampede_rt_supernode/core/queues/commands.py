@@ -10,7 +10,10 @@ from stampede_rt_supernode.core.records import HostRecord, QueueRecord, QueueSpe
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenQueue(Creation):
-    """Get or create a queue. The `new_` fields are used if it is created or gets a new owner."""
+    """Get or create a queue. `host_name`: the host that shall own it; empty if the caller does not care.
+
+    `new_queue_id` is used if the queue is created, and `new_incarnation` also if it gets a new owner.
+    """
 
     name: str
     spec: QueueSpec = field(default_factory=QueueSpec)
@@ -22,7 +25,7 @@ class OpenQueue(Creation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UpdateQueue(Operation):
-    """Change the stated fields of a queue's set-up."""
+    """Change the stated fields of a queue's set-up. `epoch`: the present epoch, as the caller knows it."""
 
     queue_id: bytes
     epoch: int

@@ -1,4 +1,4 @@
-"""Checks which set-ups of a queue are possible, and which of two agree (paper, section 3.5). Pure.
+"""Checks which set-ups of a queue are possible, and whether two of them agree (paper, section 3.5). Pure.
 
 The rules are those of channels. A field that is None was never stated. A stated value holds from then on. A later open
 may repeat it or leave it out. Only an update changes it.
@@ -16,6 +16,7 @@ from stampede_rt_supernode.core.validation import check_id
 
 ON_FULL = ("block", "reject", "drop_oldest")
 LIMITS = ("max_items", "max_bytes")
+# The set-up of a mailbox for which the peer states none.
 MAILBOX_UNSTATED = QueueSpec(max_items=1024)
 # The values of unstated fields. content_type is not here: unstated, it has no effect on messages.
 IN_EFFECT_UNSTATED = {

@@ -10,7 +10,10 @@ from stampede_rt_supernode.core.records import HostRecord, ReplicaKind, ReplicaR
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AddReplica(Operation):
-    """Add a copy at a host. Empty `host_id`: the directory chooses. Empty `source_host_id`: the owner feeds it."""
+    """Add a copy at a host. If `host_id` is empty, the directory chooses the host.
+
+    If `source_host_id` is empty, the owner feeds the copy. `acknowledged`: see ReplicaRecord.
+    """
 
     channel_id: bytes
     epoch: int
@@ -30,7 +33,10 @@ class RemoveReplica(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SetReplicaInSync(Operation):
-    """The owner of `epoch` reports whether a warm replica is in sync. `boot_incarnation`: of the replica's host."""
+    """The owner at `epoch` reports whether a warm replica is in sync.
+
+    `host_id` and `boot_incarnation` are those of the replica's host.
+    """
 
     channel_id: bytes
     epoch: int

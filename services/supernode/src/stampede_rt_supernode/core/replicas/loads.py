@@ -29,7 +29,7 @@ class ReplicaLoads:
     """One leader's knowledge of loads.
 
     The caller of `note` must check that the host holds the channels that it reports. So the number of entries is
-    bounded by the owners and copies of the last LOAD_AGE_NANOS_MAX.
+    bounded by the number of owners and copies. Entries older than LOAD_AGE_NANOS_MAX do not count, and are soon freed.
     """
 
     def __init__(self) -> None:

@@ -199,7 +199,7 @@ class RaftServicer:
         if self._reports.is_due((hello.member_id, hello.cluster_id), time.monotonic()):
             logger.warning(
                 "member %s of another cluster (%s) calls this address, and takes it for its member %s; this is %s of "
-                "cluster %s: if it was to be that member, stop it, and start it with the --data-dir of that one",
+                "cluster %s: if it was meant to be that member, stop it, and start it with that member's --data-dir",
                 *(hello.member_id, hello.cluster_id, hello.peer_member_id, own, self._settings.cluster_id),
             )
 
