@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -187,11 +188,24 @@ def test_a_time_without_a_zone_is_local_time(stampede: Run, environment: dict[st
     assert "at 2026-01-31T03:00:00" in put
 
 
-def test_a_full_disk_below_the_output_is_told_as_that(stampede: Run, environment: dict[str, str]) -> None:
+@pytest.mark.parametrize(
+    "words",
+    ["ls", "supernode status", "supernode snapshot", "supernode init --data-dir s1 --listen 127.0.0.1:1", "certs init"],
+)
+def test_a_full_disk_below_the_output_is_told_as_that(
+    stampede: Run, environment: dict[str, str], words: str, tmp_path: Path
+) -> None:
     stampede("put", "cli/full", "x")
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [*COMMAND, "ls"], env=environment, stdout=full, stderr=subprocess.PIPE, text=True, timeout=40, check=False
+            [*COMMAND, *words.split()],
+            env=environment | {"PYTHONUNBUFFERED": "1"},
+            cwd=tmp_path,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=40,
+            check=False,
         )
     assert (done.returncode, done.stderr) == (1, "stampede: the output cannot be written: No space left on device\n")
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -40,6 +42,31 @@ def test_a_damaged_one_leaves_the_older_backup_as_it_was(tmp_path: Path, data: b
         write_backup(responses(data), out)
     assert out.read_bytes() == b"older"
     assert list(tmp_path.iterdir()) == [out]
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_only_a_regular_file_is_replaced_and_nothing_is_fetched_for_another_one(
+    tmp_path: Path, make: Callable[[Path], None]
+) -> None:
+    out = tmp_path / "backup"
+    make(out)
+    asked = responses(BODY + SHA256)
+    with pytest.raises(StampedeError, match="no regular file"):
+        write_backup(asked, out)
+    assert next(asked) == FACTS, "nothing was asked for"
+    assert not out.is_file()
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_an_error_of_the_disk_names_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left") as caught:
+        write_backup(responses(BODY + SHA256), tmp_path / "backup")
+    assert caught.value.filename == str(tmp_path / "backup")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_connection_that_breaks_leaves_nothing(tmp_path: Path) -> None:

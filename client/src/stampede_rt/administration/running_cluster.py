@@ -15,9 +15,18 @@ from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.administration.in_force import Judge, parts_behind, ping_frontend, ping_host, ping_supernode
 from stampede_rt.administration.quota_use import PartUse, uses_at
 from stampede_rt.cluster.connecting import parse_target
-from stampede_rt.errors import NotLeader, Overloaded, StampedeError, Unavailable, VersionMismatch, WrongCluster
+from stampede_rt.cluster.majority import UNREACHED
+from stampede_rt.errors import (
+    DeadlineExceeded,
+    NotLeader,
+    Overloaded,
+    StampedeError,
+    Unavailable,
+    VersionMismatch,
+    WrongCluster,
+)
 from stampede_rt.security.tls_diagnosis import explain_refusal
-from stampede_rt.status import from_rpc_error
+from stampede_rt.status import error_in, from_rpc_error
 from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.v1 import access_service_pb2 as access_pb
 from stampede_rt.v1 import access_service_pb2_grpc, membership_service_pb2_grpc, quota_service_pb2_grpc
@@ -155,8 +164,12 @@ class Cluster:
             ) from error
 
     def remove(self, supernode_id: str) -> pb.RemoveSupernodeResponse:
-        """Ask the leader to remove a member. Raises the leader's error, or Unavailable if there is no leader."""
+        """Ask the leader to remove a member. Raises the leader's error, or Unavailable if there is no leader.
+
+        If the outcome is unknown, the error says so, with the reason AMBIGUOUS.
+        """
         request, began = pb.RemoveSupernodeRequest(supernode_id=supernode_id), time.monotonic()
+        is_unknown = False
         known, patience = self.members().supernodes, LEADERLESS_SECONDS
         if supernode_id not in {one.supernode_id for one in known}:
             raise no_member(supernode_id, known)
@@ -167,11 +180,13 @@ class Cluster:
                 removed: pb.RemoveSupernodeResponse = endpoint.call(
                     _membership(endpoint).RemoveSupernode, request, CALL_SECONDS
                 )
-            except (NotLeader, Overloaded, Unavailable) as error:
+            except (NotLeader, Overloaded, Unavailable, DeadlineExceeded) as error:
+                is_unknown = is_unknown or _may_have_removed(error)
                 leader = error.metadata.get("leader_endpoint")
                 patience = CHANGE_SECONDS if leader or isinstance(error, Overloaded) else patience
                 if time.monotonic() - began > patience:
-                    raise _leaderless(known) if patience == LEADERLESS_SECONDS else error from error
+                    failure = _leaderless(known) if patience == LEADERLESS_SECONDS else error
+                    raise _unknown_removal(supernode_id, failure) if is_unknown else failure from error
                 waiting = [*waiting[1:], waiting[0]]
                 if leader:
                     waiting = [leader, *(one for one in waiting if one != leader)]
@@ -242,6 +257,22 @@ def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
         f"no supernode leads, and only a leader removes a member: start supernodes until {len(known) // 2 + 1} of "
         f"{', '.join(one.supernode_id for one in known)} serve, or, if they are lost for good, restore the cluster "
         "from one that is left, or from a backup (stampede supernode init --restore)"
+    )
+
+
+def _may_have_removed(error: StampedeError) -> bool:
+    """Whether a supernode may have put the removal into its log, although the call has failed."""
+    cause = error.__cause__
+    if isinstance(cause, grpc.Call) and error_in(cause.trailing_metadata()) is not None:
+        return error.reason == "AMBIGUOUS"  # otherwise the supernode has answered that it did not
+    return "Connection refused" not in error.metadata.get(UNREACHED, "")
+
+
+def _unknown_removal(supernode_id: str, failure: StampedeError) -> Unavailable:
+    return Unavailable(
+        f"it is unknown whether {supernode_id} is removed: {failure.message}. Once a supernode leads, look at "
+        "`stampede supernode status`, and repeat the removal if it is still a member",
+        reason="AMBIGUOUS",
     )
 
 

@@ -23,6 +23,8 @@ def write_backup(responses: Iterator[pb.TakeSnapshotResponse], out: Path) -> pb.
     The function replaces an existing file once the new one is complete and on the disk. Raises OSError, StampedeError
     for a damaged backup, and the errors of `responses`.
     """
+    if out.exists() and not out.is_file():
+        raise StampedeError(f"{out} is no regular file, and a backup would replace it; name a file with --out")
     draft = out.parent / f".{out.name}.{secrets.token_hex(4)}"
     descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
@@ -32,6 +34,10 @@ def write_backup(responses: Iterator[pb.TakeSnapshotResponse], out: Path) -> pb.
             file.flush()
             os.fsync(file.fileno())
         draft.replace(out)
+    except StampedeError:  # some of these are OSErrors, too
+        raise
+    except OSError as error:  # an error of an open file has no file name
+        raise OSError(error.errno, error.strerror, str(out)) from error
     finally:
         draft.unlink(missing_ok=True)
     return facts

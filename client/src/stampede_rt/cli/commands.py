@@ -37,9 +37,10 @@ def run(arguments: Sequence[str]) -> int:
     """Run one command and return its exit status."""
     try:
         if arguments and arguments[0] in SERVICE_VERBS:
-            return _run_service(arguments[0], arguments[1:])
-        parsed = _parser().parse_args(arguments)
-        status = int(parsed.run(parsed))
+            status = _run_service(arguments[0], arguments[1:])
+        else:
+            parsed = _parser().parse_args(arguments)
+            status = int(parsed.run(parsed))
         sys.stdout.flush()  # if the disk is full, the error comes here, and not when the interpreter ends
         return status
     except StampedeError as error:

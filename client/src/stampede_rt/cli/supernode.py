@@ -63,8 +63,9 @@ def administer(argv: Sequence[str]) -> int:
         print(f"stampede supernode: {escaped(error.message)}", file=sys.stderr)
         return FAILED
     except OSError as error:
-        file = error.filename or parsed.out  # an error of an open file has no file name
-        print(escaped(f"stampede supernode: {file} cannot be written: {error.strerror}"), file=sys.stderr)
+        if error.filename is None:
+            raise  # the caller explains errors of the output
+        print(escaped(f"stampede supernode: {error.filename} cannot be written: {error.strerror}"), file=sys.stderr)
         return FAILED
 
 

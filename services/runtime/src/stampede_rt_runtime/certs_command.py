@@ -48,6 +48,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"stampede certs: {escaped(str(error))}\n")
         return EXIT_BAD_SETTINGS if isinstance(error, ValueError) else EXIT_FAILED
     except OSError as error:
+        if error.filename is None:
+            raise  # the caller explains errors of the output
         sys.stderr.write(f"stampede certs: {escaped(str(error.filename))} cannot be used: {error.strerror}\n")
         return EXIT_FAILED
     return 0
@@ -272,6 +274,9 @@ def write_pair(made: Issued, folder: Path, name: str) -> tuple[Path, Path]:
     Returns both paths.
     """
     certificate, key = folder / f"{name}.pem", folder / f"{name}.key"
+    for path in (certificate, key):
+        if path.exists() and not path.is_file():
+            raise CertificateError(f"{path} is no regular file, and `stampede certs` would replace it; move it away")
     _replace(key, made.key, 0o600)
     _replace(certificate, made.certificate, 0o644)
     return certificate, key

@@ -18,6 +18,7 @@ from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt.security.tls import CLIENT_VARIABLES
 from stampede_rt.values.policy import parse_name
 from stampede_rt_runtime.values import parse_address, parse_address_text, parse_target
+from stampede_rt_runtime.written import naming
 from stampede_rt_supernode.joining.founding import ANYWHERE, Founding, check_unused, restoring, write_founding
 from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_cluster_of
 from stampede_rt_supernode.replica import DirectoryReplica
@@ -65,6 +66,8 @@ def prepare(argv: Sequence[str]) -> int:
         sys.stderr.write(f"stampede supernode: {escaped(str(error))}\n")
         return FAILED if isinstance(error, StampedeError) else MISUSED
     except OSError as error:  # after StampedeError, because Unavailable is an OSError, too
+        if error.filename is None:
+            raise  # the caller explains errors of the output
         sys.stderr.write(f"stampede supernode: {escaped(str(error.filename))} cannot be used: {error.strerror}\n")
         return FAILED
 
@@ -77,12 +80,12 @@ def _run_init(arguments: argparse.Namespace) -> int:
     if arguments.take_over and arguments.restore is None:
         raise ValueError("--take-over needs --restore: without it there is no former cluster")
     if arguments.restore is not None:
-        with restoring(arguments.data_dir):
+        with naming(arguments.data_dir), restoring(arguments.data_dir):
             founding = _restored(arguments, founding)
             write_founding(arguments.data_dir, founding)
     else:
         write_founding(arguments.data_dir, founding)
-    _say(f"Cluster {cluster_id} is founded, with supernode {name}. {_start(arguments)}")
+    _say(f"Cluster {cluster_id} is founded, with supernode {name}. Start it:", "", _start(arguments))
     return 0
 
 
@@ -127,7 +130,7 @@ def _run_join(arguments: argparse.Namespace) -> int:
         token=token,
     )
     write_founding(arguments.data_dir, founding)
-    _say(f"Supernode {name} may join the cluster of {', '.join(members)}. {_start(arguments)}")
+    _say(f"Supernode {name} may join the cluster of {', '.join(members)}. Start it:", "", _start(arguments))
     return 0
 
 
@@ -149,8 +152,8 @@ def _check_callable(address: str, members: Mapping[str, str]) -> None:
         )
 
 
-def _say(text: str) -> None:
-    sys.stdout.write(escaped(text) + "\n")
+def _say(*lines: str) -> None:
+    sys.stdout.write("".join(escaped(line) + "\n" for line in lines))
 
 
 def _name(arguments: argparse.Namespace) -> str:
@@ -179,6 +182,4 @@ def _start(arguments: argparse.Namespace) -> str:
     # The service reads other environment variables than this command, so the text names the flags.
     secured = any(os.environ.get(name) for name in CLIENT_VARIABLES)
     tls = " --tls-ca FILE --tls-certificate FILE --tls-key FILE" if secured else ""
-    return (
-        f"Start it:\n\n  stampede supernode --listen {arguments.listen}{advertise} --data-dir {arguments.data_dir}{tls}"
-    )
+    return f"  stampede supernode --listen {arguments.listen}{advertise} --data-dir {arguments.data_dir}{tls}"

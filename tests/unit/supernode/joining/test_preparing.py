@@ -1,0 +1,37 @@
+"""`init` and `join` print the command that starts the supernode on a line of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from stampede_rt_supernode.joining import preparing
+
+AT = ("--listen", "127.0.0.1:7591", "--id", "s9")
+
+
+@contextmanager
+def reached(*_: Any) -> Iterator[Any]:
+    listed = SimpleNamespace(
+        supernodes=[SimpleNamespace(supernode_id="s1", endpoint=SimpleNamespace(target="127.0.0.1:7590"))]
+    )
+    yield SimpleNamespace(members=lambda: listed)
+
+
+@pytest.mark.parametrize("verb", [["init"], ["join", "--member", "127.0.0.1:7590", "--token", "c.1.t"]])
+def test_the_command_to_start_is_a_line_of_its_own(
+    verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(preparing, "reached", reached)
+    monkeypatch.setattr(preparing, "log_cluster_of", lambda token: "log")
+    folder = tmp_path / "a\x1b[2Jb"
+    assert preparing.prepare([*verb, *AT, "--data-dir", str(folder)]) == 0
+    first, empty, start = capsys.readouterr().out.splitlines()
+    assert first.endswith("Start it:")
+    assert empty == ""
+    assert start == f"  stampede supernode --listen 127.0.0.1:7591 --data-dir {tmp_path}/a\\x1b[2Jb"
