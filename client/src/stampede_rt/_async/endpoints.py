@@ -38,7 +38,9 @@ class EndpointPool:
             if self.closed:
                 raise connection_closed()
             self._look_at_certificates()
-            endpoint = self._endpoints.pop(target, None) or ServerEndpoint(target, self.metadata, self._material)
+            endpoint = self._endpoints.pop(target, None)
+            if endpoint is None or endpoint.is_stuck:
+                endpoint = ServerEndpoint(target, self.metadata, self._material)
             self._endpoints[target] = endpoint
             if len(self._endpoints) > ENDPOINTS_MAX:
                 self._endpoints.pop(next(iter(self._endpoints)))

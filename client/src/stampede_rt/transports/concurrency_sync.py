@@ -107,20 +107,23 @@ class BackgroundTask:
         return not self._thread.is_alive()
 
 
-def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) -> None:
+def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) -> bool:
     """Run an operation that takes gRPC's locks on its own thread, and wait for it for at most `limit_s`.
+
+    Returns whether the operation has ended.
 
     If a signal handler raises an exception inside gRPC's code, a lock of gRPC may stay locked for ever. Does nothing
     while the interpreter ends: a thread that starts then never runs, and its start would wait for it for ever.
     """
     if sys.is_finalizing():
-        return
+        return False
     thread = threading.Thread(target=operation, name="stampede ends a call", daemon=True)
     try:
         thread.start()
     except RuntimeError:  # the interpreter is ending, and starts no more threads
-        return
+        return False
     thread.join(limit_s)
+    return not thread.is_alive()
 
 
 class _Dropped:

@@ -42,6 +42,8 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.aio.Channel:
 class ServerEndpoint(Stubs):
     """A gRPC connection to one address. All calls to this address share it."""
 
+    is_stuck = False  # no interrupt can leave a lock of gRPC locked here, as it can in the blocking client
+
     def __init__(self, target: str, metadata: CallMetadata, tls: TlsMaterial | None = None) -> None:
         self.target = target
         self._metadata = metadata

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from queue import SimpleQueue
 from typing import Any, TypeVar
-from weakref import WeakSet
+from weakref import WeakSet, ref
 
 import grpc
 import grpc.experimental
@@ -59,6 +59,8 @@ class ServerEndpoint(Stubs):
         self._exchanges: WeakSet[_Exchange] = WeakSet()
         self._mutex = threading.Lock()  # guards the exchanges
         self._closed = False
+        self.is_stuck = False
+        """Whether an interrupt has left a lock of gRPC locked. gRPC's threads then serve no call of this endpoint."""
 
     def stub(self, make: Callable[[grpc.Channel], Stub]) -> Stub:
         """Return the stub of a service that has no attribute here, such as `MembershipServiceStub`.
@@ -156,6 +158,7 @@ class _Exchange:
     """An open bidirectional stream. Requests wait in a queue until gRPC's sending thread takes them."""
 
     def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any]) -> None:
+        self._endpoint = ref(endpoint)
         self._target = endpoint.target
         self._requests: SimpleQueue[Any] = SimpleQueue()
         self._call: Any = endpoint.open_bidi_by(method, self._requests)
@@ -173,9 +176,10 @@ class _Exchange:
         return Unavailable(f"{self._target} ended the stream")
 
     def cancel(self) -> None:
-        """End the stream, within END_LIMIT_S."""
+        """End the stream, within END_LIMIT_S. If it does not end, the next call opens a new connection."""
         self.broken = True
-        within_limit(self.end)
+        if not within_limit(self.end) and (endpoint := self._endpoint()) is not None:
+            endpoint.is_stuck = True
 
     def end(self) -> None:
         """End the stream. Call this on a thread that may wait for gRPC's locks."""

@@ -1,0 +1,27 @@
+"""A lock of gRPC that an interrupt has left locked: it costs the interrupted call, and not the connection."""
+
+from __future__ import annotations
+
+import stampede_rt as st
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+
+cluster = cluster_fixture(hosts=1)
+
+
+def test_calls_after_such_an_interrupt_go_over_a_new_connection(cluster: LocalCluster) -> None:
+    with st.connect(cluster.address) as rt:
+        channel = rt.channel("stuck/a", max_age="60s")
+        other = rt.channel("stuck/b", max_age="60s")
+        channel.put(b"0")
+        other.put(b"0")
+        assert channel.newest().payload == b"0"
+        [endpoint] = [one for one in rt._session.endpoints._endpoints.values() if hasattr(one._of_thread, "gets")]
+        exchange = endpoint.gets()
+        exchange._call._state.condition.acquire()  # as a KeyboardInterrupt within Condition.__enter__ leaves it
+        exchange.cancel()
+        assert endpoint.is_stuck
+        for handle in (channel, other):
+            handle.put(b"1")
+            assert handle.newest().payload == b"1"
+        assert endpoint not in rt._session.endpoints._endpoints.values()
