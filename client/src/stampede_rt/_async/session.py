@@ -154,7 +154,7 @@ class Session:
             raise connection_closed()
 
     def attach(self, one: SessionTask) -> None:
-        """Keep `one`, so that `aclose` ends it. Raises ForkedProcess; Unavailable if the connection is closed."""
+        """Keep `one`, so that `aclose` ends it. Raises the errors of `check`."""
         self.check()
         self._attached[one] = None
 

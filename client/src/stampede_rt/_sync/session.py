@@ -155,7 +155,7 @@ class Session:
             raise connection_closed()
 
     def attach(self, one: SessionTask) -> None:
-        """Keep `one`, so that `close` ends it. Raises ForkedProcess; Unavailable if the connection is closed."""
+        """Keep `one`, so that `close` ends it. Raises the errors of `check`."""
         self.check()
         self._attached[one] = None
 

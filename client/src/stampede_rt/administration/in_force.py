@@ -1,4 +1,4 @@
-"""Waits until every part of a running cluster uses a change of rules or a revocation."""
+"""Waits until every part of a running cluster applies a change of the rules of access, or a revocation."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 IN_FORCE_SECONDS = 5.0  # hosts and supernodes learn of changes within milliseconds; front-ends ask once a second
-CALL_SECONDS = 1.0
-PAUSE_SECONDS = 0.02
+CALL_SECONDS = 1.0  # for one question to one part
+PAUSE_SECONDS = 0.02  # between two rounds of questions
 
 
 class Judge(NamedTuple):
-    """A part of the cluster that decides what callers may do. `ask` calls it, and returns its answer.
+    """A part of the cluster that decides what callers may do. `ask` makes a call to the part, and returns the answer.
 
-    The answer has the version of access that the part uses: the log position of the last change of rules, quotas,
-    token keys or revocations.
+    The answer has the version of access that the part applies. The version is the log position of the last change of
+    rules, quotas, token keys or revocations.
     """
 
     name: str
@@ -32,9 +32,9 @@ class Judge(NamedTuple):
 
 
 def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int) -> dict[str, str]:
-    """Wait until all `judges` use `version` of access, for at most IN_FORCE_SECONDS.
+    """Wait until all `judges` apply `version` of access or a later one, for about IN_FORCE_SECONDS at most.
 
-    Returns the names of the parts that do not use it yet, each with the reason.
+    Returns the names of the parts that do not apply this version yet, each with the reason.
     """
     waiting, deadline_s = list(judges), time.monotonic() + IN_FORCE_SECONDS
     while True:  # ends when no part is behind, or when the time is over
@@ -46,7 +46,7 @@ def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int)
 
 
 def _why_behind(endpoints: EndpointPool, one: Judge, version: int) -> str:
-    """Return why a part does not use that version yet; an empty text if it does."""
+    """Return why a part does not apply `version` yet; an empty text if the part applies it."""
     try:
         known = one.ask(endpoints.to(one.target)).access.version
     except StampedeError as error:

@@ -9,7 +9,7 @@ ADMINISTRATIVE_VERBS = ("status", "add", "remove", "snapshot")
 
 
 def add_cluster_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that name the cluster."""
+    """Add the options that name the addresses of the cluster."""
     addresses = parser.add_mutually_exclusive_group()
     addresses.add_argument(
         "--url", "--frontend", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL, then localhost:7580"

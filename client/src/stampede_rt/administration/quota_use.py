@@ -1,4 +1,4 @@
-"""Asks each part of a running cluster what callers use of their quotas."""
+"""Asks each part of a running cluster how much callers use of their quotas."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stampede_rt.v1 import quota_use_service_pb2_grpc
 
 
 class PartUse(NamedTuple):
-    """The use of quotas at one part of the cluster. `failure`: why the part did not tell it; empty if it did."""
+    """The use of quotas at one part of the cluster. `failure` says why the part did not answer; empty if it did."""
 
     part: str
     uses: tuple[Any, ...] = ()
@@ -21,7 +21,7 @@ class PartUse(NamedTuple):
 
 
 def uses_at(endpoints: EndpointPool, parts: Iterable[Judge], subject_glob: str) -> Iterator[PartUse]:
-    """Ask each part what the callers that match `subject_glob` use. Yields one PartUse for each part."""
+    """Ask each part how much the callers that match `subject_glob` use. Yields one PartUse for each part."""
     request = pb.ListQuotaUseRequest(subject_glob=subject_glob)
     for part in parts:
         endpoint = endpoints.to(part.target)

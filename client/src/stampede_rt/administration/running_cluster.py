@@ -36,12 +36,12 @@ from stampede_rt.v1 import membership_service_pb2 as pb
 from stampede_rt.v1.directory_pb2 import HostRecord, SupernodeRecord
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-CALL_SECONDS = 3.0
-CHANGE_SECONDS = 30.0
+CALL_SECONDS = 3.0  # for one call to one supernode or front-end
+CHANGE_SECONDS = 30.0  # how long `remove` tries again if there is a leader
 LEADERLESS_SECONDS = 8.0  # how long `remove` waits for a leader; an election takes 4 s at most
-SNAPSHOT_SECONDS = 120.0
-BACKOFF_SECONDS = 0.5
-HOST_PAGES_MAX = 1000
+SNAPSHOT_SECONDS = 120.0  # for all parts of a snapshot
+BACKOFF_SECONDS = 0.5  # between two tries of `remove`
+HOST_PAGES_MAX = 1000  # the pages of the list of hosts
 
 
 class Cluster:
@@ -73,11 +73,11 @@ class Cluster:
         return listed
 
     def ping(self, address: str) -> Any:
-        """Return a supernode's own state; None if it does not answer."""
+        """Return the answer of the supernode at `address` to Ping; None if the supernode does not answer."""
         return _ping(self._endpoints, address)
 
     def make_token(self, supernode_id: str, address: str, *, valid_nanos: int) -> pb.CreateJoinTokenResponse:
-        """Make a token with which that supernode can join at that address. Raises StampedeError."""
+        """Make a token with which the supernode `supernode_id` can join at `address`. Raises StampedeError."""
         request = pb.CreateJoinTokenRequest(
             request_id=secrets.token_bytes(16), valid_nanos=valid_nanos, supernode_id=supernode_id, target=address
         )
@@ -89,7 +89,7 @@ class Cluster:
     def issue_client_token(
         self, name: str, roles: Sequence[str], *, valid_nanos: int
     ) -> access_pb.CreateClientTokenResponse:
-        """Make a token for a client of that name. Raises the error with which the supernodes refuse."""
+        """Make a token for a client named `name`. Raises the error with which the supernodes refuse the call."""
         request = access_pb.CreateClientTokenRequest(
             request_id=secrets.token_bytes(16), name=name, roles=roles, valid_nanos=valid_nanos
         )
@@ -97,18 +97,19 @@ class Cluster:
         return made
 
     def revoke(self, serial: str) -> int:
-        """Revoke a certificate or token: all services refuse it from then on.
+        """Revoke a certificate or token, so that all services refuse it from then on.
 
-        Returns the version of access that contains the revocation. Raises the error with which the supernodes refuse.
+        Returns the version of access that contains the revocation. Raises the error with which the supernodes refuse
+        the call.
         """
         request = access_pb.RevokeCredentialRequest(request_id=secrets.token_bytes(16), serial=serial)
         return int(self.ask_access("RevokeCredential", request).version)
 
     def parts_behind(self, version: int, *, of_rules: bool = False) -> dict[str, str]:
-        """Wait until all parts use `version` of access, for at most IN_FORCE_SECONDS; see `in_force`.
+        """Wait until all parts apply `version` of access (see `in_force.parts_behind`).
 
-        Returns the parts that do not use it yet, each with the reason. `of_rules`: leave front-ends out, because no
-        rule concerns them.
+        Returns the parts that do not apply this version yet, each with the reason. With `of_rules` leaves front-ends
+        out, because no rule concerns them.
         """
         try:
             judges = self._parts(with_frontends=not of_rules)
@@ -117,7 +118,7 @@ class Cluster:
         return parts_behind(self._endpoints, judges, version)
 
     def quota_uses(self, subject_glob: str) -> Iterator[PartUse]:
-        """Ask each part for what callers use of their quotas. Raises Unavailable."""
+        """Ask each part how much the callers that match `subject_glob` use of their quotas. Raises Unavailable."""
         return uses_at(self._endpoints, self._parts(with_frontends=True), subject_glob)
 
     def _parts(self, *, with_frontends: bool) -> list[Judge]:
@@ -140,20 +141,23 @@ class Cluster:
             request.page_token = page.next_page_token
 
     def revoked_serials(self) -> Sequence[str]:
-        """The serial numbers of all revoked certificates and tokens."""
+        """Return the serial numbers of all revoked certificates and tokens."""
         listed = self.ask_access("ListRevokedCredentials", access_pb.ListRevokedCredentialsRequest())
         return tuple(listed.serials)
 
     def ask_access(self, rpc: str, request: Any) -> Any:
-        """Make a call of AccessService at the first supernode that answers. Raises the error with which it refuses."""
+        """Call AccessService at the first supernode that answers. Raises the error with which it refuses the call."""
         return self._ask_newer(_access, rpc, request, "rules of access and client tokens")
 
     def ask_quotas(self, rpc: str, request: Any) -> Any:
-        """Make a call of QuotaService at the first supernode that answers. Raises the error with which it refuses."""
+        """Call QuotaService at the first supernode that answers. Raises the error with which it refuses the call."""
         return self._ask_newer(_quotas, rpc, request, "quotas")
 
     def _ask_newer(self, stub: Callable[[ServerEndpoint], Any], rpc: str, request: Any, what: str) -> Any:
-        """Make a call that earlier releases do not have. Raises VersionMismatch if no supernode that answers has it."""
+        """Make a call that supernodes of earlier releases do not serve. `what` names the subject of the call in errors.
+
+        Raises VersionMismatch if no supernode that answers serves the call.
+        """
         try:
             return self._first(lambda endpoint: endpoint.call(getattr(stub(endpoint), rpc), request, CALL_SECONDS))
         except StampedeError as error:
@@ -220,7 +224,7 @@ _LIST = directory_pb.ListSupernodesRequest()
 def _first(endpoints: EndpointPool, addresses: Sequence[str], ask: Callable[[ServerEndpoint], Any]) -> Any:
     """Return the first answer of the supernodes at `addresses`.
 
-    If none answers, raises the error of the last one. If certificates are the cause, the error says so.
+    If no supernode answers, raises the error of the last one. If certificates are the cause, the error says so.
     """
     failure: StampedeError = Unavailable("no supernode is known; name one with --member, or a front-end with --url")
     for address in addresses:
@@ -242,7 +246,7 @@ def _ping(endpoints: EndpointPool, address: str) -> Any:
 
 
 def is_there(record: SupernodeRecord, pong: Any) -> bool:
-    """Whether `pong` comes from the member of `record`, and not from another supernode at its address."""
+    """Whether `pong` comes from the member that `record` describes, and not from another supernode at its address."""
     return pong is not None and pong.supernode_id == record.supernode_id
 
 
@@ -278,9 +282,10 @@ def _unknown_removal(supernode_id: str, failure: StampedeError) -> Unavailable:
 
 @contextmanager
 def reached(frontend: str | None, member: str | None, *, secret: str | None = None) -> Iterator[Cluster]:
-    """Yield the cluster behind front-ends or supernodes. Raises StampedeError.
+    """Yield the cluster whose front-ends are at `frontend`, or whose supernodes are at `member`. Raises StampedeError.
 
-    If `secret` is None, the caller sends the secret in the user's file.
+    If both are None, the front-ends are those of `$STAMPEDE_URL`. If `secret` is None, the caller sends the secret that
+    `connect` would send.
     """
     target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=secret, zone=None)
     endpoints = EndpointPool(target.credentials)
@@ -323,7 +328,7 @@ def _quotas(endpoint: ServerEndpoint) -> Any:
 
 
 def _is_unknown(error: StampedeError) -> bool:
-    """Whether the supernode does not have the call."""
+    """Whether `error` says that the supernode does not serve the call."""
     cause = error.__cause__
     return isinstance(cause, grpc.Call) and cause.code() is grpc.StatusCode.UNIMPLEMENTED
 

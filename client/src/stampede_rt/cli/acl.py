@@ -15,8 +15,8 @@ VERBS = (
     "read", "put", "consume", "advance", "create", "configure", "delete", "take", "send", "register", "list",
 )  # fmt: skip
 KINDS = ("channel", "group", "queue", "peer")
-NOT_ALLOWED = 3
-EFFECTS_SHOWN = 20
+NOT_ALLOWED = 3  # the exit status of `check` if a client may not do something
+EFFECTS_SHOWN = 20  # rows of a table of effects
 
 
 def add_verbs(subparsers: Any) -> None:

@@ -25,14 +25,14 @@ _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
 class VerbParser(TerminalParser):
     """The parser of one verb. It allows options between the arguments, and refuses unknown arguments."""
 
-    _intermixed = False
+    _intermixed = False  # whether `parse_known_intermixed_args` runs, which calls `parse_known_args` again
 
     def parse_known_args(  # type: ignore[override]  # typeshed has an overload for each kind of namespace
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> Any:
         """Parse the verb's arguments. `argparse` calls this method, twice for arguments and options in mixed order."""
         if self._intermixed or self._subparsers is not None:
-            # For a noun such as "queue", the parsers of its verbs parse the rest.
+            # The parser of a noun, such as "queue", leaves the rest to the parsers of the noun's verbs.
             return super().parse_known_args(args, namespace)
         self._intermixed = True
         try:
@@ -70,7 +70,7 @@ def connected(arguments: argparse.Namespace, name: str | None = None) -> Connect
 
 
 def existing(rt: Connection, name: str) -> Channel:
-    """Open an existing channel. Raises ChannelNotFound in the words of the command line."""
+    """Open an existing channel. Raises ChannelNotFound with an error text for users of the command line."""
     try:
         return rt.channel(name, create=False)
     except ChannelNotFound as error:
@@ -104,7 +104,7 @@ def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
 def parse_time(text: str) -> int:
     """Return an instant, in nanoseconds.
 
-    `text` is nanoseconds since the epoch, or ISO 8601 (local without a time zone).
+    `text` is nanoseconds since the epoch, or ISO 8601. ISO 8601 without a time zone is local time.
     """
     if re.fullmatch(r"[+-]?\d{1,20}", text):
         return parse_instant(int(text))
@@ -120,7 +120,7 @@ def parse_time(text: str) -> int:
 
 
 def parse_bound_text(text: str) -> Bound:
-    """Return a bound: a time, or now, newest, oldest with an offset, such as "newest-30ms"."""
+    """Return a bound. `text` is a time, or "now", "newest" or "oldest", also with an offset as in "newest-30ms"."""
     match = _META_TEXT.fullmatch(text.strip())
     if match is None:
         return Bound(None, parse_time(text))
@@ -131,7 +131,7 @@ def parse_bound_text(text: str) -> Bound:
 
 
 def parse_attribute(text: str) -> tuple[str, str]:
-    """Return an attribute, written KEY=VALUE."""
+    """Return the key and the value of an attribute in the form KEY=VALUE. Raises InvalidArgument."""
     key, separator, value = text.partition("=")
     if not separator or not key:
         raise InvalidArgument(f"{text!r} is no attribute; write KEY=VALUE")

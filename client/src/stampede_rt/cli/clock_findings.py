@@ -8,15 +8,16 @@ from stampede_rt.cli.observations import PEER, CheckResult, Observation
 from stampede_rt.cli.output import roughly
 from stampede_rt.values.timeline import format_duration
 
-CLOCK_OFFSET_NANOS_MAX = 50_000_000
-UNKNOWN = "unknown"  # stands for the clock of a peer that has not told its offset
+CLOCK_OFFSET_NANOS_MAX = 50_000_000  # a clock may differ from the other clocks by this much
+UNKNOWN = "unknown"  # the text for a clock whose offset nobody knows
 
 
 def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
-    """Find wrong clocks: those that differ from the clocks of most services and the caller.
+    """Yield one finding about the clocks of all parts, with advice about wrong clocks. Without services yields none.
 
-    A slow answer gives an inexact offset. A clock counts as wrong only if it differs by more than the allowed offset
-    and the greatest errors of both offsets together.
+    The middle of the offsets of the services is the right time. A slow answer gives an inexact offset. A clock counts
+    as wrong only if it differs from the right time by more than CLOCK_OFFSET_NANOS_MAX and the greatest errors of both
+    offsets together.
     """
     offsets = {one: one.clock_offset_nanos for one in seen if one.clock_offset_nanos is not None}
     told = {one: offset for one, offset in offsets.items() if one.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX}
@@ -47,7 +48,7 @@ def clock_findings(seen: Sequence[Observation]) -> Iterator[CheckResult]:
 
 
 def _apart(offsets: Mapping[Observation, int]) -> str:
-    """Say how far the clocks are apart, with the caller's clock, and how exactly that is known."""
+    """Return a text that says how far the clocks, also the caller's, are apart, and how exactly the caller knows it."""
     known = [(offset, one.clock_doubt_nanos) for one, offset in offsets.items()] + [(0, 0)]
     (high, high_doubt), (low, low_doubt) = max(known), min(known, key=lambda one: (one[0], -one[1]))
     return (
@@ -62,5 +63,5 @@ def is_off(offset_nanos: int, uncertainty_nanos: int) -> bool:
 
 
 def ahead(offset_nanos: int) -> str:
-    """Return an offset in words. In the sentence the name of the other clock follows."""
+    """Return an offset as a text such as "30 ms ahead of". The caller appends the owner of the other clock."""
     return f"{format_duration(abs(offset_nanos))} {'ahead of' if offset_nanos > 0 else 'behind'}"

@@ -17,10 +17,10 @@ from stampede_rt.version import VERSION
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-FAILED = 1
-MISUSED = 2
+FAILED = 1  # the exit status of a command that failed
+MISUSED = 2  # the exit status of a command with wrong arguments
 
-OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+OUTPUT_ERRNOS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)  # a disk refuses the output
 
 SERVICE_VERBS = {
     "dev": "run the whole system on this machine, in memory",
@@ -72,7 +72,7 @@ def _drop_output() -> None:
 
 
 def _run_service(verb: str, arguments: Sequence[str]) -> int:
-    # The imports are here and in _parser, not at the top. So neither function loads the modules of the other one.
+    # The imports are here and in _parser, not at the top, so that neither function loads the modules of the other one.
     from importlib.metadata import entry_points
 
     import stampede_rt.grpc_quiet  # noqa: F401  # before anything imports gRPC

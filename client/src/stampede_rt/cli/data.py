@@ -31,7 +31,7 @@ from stampede_rt.values.timeline import MIN_INSTANT, NEWEST, OLDEST, format_inst
 if TYPE_CHECKING:
     from stampede_rt import Channel
 
-NOTHING = 3
+NOTHING = 3  # the exit status of `get` if there are no items
 
 
 def add_verbs(subparsers: Any) -> None:

@@ -9,15 +9,18 @@ from stampede_rt.cli.observations import CALLER, FRONTEND, HOST, PEER, SUPERNODE
 from stampede_rt.cli.output import bytes_text, joined, roughly
 from stampede_rt.cli.supernode_findings import level_finding, refusal
 
-REFUSED_LATELY_NANOS = 600 * 10**9
-NAMED_MAX = 5
+REFUSED_LATELY_NANOS = 600 * 10**9  # a refusal is recent for 10 minutes; only a recent refusal gives advice
+NAMED_MAX = 5  # lost channels or queues that a finding names
 SHORT_PART = 3  # a certificate that is valid for a short time is due for renewal when a third of that time is left
 
 
 def diagnose(
     seen: Sequence[Observation], held: Sequence[Inventory] = (), *, own_version: str, certificate_s_min: float
 ) -> list[CheckResult]:
-    """Return all findings: first those about each part, then those about the whole cluster."""
+    """Return all findings: first one about each part, then the findings about the whole cluster.
+
+    A certificate that ends within `certificate_s_min` seconds gives advice.
+    """
     parts = [_of_part(one, certificate_s_min) for one in seen]
     of_all = [
         *_frontends(seen),
@@ -71,7 +74,7 @@ def _lost(one: Observation) -> tuple[str, str]:
 
 
 def _load(one: Observation) -> tuple[str, str]:
-    """Return the state of a host that serves, and advice: whether it lately refused puts or calls as Overloaded."""
+    """Return the state of a part that serves, and advice if it has lately refused puts or calls as Overloaded."""
     kinds = (
         (one.refused_items, "puts", one.refused_ago_nanos),
         (one.refused_calls, "calls", one.refused_call_ago_nanos),
@@ -85,7 +88,7 @@ def _load(one: Observation) -> tuple[str, str]:
 
 
 def _refused_puts(one: Observation) -> str:
-    """Return advice if the host lately refused puts; otherwise an empty text."""
+    """Return advice if the host has lately refused puts; otherwise an empty text."""
     if one.refused_ago_nanos is None or one.refused_ago_nanos > REFUSED_LATELY_NANOS:
         return ""
     return (
@@ -96,7 +99,7 @@ def _refused_puts(one: Observation) -> str:
 
 
 def _refused_calls(one: Observation) -> str:
-    """Return advice if the host lately refused or ended calls; otherwise an empty text."""
+    """Return advice if the part has lately refused or ended calls; otherwise an empty text."""
     if one.refused_call_ago_nanos is None or one.refused_call_ago_nanos > REFUSED_LATELY_NANOS:
         return ""
     return (
@@ -191,7 +194,10 @@ def _holdings(held: Inventory) -> CheckResult:
 
 
 def _quotas(seen: Sequence[Observation]) -> Iterator[CheckResult]:
-    """Report the calls beyond a quota, with advice if the last one was lately. Yields nothing if there were none."""
+    """Report the calls that were refused because of a quota, with advice if the last refusal is recent.
+
+    Yields nothing if no call was refused.
+    """
     refusing = [one for one in seen if one.quota_refusals]
     if not refusing:
         return
@@ -206,7 +212,7 @@ def _quotas(seen: Sequence[Observation]) -> Iterator[CheckResult]:
 
 
 def _denials(seen: Sequence[Observation]) -> Iterator[CheckResult]:
-    """Report the denied calls. A person must judge them, because a rule that works also denies calls.
+    """Report the calls that rules of access denied, without advice: only a person can tell whether a rule is wrong.
 
     Yields nothing if no call was denied.
     """

@@ -15,7 +15,7 @@ from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration
 from stampede_rt.version import VERSION
 
-CERTIFICATE_S_MIN = 14 * 86400.0
+CERTIFICATE_S_MIN = 14 * 86400.0  # a certificate that ends within two weeks gives advice
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -69,7 +69,7 @@ def _row(finding: CheckResult, form: str) -> dict[str, Any]:
 
 
 def _vague(seen: Observation | None) -> str | None:
-    """Return a text for the clock offset of a part whose answer came too late for an exact offset."""
+    """Return a text for the clock offset of a part with a slow answer; None if the answer gives a useful offset."""
     if seen is None or seen.clock_offset_nanos is None or seen.clock_doubt_nanos <= CLOCK_OFFSET_NANOS_MAX:
         return None
     return f"within {format_duration(abs(seen.clock_offset_nanos) + seen.clock_doubt_nanos)}"

@@ -1,6 +1,6 @@
 """Asks every part of a cluster for its state: front-ends, then the supernodes that they name, then the hosts.
 
-Peers cannot be asked. The leader passes on the facts that peers told it.
+The command cannot ask peers. Instead the leader of the supernodes passes on the facts that peers told it.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 TIMEOUT_S = 5.0  # a front-end looks for a healthy supernode for up to 2 s
-ASKED_AT_ONCE_MAX = 16
-PATIENT_NANOS_MAX = 10**9
-PAGES_MAX = 10_000
+ASKED_AT_ONCE_MAX = 16  # parts that the command asks in parallel
+PATIENT_NANOS_MAX = 10**9  # after a longer round trip the command does not measure the clock a second time
+PAGES_MAX = 10_000  # the pages of one list
 
 
 class _Part(NamedTuple):
@@ -56,14 +56,14 @@ class _Answer(NamedTuple):
 
 
 class Examination:
-    """One look at a cluster. The caller owns `endpoints`."""
+    """One examination of a cluster. The caller closes `endpoints` afterwards."""
 
     def __init__(self, endpoints: EndpointPool) -> None:
         self._endpoints = endpoints
         self._pool = ThreadPoolExecutor(ASKED_AT_ONCE_MAX)
 
     def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Inventory]]:
-        """Ask the front-ends, the named members, and the parts that these name.
+        """Ask the front-ends, the supernodes at `members`, and all parts that they name.
 
         Returns an observation of each part, and the inventories of channels and queues. Blocks for about 8 * TIMEOUT_S
         at most.
@@ -100,7 +100,7 @@ class Examination:
             request.page_token = page.next_page_token
 
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
-        """Ask the named supernodes and those that they list. A supernode can list them even without a majority."""
+        """Ask the named supernodes, and the supernodes that they list. A supernode can list even without a majority."""
         first = self._ask(_supernode(name, address) for address, name in named.items())
         own_id = _cluster_of_most(first)
         ready_first = sorted((one for one in first if not _of_others(one, own_id)), key=lambda one: not one.seen.ready)
@@ -124,9 +124,9 @@ class Examination:
         return [*self._ask(map(_host, alive)), *(_Answer(None, one) for one in lost)]
 
     def _peers(self, supernodes: Sequence[_Answer]) -> Iterator[Any]:
-        """Yield the records of live peers, with the clocks that they told the leader.
+        """Yield the records of live peers, with the clock offsets that the peers told the leader.
 
-        Without a leader they have no clocks.
+        Without a leader the records have no clock offsets.
         """
         request = peer_pb.ListPeersRequest(stale_ok=True, with_clocks=True)
         for _ in range(PAGES_MAX):
@@ -142,7 +142,7 @@ class Examination:
             request.page_token = page.next_page_token
 
     def _first(self, supernodes: Iterable[_Answer], method: str, request: Any) -> Any:
-        """Return the first supernode's answer to this request; None if none answers."""
+        """Return the answer of the first supernode that answers `request`; None if no supernode answers."""
         for one in supernodes:
             if one.response is not None:
                 endpoint = self._endpoints.to(one.seen.address)
@@ -156,7 +156,7 @@ class Examination:
         return list(self._pool.map(self._probe, parts))
 
     def _probe(self, part: _Part) -> _Answer:
-        """Make one call. Returns the response (None if it failed) and the observation."""
+        """Ask one part. Returns its response, or None if the call failed, and the observation."""
         seen = Observation(kind=part.kind, name=part.name, address=part.address)
         tls = self._endpoints.credentials.tls
         try:
@@ -205,7 +205,7 @@ class Examination:
         return response, sent, round_trip
 
     def _own(self) -> list[Observation]:
-        """The caller's own certificate, if it has one."""
+        """Return an observation of the caller's own certificate; an empty list if the caller has no certificate."""
         tls = self._endpoints.credentials.tls
         if tls is None:
             return []
@@ -218,7 +218,7 @@ class Examination:
 
 
 def _certificate(validity: Validity | None) -> dict[str, Any]:
-    """How long a certificate lasts, and how much of that is left."""
+    """Return the fields of an observation that say how long a certificate is valid in all, and from now on."""
     if validity is None:
         return {}
     lasts_s = validity.ends_s - validity.begins_s
@@ -226,7 +226,7 @@ def _certificate(validity: Validity | None) -> dict[str, Any]:
 
 
 def _said_by_itself(error: StampedeError) -> bool:
-    """Whether the part itself answered with `error`. Otherwise the call did not reach the part, or broke."""
+    """Whether the part itself answered that it is unavailable. If not, the call did not reach the part, or broke."""
     cause: Any = error.__cause__
     return any(key == DETAILS_KEY for key, _ in cause.trailing_metadata() or ()) and isinstance(error, Unavailable)
 
@@ -248,8 +248,8 @@ def _host(host: Any) -> _Part:
 def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:
     """Return the observation of a peer.
 
-    The peer told the offset between its clock and that of a supernode. If the caller knows the offset between that
-    supernode's clock and its own, the sum of both is the offset of the peer's clock.
+    The peer has measured the offset of its clock from the clock of a supernode. If the caller knows the offset of this
+    supernode's clock from the caller's clock, the sum of both is the offset of the peer's clock.
     """
     seen = Observation(kind=PEER, name=record.name or record.peer_id.hex(), address="-", version=record.version)
     between = supernodes.get(record.clock.supernode_id) if record.HasField("clock") else None
@@ -269,12 +269,12 @@ def _lost(host: Any) -> Observation:
 
 
 def _levels(response: Any) -> dict[str, Any]:
-    """The feature levels of a supernode."""
+    """Return the fields of an observation for the feature levels of a supernode."""
     return {"feature_level": response.feature_level, "highest_feature_level": response.highest_feature_level}
 
 
 def _load(response: Any) -> dict[str, Any]:
-    """The memory of a host, and the number of items and calls that it refused."""
+    """Return the fields of an observation for the memory of a host, and for the items and calls that it refused."""
     return {
         "refused_items": response.refused_items,
         "refused_ago_nanos": _optional(response, "refused_ago_nanos"),
@@ -290,7 +290,7 @@ def _optional(message: Any, field: str) -> Any:
 
 
 def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
-    """Count the channels or queues; None if no supernode gave the list."""
+    """Count the channels or queues in `pages`. Returns None if a page is None, because no supernode gave that page."""
     count, lost = 0, []
     for page in pages:
         if page is None:
@@ -308,7 +308,7 @@ def _gatekeeper(host: Any) -> str:
 
 
 def _cluster_of_most(answers: Iterable[_Answer]) -> str:
-    """Return the id of the cluster to which most of these supernodes belong; empty if none tells its cluster."""
+    """Return the id of the cluster to which most of these supernodes belong; empty if no answer names a cluster."""
     told = Counter(one.response.cluster_id for one in answers if one.response is not None and one.response.cluster_id)
     return told.most_common(1)[0][0] if told else ""
 
@@ -319,7 +319,7 @@ def _of_others(answer: _Answer, own_id: str) -> bool:
 
 
 def _told_apart(answer: _Answer, own_id: str) -> _Answer:
-    """Return the answer. If the supernode is of another cluster, add that to the observation as a failure."""
+    """Return the answer. If the supernode is of another cluster than `own_id`, the observation says so as a failure."""
     if not _of_others(answer, own_id):
         return answer
     failure = (
@@ -330,9 +330,9 @@ def _told_apart(answer: _Answer, own_id: str) -> _Answer:
 
 
 def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]:
-    """Return the ids of the supernodes whose stores this one refuses, each with the reason.
+    """Return the ids of the supernodes whose stores the answering supernode refuses, each with the reason.
 
-    Empty if this supernode is a copy that answers at another supernode's address.
+    Returns none if another supernode should answer at this address, because the answer may come from a copied store.
     """
     if answer.response is None:
         return {}
@@ -341,9 +341,9 @@ def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]
 
 
 def _named(answer: _Answer, listed: dict[str, str], refused: Mapping[str, str]) -> _Answer:
-    """Return the answer with the facts that other supernodes tell about this one.
+    """Return the answer of a supernode with the facts that other supernodes tell about it.
 
-    They tell the id that belongs to the address, whether it is a member, and why they refuse it.
+    `listed` has the ids of the members by address, and `refused` the reasons why others refuse a supernode, by its id.
     """
     seen = answer.seen
     expected = listed.get(seen.address, "")

@@ -26,7 +26,7 @@ from stampede_rt.values.timeline import format_duration, format_instant
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection, Group
 
-NOTHING = 3
+NOTHING = 3  # the exit status if nothing is visible
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -138,7 +138,7 @@ def run_create(arguments: argparse.Namespace) -> int:
 
 
 def _existing(rt: Connection, name: str) -> Group:
-    """Open an existing group. Raises GroupNotFound in the words of the command line."""
+    """Open an existing group. Raises GroupNotFound with an error text for users of the command line."""
     try:
         return rt.group(name)
     except GroupNotFound as error:
@@ -186,7 +186,7 @@ def _member_row(status: GroupStatus[Channel], channel: Channel, form: str) -> di
 
 
 def _lead(nanos: int | None) -> str | None:
-    """Say how far a member's newest item is ahead of the cut."""
+    """Return a text that says how far a member's newest item is ahead of the cut; None if that is not known."""
     if nanos is None:
         return None
     return format_duration(nanos) if nanos else "at the cut"

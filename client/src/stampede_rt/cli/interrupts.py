@@ -1,9 +1,9 @@
 """Ctrl-C in commands.
 
 Python's own handler raises KeyboardInterrupt at any place in the main thread. Inside gRPC or `threading` the thread may
-just have taken a lock, and not yet be inside the `with` block that releases it. Then the lock is never released, and
-the call that ends the stream waits for the lock for ever. In a weakref callback Python drops the exception. Therefore a
-command runs on another thread. The main thread only waits, and its handler raises nothing.
+just have taken a lock, and not yet be inside the `with` block that releases the lock. Nobody then releases this lock,
+and the call that ends the stream waits for it for ever. If the exception comes in a weakref callback, Python drops it.
+Therefore a command runs on another thread. The main thread only waits, and its handler raises nothing.
 """
 
 from __future__ import annotations
@@ -17,31 +17,31 @@ from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
-INTERRUPTED = 130
+INTERRUPTED = 130  # the exit status after Ctrl-C
 CLOSE_S = 2.0  # how long a command may take to leave the cluster after Ctrl-C
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
 UNWIND_S = 20.0  # how long a command in `unwinding` may take to stop its processes
 
 
 class Interruption:
-    """Knows whether the user pressed Ctrl-C, and the functions to call then."""
+    """Knows whether the user has pressed Ctrl-C (`asked`), and the functions to call after that."""
 
     def __init__(self) -> None:
         self.asked = False
         self._closes: list[Callable[[], object]] = []
 
     def closes(self, close: Callable[[], object]) -> None:
-        """Call `close` after Ctrl-C, on a thread of its own."""
+        """Keep the function `close`. After Ctrl-C a thread of its own calls it."""
         self._closes.append(close)
 
     def close(self) -> None:
-        """Call all the functions, the latest first."""
+        """Call all functions that `closes` has kept, the latest first, and forget them."""
         while self._closes:
             with suppress(Exception):  # the process ends in any case
                 self._closes.pop()()
 
     def begin(self) -> None:
-        """Begin a new command."""
+        """Forget Ctrl-C and the functions of the command before."""
         self.asked = False
         self._closes.clear()
 
@@ -52,9 +52,9 @@ interruption = Interruption()
 def run_interruptibly(work: Callable[[], int]) -> int:
     """Run `work` on a thread of its own and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
 
-    Ctrl-C closes the command's connections, and waits for the work to end, for at most CLOSE_S. A second Ctrl-C ends
-    the process at once. Only the main thread receives signals. If the caller is another thread, or if the process
-    ignores Ctrl-C, `work` runs on the caller's thread.
+    After Ctrl-C this function closes the command's connections, and waits for the end of `work`, both for at most
+    CLOSE_S. A second Ctrl-C ends the process immediately. Only the main thread receives signals. If the caller is
+    another thread, or if the process ignores Ctrl-C, `work` runs on the caller's thread.
     """
     deaf = threading.current_thread() is not threading.main_thread()
     if deaf or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -80,7 +80,7 @@ def run_interruptibly(work: Callable[[], int]) -> int:
 
 
 def _next(events: SimpleQueue[Any]) -> Any:
-    """Return the next event. A signal to another thread does not wake this one, so this thread looks every LOOK_S."""
+    """Return the next event. A signal that another thread gets does not wake this thread, so it looks every LOOK_S."""
     while True:
         with suppress(Empty):
             return events.get(timeout=LOOK_S)
@@ -110,7 +110,7 @@ def _raising(error: BaseException) -> Callable[[], int]:
 def _close(events: SimpleQueue[Any]) -> NoReturn:
     """Close the connections, wait for the work and its output, and end the process. Blocks for at most CLOSE_S.
 
-    A normal end of the interpreter would wait for locks of gRPC's threads, and these threads no longer run then.
+    A normal end of the interpreter would hang. It waits for locks that gRPC's threads hold, and they no longer run.
     """
     closed: SimpleQueue[None] = SimpleQueue()
 
@@ -129,7 +129,7 @@ def _close(events: SimpleQueue[Any]) -> NoReturn:
 
 @contextmanager
 def ended_at_once() -> Iterator[None]:
-    """Let Ctrl-C end the process at once while a service loads. The service then installs its own signal handlers."""
+    """Let Ctrl-C end the process immediately while a service loads. The service then installs its own handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -147,7 +147,8 @@ def ended_at_once() -> Iterator[None]:
 def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[None]:
     """Raise KeyboardInterrupt at the first of these signals, for a command that must stop processes.
 
-    The process ends after `limit_s` at the latest, even if the exception is lost. A second signal ends it at once.
+    After the first signal the process ends within `limit_s`, even if Python drops the exception. A second signal ends
+    the process immediately.
     """
     asked: list[int] = []
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def add_verbs(subparsers: Any) -> None:
-    """Add the noun of this module and its verbs, and `peers`."""
+    """Add the noun `mailbox` and its verbs, and the verb `peers`."""
     peers = add_verb(subparsers, "peers", "list peers: connections with a name", run_peers)
     peers.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "robot/*"')
     peers.add_argument("--all", action="store_true", help="also list peers whose leases have ended")
@@ -71,7 +71,7 @@ def run_peers(arguments: argparse.Namespace) -> int:
 
 
 def _advice(peers: list[PeerInfo]) -> list[str]:
-    """Return advice about wrong clocks. `stampede doctor` has the same rule, and also tells which clock is wrong."""
+    """Return advice about wrong clocks of peers. `stampede doctor` applies the same rule."""
     return [
         f"{peer.name or peer.peer_id.hex()}: its clock is {ahead(peer.clock.offset_nanos)} that of supernode "
         f"{peer.clock.supernode}; synchronise it (chrony, ntpd), or ask `stampede doctor` which of the two is wrong"
@@ -95,7 +95,7 @@ def _row(peer: PeerInfo, hosts: dict[bytes, str], form: str) -> dict[str, Any]:
 
 
 def _clock(peer: PeerInfo, people: bool) -> dict[str, Any]:
-    """Return the offset from the clock of a supernode. It is nearly always the leader."""
+    """Return the column for the offset of a peer's clock from a supernode's clock, mostly the leader's clock."""
     if not people:
         return {"clock": None if peer.clock is None else asdict(peer.clock)}
     if peer.clock is None:
@@ -129,7 +129,7 @@ def run_get(arguments: argparse.Namespace) -> int:
 
 
 def run_pending(arguments: argparse.Namespace) -> int:
-    """List the messages that a peer has taken and not settled."""
+    """List the messages that a peer has taken from its mailbox and not yet settled."""
     with connected(arguments) as rt:
         try:
             found = rt.mailbox_pending(arguments.peer, arguments.count)

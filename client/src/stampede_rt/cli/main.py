@@ -9,7 +9,7 @@ import sys
 
 from stampede_rt.cli.interrupts import INTERRUPTED, ended_at_once, run_interruptibly
 
-# These verbs have their own signal handlers. Handlers work only on the main thread.
+# These verbs install their own signal handlers, which Python allows only on the main thread.
 ON_THE_MAIN_THREAD = ("dev", "frontend", "supernode", "host", "certs", "demo", "bench")
 
 

@@ -19,7 +19,7 @@ from stampede_rt.values.timeline import format_duration, format_instant
 if TYPE_CHECKING:
     from stampede_rt import DeadLetterOrigin, Enqueued, Message, PendingMessage, QueueStats
 
-NOTHING = 3
+NOTHING = 3  # the exit status of a `take` that gets no message
 STDIN_BYTES_MAX = 16 * 1024 * 1024
 
 
@@ -27,7 +27,7 @@ class MessageSource(Protocol):
     """A handle that gives messages."""
 
     def get(self, timeout: float | None = None) -> Message | None:
-        """Return the next message, or None."""
+        """Return the next message; None if no message comes within `timeout` seconds."""
 
 
 def add_payload(parser: argparse.ArgumentParser, *, message_id: bool = False) -> None:
@@ -58,7 +58,7 @@ def payload_of(arguments: argparse.Namespace) -> bytes:
 
 
 def print_sent(thing: dict[str, Any], enqueued: Enqueued, form: str) -> None:
-    """Print the seq of an accepted message; `thing` is the kind and name of its queue or mailbox."""
+    """Print the seq of an accepted message. `thing` has one entry: the kind and the name of the queue or mailbox."""
     (name,) = thing.values()
     known = " (the queue has this message id already)" if enqueued.duplicate else ""
     told = thing | {"seq": enqueued.seq, "duplicate": enqueued.duplicate}
@@ -66,7 +66,7 @@ def print_sent(thing: dict[str, Any], enqueued: Enqueued, form: str) -> None:
 
 
 def take(source: MessageSource, arguments: argparse.Namespace) -> int:
-    """Take and print messages, and settle each one after it is printed. Returns the exit status."""
+    """Take up to `--count` messages. Prints each message and then settles it. Returns the exit status."""
     for count in range(arguments.count):
         message = source.get(timeout=arguments.timeout)
         if message is None:
@@ -114,7 +114,7 @@ def _row(message: Message) -> dict[str, Any]:
 
 
 def _origin_text(origin: DeadLetterOrigin) -> str:
-    """Return the origin of a dead letter, in one line."""
+    """Return the origin of a dead letter as one line for people."""
     ended = origin.ended.replace("_", " ") or "for an unknown reason"
     by = f" by {escaped(origin.taker)}" if origin.taker else ""
     why = f": {escaped(origin.reason)}" if origin.reason else ""
@@ -147,7 +147,7 @@ def print_pending(pending: Sequence[PendingMessage], name: str, form: str) -> No
 
 
 def counted(stats: QueueStats, form: str) -> dict[str, Any]:
-    """Return a queue's counters by their names."""
+    """Return a queue's counters by their names, for a table with texts for people or for JSON."""
     people = form == "table"
     age = None if stats.oldest is None else stats.host_time - stats.oldest
     return {

@@ -10,26 +10,27 @@ FRONTEND, SUPERNODE, HOST, PEER, CALLER = "front-end", "supernode", "host", "pee
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Observation:
-    """One part's answer, or the reason why it gave none (`failure`).
+    """The facts about one part of a cluster, or the reason why the part did not answer (`failure`).
 
-    - `clock_offset_nanos`: how far its clock is ahead of the caller's. The error is at most half of the round trip.
+    - `clock_offset_nanos`: how far the part's clock is ahead of the caller's clock. The error is at most half of the
+      round trip.
     - `alive`: whether the directory says that a host lives. `lease_held`: whether the host says that it has its lease.
     - `knows_supernodes`: whether a front-end knows supernodes.
     - `lost_for_nanos`: the time since the directory ended the lease of a host that did not deregister.
     - `refused_items`: the number of items that a host refused as Overloaded since its start, the last one
       `refused_ago_nanos` ago.
-    - `refused_calls`: the number of calls that it refused or ended as Overloaded, the last one
+    - `refused_calls`: the number of calls that a host refused or ended as Overloaded since its start, the last one
       `refused_call_ago_nanos` ago.
-    - `denials`: the number of calls that it denied since its start, for the caller's proof or role or by the rules of
-      access, the last one `denied_ago_nanos` ago.
-    - `quota_refusals`: the number of calls that it refused since its start because their callers were beyond a quota,
-      the last one `quota_refused_ago_nanos` ago.
-    - `is_member`: whether the other supernodes list this one.
-    - `refuses_caller`: the part runs, but the caller's secret or certificate, or the part's own one, does not fit.
-    - `refused_because`: why other supernodes refuse its store.
+    - `denials`: the number of calls that the part denied since its start, because of the caller's proof or role or by
+      the rules of access, the last one `denied_ago_nanos` ago.
+    - `quota_refusals`: the number of calls that the part refused since its start because their callers were beyond a
+      quota, the last one `quota_refused_ago_nanos` ago.
+    - `is_member`: whether the supernodes list this supernode as a member.
+    - `refuses_caller`: the part runs, but the caller's secret or certificate, or the part's certificate, is wrong.
+    - `refused_because`: why other supernodes refuse the store of this supernode.
 
-    A peer cannot be asked; the leader passes on the peer's facts. The round trip of a peer is the sum of two: from the
-    caller to a supernode, and from the peer to that supernode.
+    The facts about a peer come from the leader. The round trip of a peer is the sum of two round trips: from the caller
+    to a supernode, and from the peer to that supernode.
     """
 
     kind: str
@@ -57,15 +58,15 @@ class Observation:
     round_trip_nanos: int | None = None
     clock_offset_nanos: int | None = None
     version: str = ""
-    # Of a supernode: the cluster's feature level as it knows it, and the highest level of its release. 0: not told.
+    # The cluster's feature level as a supernode knows it, and the highest level of its release. 0: not known.
     feature_level: int = 0
     highest_feature_level: int = 0
     certificate_left_s: float | None = None
-    certificate_lasts_s: float = float("inf")  # from the begin to the end of its validity
+    certificate_lasts_s: float = float("inf")  # from the beginning to the end of the certificate's validity
 
     @property
     def clock_doubt_nanos(self) -> int:
-        """The greatest error of the clock offset. The request may have taken all of the round trip, or none of it."""
+        """The greatest error of the clock offset: half of the round trip."""
         return (self.round_trip_nanos or 0) // 2
 
     @property

@@ -13,11 +13,11 @@ from stampede_rt.escaping import escaped
 from stampede_rt.values.model import Item, Policy
 from stampede_rt.values.timeline import format_duration, format_instant
 
-PREVIEW_CHARACTERS_MAX = 60
+PREVIEW_CHARACTERS_MAX = 60  # of a text payload
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], form: str, *, none: str) -> None:
-    """Print rows of the same keys as a table, a JSON array or JSON lines; `none` stands for an empty table."""
+    """Print rows with the same keys as a table, a JSON array or JSON lines. `none` is the text for an empty table."""
     if form == "json":
         print(json.dumps(rows, indent=2))
     elif form == "jsonl":
@@ -58,7 +58,7 @@ def print_facts(facts: Mapping[str, Any], form: str) -> None:
 
 
 def print_behind(behind: Mapping[str, str]) -> None:
-    """Warn of the parts of a cluster that do not use a change of access yet, each with the reason."""
+    """Warn that parts of the cluster do not apply a change of access yet. `behind` has the reason for each part."""
     for name, why in behind.items():
         print(f"stampede: not in force yet at {escaped(name)}: {escaped(why)}", file=sys.stderr)
 
@@ -113,7 +113,7 @@ def _text(payload: bytes) -> str | None:
 
 
 def policy_text(policy: Policy) -> str:
-    """Return a policy in a few words."""
+    """Return a channel's policy as a short text for people."""
     parts = []
     if policy.max_age_nanos is not None:
         longest = policy.max_age_unconsumed_nanos
@@ -140,7 +140,7 @@ def bytes_text(count: float) -> str:
 
 
 def roughly(nanos: int) -> str:
-    """Return a duration as a text with two digits."""
+    """Return a duration as a text for people, rounded to two digits."""
     return format_duration(int(float(f"{nanos:.2g}")))
 
 

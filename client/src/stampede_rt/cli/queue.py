@@ -25,7 +25,7 @@ from stampede_rt.values.timeline import format_duration
 if TYPE_CHECKING:
     from stampede_rt import Connection, Queue, QueueInfo, QueuePolicy
 
-STATED = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter")
+STATED = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter")  # policy options
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -114,7 +114,7 @@ def _row(rt: Connection, info: QueueInfo, names: Mapping[bytes, str], arguments:
 
 
 def policy_text(policy: QueuePolicy, names: Mapping[bytes, str]) -> str:
-    """Return a policy in a few words; `names` are the names of queues by their ids."""
+    """Return a queue's policy as a short text for people. `names` has the names of queues by their ids."""
     dead = policy.dead_letter_queue_id
     lease_nanos = LEASE_NANOS_DEFAULT if policy.lease_nanos is None else policy.lease_nanos
     parts = [

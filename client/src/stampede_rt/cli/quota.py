@@ -19,8 +19,8 @@ QUOTAS = (
     "bytes-held", "cpu-percent",
 )  # fmt: skip
 IN_BYTES = frozenset({"bytes-in-flight", "bytes-held"})
-DEFAULT = "(default)"
-UNLIMITED = 2**62
+DEFAULT = "(default)"  # the text for the subject of a default limit
+UNLIMITED = 2**62  # a limit of this number or more is no limit
 _UNITS = {"": 1, "B": 1, "KiB": 2**10, "MiB": 2**20, "GiB": 2**30}
 _LIMIT = re.compile(r"(\d{1,19})\s*(B|KiB|MiB|GiB)?", re.ASCII)
 _WHO_HELP = (
@@ -119,7 +119,7 @@ def run_ls(arguments: argparse.Namespace) -> int:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Tell the limits of one caller."""
+    """Print the limits of one caller."""
     from stampede_rt.v1 import quota_service_pb2 as pb
 
     answer = _asked(arguments, "CheckQuotas", pb.CheckQuotasRequest(subject=arguments.who))
@@ -132,7 +132,7 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def run_use(arguments: argparse.Namespace) -> int:
-    """Tell who uses how much, and who was refused."""
+    """Print how much callers use of their quotas, and whose calls were refused."""
     from stampede_rt.administration.running_cluster import reached
 
     with reached(arguments.url, None) as cluster:

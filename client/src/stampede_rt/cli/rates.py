@@ -1,4 +1,4 @@
-"""`stampede hz` and `stampede bw`: rates from the host's counters. The host sends no payloads for them."""
+"""`stampede hz` and `stampede bw`: rates, computed from the host's counters. The host sends no payloads for this."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _seconds(text: str) -> float:
 
 
 def _samples(channel: Channel, every_s: float, count: int | None) -> Iterator[tuple[ChannelStats, ChannelStats]]:
-    """Yield pairs of counters: the earlier ones, and those `every_s` later by the host's clock."""
+    """Yield pairs of counters: earlier counters, and the counters about `every_s` later. Each has the host's time."""
     before = channel.stats()
     made = 0
     while count is None or made < count:

@@ -23,12 +23,12 @@ from stampede_rt.values.timeline import format_duration, format_instant
 
 FAILED = 1
 LEADER, FOLLOWER = SERVING = ("leader", "follower")
-TOKEN_HOURS_MAX = 24
+TOKEN_HOURS_MAX = 24  # the longest validity of a token for a joining supernode
 IN_MEMORY_ADVICE = (
     "This cluster is kept in memory alone, and ends with its processes. If {names} should be of another cluster, start "
     "it again with its --data-dir."
 )
-ID_BYTES = 4
+ID_BYTES = 4  # of a random supernode id
 
 
 def administer(argv: Sequence[str]) -> int:
@@ -93,7 +93,7 @@ def _run_status(arguments: argparse.Namespace) -> int:
         listed = cluster.members()
         own_id = cluster.cluster_id
         pongs = {record.supernode_id: _ping(cluster, record) for record in listed.supernodes}
-    # This leaves out the answer of a copy of a member's folder that runs at another member's address.
+    # Leave out an answer at a member's address that comes from a copy of another member's folder.
     heard = (pong for name, (pong, _) in pongs.items() if pong and pong.supernode_id == name)
     heard = (pong for pong in heard if pong.cluster_id in ("", own_id))
     refused = gathered(pong.refused_supernodes for pong in heard)
@@ -134,7 +134,7 @@ def _level_line(level: int, highest: Mapping[str, int | None]) -> str:
 
 
 def _ping(cluster: Cluster, record: SupernodeRecord) -> tuple[Any, int | None]:
-    """Return the supernode's own state and the time of the answer; None if it does not answer."""
+    """Return the supernode's answer and the round trip in nanoseconds; None for both if it does not answer."""
     began = time.monotonic_ns()
     pong = cluster.ping(record.endpoint.target)
     return pong, time.monotonic_ns() - began if pong is not None else None
@@ -155,7 +155,7 @@ def _row(
 
 
 def _highest_level(record: SupernodeRecord, pong: Any) -> int | None:
-    """Return the highest level of the supernode's release: from its own answer, or from the list. None: not told."""
+    """Return the highest level of the supernode's release, from its own answer or from the list; None if not known."""
     said = pong.highest_feature_level if pong is not None and is_there(record, pong) else 0
     return said or record.highest_feature_level or None
 
@@ -230,7 +230,7 @@ def run_snapshot(arguments: argparse.Namespace) -> int:
 
 
 def _address_of(members: Sequence[SupernodeRecord], supernode_id: str | None) -> str:
-    """Return the address of the member with that id, or of the leader. Raises StampedeError."""
+    """Return the address of the member `supernode_id`, or of the leader if the id is None. Raises StampedeError."""
     for member in members:
         if member.supernode_id == supernode_id or (supernode_id is None and member.is_leader):
             return member.endpoint.target

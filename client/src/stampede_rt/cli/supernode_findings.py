@@ -1,4 +1,4 @@
-"""The findings about a supernode that others refuse, and about the cluster's feature level. The module is pure."""
+"""The findings about a supernode that other supernodes refuse, and about the feature level. The module is pure."""
 
 from __future__ import annotations
 
@@ -37,7 +37,10 @@ REPLACE_ADVICE = (
 
 
 def gathered(told: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Return for each refused supernode all the reasons that others give, in one text."""
+    """Return for each refused supernode all reasons that other supernodes give, in one text.
+
+    `told` has the reasons of each other supernode, by the id of the refused supernode.
+    """
     reasons: dict[str, dict[str, None]] = {}
     for one in told:
         for name, why in one.items():
@@ -46,7 +49,7 @@ def gathered(told: Iterable[Mapping[str, str]]) -> dict[str, str]:
 
 
 def refusal(why: str) -> tuple[str, str]:
-    """The state of a supernode, and what to do. Others refuse it for the reason `why`, or it refuses to serve."""
+    """Return the state of a supernode, and advice. `why` says why others refuse it, or why it does not serve."""
     if DIVERGED in why:
         return "diverged", f"{why}; {REPLACE_ADVICE}"
     if DOUBTFUL in why and REFUSED_BY not in why:
@@ -59,9 +62,9 @@ def refusal(why: str) -> tuple[str, str]:
 
 
 def level_finding(level: int, highest: Mapping[str, int | None]) -> tuple[str, str]:
-    """The feature level of a cluster, and what to do if supernodes keep it from rising.
+    """Return the feature level of a cluster as a text, and advice if some supernodes keep the level from rising.
 
-    `highest` has for each supernode the highest level that its release knows, or None if the supernode has not told it.
+    `highest` has for each supernode the highest level that its release knows, or None if this level is not known.
     """
     goal = max((known for known in highest.values() if known is not None), default=level)
     if goal <= level:

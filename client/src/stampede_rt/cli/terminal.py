@@ -1,4 +1,4 @@
-"""Text for terminals: payloads that may go there as they are, and tables that fit the width of the terminal."""
+"""Text for terminals: a check of payloads for `--raw`, and tables that fit the width of the terminal."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from itertools import zip_longest
 
 from stampede_rt.errors import InvalidArgument
 
-GAP = "  "
-CELL_CHARACTERS_MIN = 8
+GAP = "  "  # between two columns
+CELL_CHARACTERS_MIN = 8  # no column becomes narrower
 
 
 def check_raw_output(payload: bytes) -> None:
-    """Raise InvalidArgument if standard output is a terminal and `payload` could give it commands."""
+    """Raise InvalidArgument if standard output is a terminal and `payload` could give commands to the terminal."""
     if not sys.stdout.isatty():
         return
     try:
@@ -30,12 +30,12 @@ def check_raw_output(payload: bytes) -> None:
 
 
 def columns_max() -> int | None:
-    """The greatest number of characters in a line; None if standard output is not a terminal."""
+    """Return the greatest number of characters in a line; None if standard output is not a terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool], width_max: int | None) -> list[str]:
-    """`rows` as lines of aligned columns; `right` says which columns are aligned to the right.
+    """Return `rows` as lines of aligned columns. `right` says for each column whether it is aligned to the right.
 
     The function wraps the widest text columns until a line has at most `width_max` characters. If `width_max` is None,
     it wraps no column.
@@ -53,9 +53,9 @@ def table_lines(rows: Sequence[Sequence[str]], right: Sequence[bool], width_max:
 
 
 def _fitted(widths: Sequence[int], right: Sequence[bool], sum_max: int) -> list[int]:
-    """`widths`, with the widest text columns narrowed until the sum of all is at most `sum_max`.
+    """Return `widths`, with the widest text columns narrowed until the sum of all widths is at most `sum_max`.
 
-    The function makes no column narrower than CELL_CHARACTERS_MIN. The sum may therefore stay greater.
+    The function makes no column narrower than CELL_CHARACTERS_MIN. The sum may therefore stay above `sum_max`.
     """
     fitted = list(widths)
     while sum(fitted) > sum_max:

@@ -17,7 +17,7 @@ TTL_DEFAULT = "1h"
 
 
 def add_verbs(subparsers: Any) -> None:
-    """Add the noun of this module and its verb."""
+    """Add the noun of this module and its verbs."""
     text = "tokens that prove a client's name and roles for a while"
     noun = subparsers.add_parser("token", help=text, description=text)
     verbs = noun.add_subparsers(dest="token_verb", metavar="VERB", required=True, parser_class=VerbParser)
@@ -39,7 +39,7 @@ def add_verbs(subparsers: Any) -> None:
 
 
 def run_issue(arguments: argparse.Namespace) -> int:
-    """Print the token, or write it to a file."""
+    """Make a token, and print it or write it to a file."""
     from stampede_rt.administration.running_cluster import reached  # gRPC takes 0.1 s to load
 
     with reached(arguments.url, None) as cluster:
@@ -71,7 +71,7 @@ def run_revoke(arguments: argparse.Namespace) -> int:
 
 
 def _write(path: Path, token: str) -> None:
-    """Write the token to a new file. The function never overwrites a file, which may hold another secret."""
+    """Write the token to a new file. Never overwrites a file, because that file may hold another secret."""
     try:
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
             file.write(token + "\n")

@@ -9,7 +9,7 @@ from stampede_rt.errors import InvalidArgument
 
 DEFAULT_PORT = 7580
 DEFAULT_URL = f"localhost:{DEFAULT_PORT}"
-ADDRESSES_MAX = 16
+ADDRESSES_MAX = 16  # in one URL
 _LOOPBACK_NAMES = ("localhost", "ip6-localhost", "ip6-loopback")
 
 
@@ -56,7 +56,7 @@ def _parse_one(address: str) -> str:
 
 
 def _is_host(host: str) -> bool:
-    """Whether it is a name, an IPv4 address, or an IPv6 address in brackets. Services take the same forms."""
+    """Whether `host` is a name, an IPv4 address, or an IPv6 address in brackets. Services take the same forms."""
     bracketed = host.startswith("[") and host.endswith("]")
     bare = host[1:-1] if bracketed else host
     return bool(bare) and (bracketed or ":" not in bare) and bare.isprintable() and not re.search(r"[\s/\[\]]", bare)

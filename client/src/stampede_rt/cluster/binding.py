@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
-CACHE_ENTRIES_MAX = 100_000
+CACHE_ENTRIES_MAX = 100_000  # owners, and also bindings
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,7 +23,10 @@ class Binding:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Owner:
-    """The host that owns a channel or queue, and its epoch. `incarnation` is for queues, 0 for channels."""
+    """The host that owns a channel or queue, with the epoch of the channel or queue there.
+
+    `incarnation` is that of a queue. For a channel it is 0, and the channel's binding has the incarnation.
+    """
 
     host_id: bytes
     epoch: int
@@ -35,8 +38,8 @@ class Owner:
 class BindingCache:
     """The gatekeepers of hosts, the owners of channels and queues, and the bindings of channels.
 
-    The cache keeps one binding for each channel and thread, so that each thread has a connection of its own. The client
-    forgets a stale entry. The cache is bounded: a full one starts empty again.
+    The cache keeps one binding for each channel and thread. The client forgets a stale entry. The cache is bounded: a
+    full cache drops its entries and starts again.
     """
 
     _gatekeepers: dict[bytes, Sequence[str]] = field(default_factory=dict)
@@ -53,7 +56,7 @@ class BindingCache:
         return self._owners.get(subject_id)
 
     def gatekeepers(self, host_id: bytes) -> Sequence[str]:
-        """Return the addresses of a host's gatekeeper, best first; none if the cache has none."""
+        """Return the addresses of a host's gatekeeper, best first; an empty sequence if the cache has none."""
         return self._gatekeepers.get(host_id, ())
 
     def learn_owner(self, subject_id: bytes, owner: Owner, gatekeepers: Sequence[str]) -> None:
@@ -65,13 +68,13 @@ class BindingCache:
         self._gatekeepers[owner.host_id] = tuple(gatekeepers)
 
     def learn_binding(self, binding: Binding, thread_id: int) -> None:
-        """Keep the binding that a gatekeeper gave a thread."""
+        """Keep the binding that a gatekeeper gave to a thread."""
         if len(self._bindings) >= CACHE_ENTRIES_MAX:
             self._bindings.clear()
         self._bindings.setdefault(binding.subject_id, {})[thread_id] = binding
 
     def forget(self, subject_id: bytes) -> None:
-        """Drop the bindings and the owner of a channel or queue, and the gatekeepers of that host."""
+        """Drop the bindings and the owner of a channel or queue, and the gatekeepers of this owner."""
         self._bindings.pop(subject_id, None)
         owner = self._owners.pop(subject_id, None)
         if owner is not None:
@@ -87,9 +90,10 @@ class BindingCache:
 def order_by_round_trip(
     targets: Iterable[str], round_trip_s: dict[str, float], elsewhere: Collection[str] = ()
 ) -> list[str]:
-    """Sort supernodes: those of the caller's zone before those `elsewhere`, then by round trip (paper, section 4.3).
+    """Return the supernodes at `targets`, best first (paper, section 4.3).
 
-    Those that did not answer come last. Equal ones keep their order.
+    Supernodes of the caller's zone come before the supernodes `elsewhere`, and a shorter round trip comes before a
+    longer one. Supernodes without a round trip did not answer, and come last. Equal supernodes keep their order.
     """
 
     def order(target: str) -> tuple[bool, bool, float]:

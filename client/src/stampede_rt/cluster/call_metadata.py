@@ -7,7 +7,10 @@ from stampede_rt.security.credentials import call_metadata
 
 
 class CallMetadata:
-    """The secret of a connection, and the id of its cluster once it is known. All its endpoints share them."""
+    """The metadata of the calls of one connection: its secret, and the id of its cluster once the id is known.
+
+    All endpoints of the connection share this object.
+    """
 
     def __init__(self, secret: str | None) -> None:
         self._of_secret = call_metadata(secret)

@@ -1,10 +1,10 @@
 """Rules about cluster ids: which id a call names, and when a part may change to another cluster. Pure.
 
-Somebody may restore a backup at one of a cluster's addresses. A caller that followed any directory would then leave its
-cluster for the backup. So clients, hosts and front-ends stay with the first cluster that they met, and each of their
-calls names it. They change to another cluster in two cases. In the first case that cluster says that it replaces theirs
-(`supernode init --restore --take-over`). In the second case both clusters keep their data only in memory: then the
-first one cannot come back.
+Somebody may restore a backup at one of a cluster's addresses. A caller that accepts any directory would then leave its
+cluster for the backup. Therefore clients, hosts and front-ends stay with the first cluster that they met, and each of
+their calls names this cluster. They change to another cluster in two cases. In the first case the other cluster says
+that it replaces their cluster (`supernode init --restore --take-over`). In the second case both clusters keep their
+data only in memory. Their own cluster then cannot come back.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 from stampede_rt.errors import WrongCluster
 
 METADATA_KEY = "stampede-cluster-id"
-IN_MEMORY = "memory-"
-_SHOWN_MAX = 64
+IN_MEMORY = "memory-"  # the beginning of the id of a cluster that keeps its data only in memory
+_SHOWN_MAX = 64  # the characters of a caller's cluster id that an error shows
 
 
 class ClusterSeen(NamedTuple):
@@ -27,7 +27,7 @@ class ClusterSeen(NamedTuple):
 
 
 def cluster_metadata(cluster_id: str) -> tuple[tuple[str, str], ...]:
-    """Return the metadata of a call that names the cluster; none while the caller knows no cluster."""
+    """Return the metadata with which a call names its cluster; empty if `cluster_id` is empty."""
     return ((METADATA_KEY, cluster_id),) if cluster_id else ()
 
 
@@ -37,9 +37,9 @@ def told_cluster(metadata: Iterable[Any] | None) -> str:
 
 
 def may_go_over(own: str, to: str, to_former: Iterable[str]) -> bool:
-    """Whether a part of cluster `own` (empty: of none yet) may change to `to`.
+    """Whether a client or service of cluster `own` may change to cluster `to`, which replaces the clusters `to_former`.
 
-    `to_former`: the clusters that `to` replaces.
+    `own` is empty if the client or service has met no cluster yet.
     """
     return (
         not own or not to or own == to or own in to_former or (own.startswith(IN_MEMORY) and to.startswith(IN_MEMORY))
@@ -47,7 +47,10 @@ def may_go_over(own: str, to: str, to_former: Iterable[str]) -> bool:
 
 
 def cluster_among(own: str, seen: Iterable[ClusterSeen]) -> str:
-    """Choose the id of the caller's cluster from all answers: `own` if that cluster answers, else its successor."""
+    """Return the id of the cluster to which the caller belongs after the answers `seen`.
+
+    It is `own` if that cluster answers, else the first cluster to which the caller may change, else `own`.
+    """
     known = [one for one in seen if one.cluster_id]
     if own and any(one.cluster_id == own for one in known):
         return own
@@ -55,9 +58,9 @@ def cluster_among(own: str, seen: Iterable[ClusterSeen]) -> str:
 
 
 def wrong_cluster(who: str, own: str, callers: str) -> WrongCluster:
-    """Return the error for a caller of another cluster.
+    """Return the error with which a server of cluster `own` refuses a caller of cluster `callers`.
 
-    `who`, such as "this supernode", of cluster `own` refuses it.
+    `who` names the server, such as "this supernode".
     """
     return WrongCluster(
         f"{who} is of cluster {own}, and the caller of cluster {callers[:_SHOWN_MAX]}; the caller's cluster may still "

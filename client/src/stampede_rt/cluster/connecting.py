@@ -14,7 +14,7 @@ from stampede_rt.values.policy import parse_name
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """The addresses to connect to, and the name, zone and credentials of the connection."""
+    """The checked arguments of `connect`: front-ends, the peer's name, zone and credentials."""
 
     frontends: tuple[str, ...]
     secret: str | None = field(repr=False)
@@ -24,7 +24,7 @@ class Target:
 
     @property
     def credentials(self) -> Credentials:
-        """The credentials of every connection."""
+        """The credentials for all calls."""
         return Credentials(secret=self.secret, tls=self.tls)
 
 
@@ -33,11 +33,14 @@ def parse_target(
 ) -> Target:
     """Check the arguments of `connect`.
 
-    `url`: front-ends, "host:port,..."; default `$STAMPEDE_URL`, then localhost:7580. Without `secret` the client takes
-    the secret in `$STAMPEDE_SECRET_FILE`. It uses the user's own secret file (see `credentials`) only if all addresses
-    are on this machine, so that no other machine gets the secret. Without `tls` it takes the certificates in
-    `$STAMPEDE_TLS_CA`, `$STAMPEDE_TLS_CERTIFICATE` and `$STAMPEDE_TLS_KEY`, if they are set. Raises InvalidArgument,
-    PermissionDenied.
+    - `url`: front-ends, "host:port,..."; default `$STAMPEDE_URL`, then localhost:7580.
+    - `secret`: without it the client reads the secret from the file that `$STAMPEDE_SECRET_FILE` names. If that is not
+      set, the client reads the user's own secret file (see `secret_file`), but only if all addresses are on this
+      machine. No other machine then gets the secret.
+    - `tls`: without it the client takes the certificates that `$STAMPEDE_TLS_CA`, `$STAMPEDE_TLS_CERTIFICATE` and
+      `$STAMPEDE_TLS_KEY` name, if these are set.
+
+    Raises InvalidArgument, PermissionDenied.
     """
     frontends = parse_addresses(url or os.environ.get("STAMPEDE_URL") or DEFAULT_URL)
     here = all(map(is_loopback, frontends))

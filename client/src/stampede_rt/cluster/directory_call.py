@@ -28,18 +28,19 @@ class Attempt(NamedTuple):
 class DirectoryCall:
     """One call from its first attempt to its end. A round asks each supernode at most once.
 
-    All times are seconds of one monotonic clock. Failures of earlier rounds count until a supernode answers.
+    All times are seconds of one monotonic clock. The object keeps the latest failure of each supernode, also from
+    earlier rounds.
     """
 
     def __init__(self, deadline_s: float) -> None:
         self._deadline_s = deadline_s
         self._failures: dict[str, StampedeError] = {}  # by target; the latest failure is the last
-        self._waiting: deque[str] = deque()
-        self._tried: set[str] = set()
+        self._waiting: deque[str] = deque()  # supernodes that this round has not asked yet
+        self._tried: set[str] = set()  # supernodes that this round has asked
         self._attempt_s_max = 0.0
 
     def begin_round(self, targets: Sequence[str], attempt_s_max: float) -> None:
-        """Ask the supernodes at `targets` in their order, each for at most `attempt_s_max`."""
+        """Begin a round that asks the supernodes at `targets` in their order, each for at most `attempt_s_max`."""
         self._waiting, self._tried, self._attempt_s_max = deque(targets), set(), attempt_s_max
 
     def next_attempt(self, now_s: float) -> Attempt | None:
@@ -53,9 +54,9 @@ class DirectoryCall:
         return None
 
     def failed(self, target: str, error: StampedeError) -> None:
-        """Note that the supernode at `target` has not served the call. If it named a leader, ask that leader next.
+        """Note that the supernode at `target` did not serve the call. If it named a leader, the leader is next.
 
-        Raises `error` if another attempt would end with the same error.
+        Raises `error` if the call would fail at every supernode.
         """
         if not may_pass(error):
             raise error
@@ -66,7 +67,7 @@ class DirectoryCall:
             self._waiting.appendleft(hint)
 
     def failure(self, targets: Sequence[str]) -> StampedeError:
-        """Return one error that sums up the failures of the supernodes at `targets`. Call it after a round."""
+        """Return one error that sums up the failures of the supernodes at `targets`. Call this after a round."""
         known = {target: error for target, error in self._failures.items() if target in targets}
         if known:
             return why_unserved(known, len(targets))
@@ -82,12 +83,12 @@ def may_pass(error: StampedeError) -> bool:
 
 
 def leader_hint(error: StampedeError) -> str:
-    """Return the address of the leader that a supernode named in its refusal; empty if it named none."""
+    """Return the address of the leader that the supernode named in its refusal `error`; empty if it named none."""
     return error.metadata.get("leader_endpoint", "") if isinstance(error, NotLeader) else ""
 
 
 def frontend_timeout_s(left_s: float, frontends: int) -> float:
-    """Return the seconds to wait for one front-end, if `frontends` of them are left to ask within `left_s`."""
+    """Return the seconds to wait for one front-end, if `frontends` of them are still to be asked within `left_s`."""
     return max(left_s / frontends, FRONTEND_TIMEOUT_S_MIN)
 
 

@@ -1,6 +1,6 @@
 """Sums up why no supernode served a call, in one error. Pure.
 
-The error is that of a supernode that answered, or it says that too few supernodes answer.
+The result is the error of a supernode that answered, or an error that says that too few supernodes answer.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable, WrongCluster
 
 UNREACHED = "unreached"
-"""A key of an error's metadata. If it is there, the server could not be reached; the value says why."""
+"""A key of an error's metadata. With this key the error means that the server could not be reached; the value says
+why."""
 
 
 def why_unserved(failures: Mapping[str, StampedeError], supernodes: int) -> StampedeError:
-    """Return one error for a call that failed at each supernode in `failures` (by address, the latest last).
+    """Return one error for a call that failed at the supernodes in `failures` (by address, the latest failure last).
 
     `supernodes` is the number of all supernodes; `failures` has at least one entry.
     """

@@ -1,4 +1,4 @@
-"""The number with which a process registers. By it the directory recognises older processes of the peer or host.
+"""The number with which a process of a peer or host registers. It tells the directory which process is the newest.
 
 Pure. See ERROR_REASON_STALE_REGISTRATION in proto/stampede_rt/v1/error.proto.
 """
@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from stampede_rt.errors import LeaseExpired, StaleRegistration
 
-_TOLD = "registration_epoch"
+_TOLD = "registration_epoch"  # the key of the directory's number in the metadata of a refusal
 
 
 class RegistrationEpoch:
-    """Counts the registration epoch. `value` goes into every registration of this process. It starts at 0."""
+    """Holds the registration epoch of this process. Every registration of the process has `value`, at first 0."""
 
     def __init__(self) -> None:
         self.value = 0
@@ -22,9 +22,9 @@ class RegistrationEpoch:
         self._was_registered = True
 
     def may_overtake(self, refusal: StaleRegistration) -> bool:
-        """Whether to register again at once. If so, makes `value` larger than the number in the refusal.
+        """Whether this process should register again. If so, makes `value` larger than the number in the refusal.
 
-        Returns False if this process was registered, and a newer process that is alive has replaced it.
+        Returns False if this process was registered before, and a newer live process has replaced it.
         """
         if self._was_registered and refusal.metadata.get("alive") != "false":
             return False
@@ -32,8 +32,8 @@ class RegistrationEpoch:
         return True
 
     def is_overtaken(self, refusal: LeaseExpired) -> bool:
-        """Whether the directory refused a renewal because a newer process lives.
+        """Whether the directory refused a renewal because a newer process has registered.
 
-        An older process, which a restored backup may name, does not count.
+        Returns False if the directory knows only an older process, as after the restore of a backup.
         """
         return int(refusal.metadata.get(_TOLD, -1)) >= self.value

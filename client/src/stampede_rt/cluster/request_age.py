@@ -1,7 +1,7 @@
 """The age of an update: the seconds since the client first sent it. Each repeated request states its age.
 
-The directory remembers its answers for a while, by request id, and refuses older updates (directory_service.proto). The
-client measures the age by its own clock, so no two clocks need to agree.
+The directory remembers its answers by request id for a while. It refuses updates that are older than this
+(directory_service.proto). The client measures the age by its own clock, so no two clocks need to agree.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ _BOOTTIME = getattr(time, "CLOCK_BOOTTIME", None)
 def age_clock_s() -> float:
     """Return the time of the clock that measures ages, in seconds.
 
-    It also counts the time for which the machine slept, because the directory forgets answers during that time, too.
+    On Linux the clock also counts the time for which the machine slept, because the directory forgets answers during
+    that time, too.
     """
     return time.monotonic() if _BOOTTIME is None else time.clock_gettime(_BOOTTIME)
 
 
 def age_metadata(age_s: float) -> tuple[tuple[str, str], ...]:
-    """Return the metadata of a repeated request; empty for the first one."""
+    """Return the metadata that states the age of a repeated request; empty for the first request."""
     age_ms = int(age_s * 1000)
     return ((METADATA_KEY, str(age_ms)),) if age_ms > 0 else ()
 

@@ -12,7 +12,10 @@ from stampede_rt.security.tls import TlsMaterial, TlsReader
 
 
 def secret_file() -> Path:
-    """The path of the secret: `$STAMPEDE_SECRET_FILE`, or `stampede/secret` below `$XDG_CONFIG_HOME` or `~/.config`."""
+    """Return the path of the secret: the one in `$STAMPEDE_SECRET_FILE`, or the path of the user's own secret file.
+
+    The latter is `stampede/secret` below `$XDG_CONFIG_HOME`, or below `~/.config`.
+    """
     named = os.environ.get("STAMPEDE_SECRET_FILE")
     if named:
         return Path(named)
@@ -34,7 +37,7 @@ def read_secret(path: Path | None = None) -> str | None:
 
 
 def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
-    """Return all secrets in `path`, one a line; None if there is no such file. Services accept each of them.
+    """Return all secrets in the file `path`, one on each line; None if there is no such file. Services accept each one.
 
     A file has at most two secrets, so that an operator can replace the secret of a running cluster. Raises
     PermissionDenied if the file cannot be used, or if other users may read it.
@@ -65,14 +68,14 @@ def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
 
 
 def _no_secret(path: Path) -> PermissionDenied:
-    """Return the error for a secret with other characters: it is sent in a header, which takes only printable ASCII."""
+    """Return the error for a secret with forbidden characters. A header carries it, so it must be printable ASCII."""
     return PermissionDenied(
         f"the secret file {path} holds other characters than printable ASCII; copy the file of the cluster again"
     )
 
 
 def call_metadata(secret: str | None) -> tuple[tuple[str, str], ...]:
-    """Return the metadata of a call; empty without a secret."""
+    """Return the metadata with which a call carries the secret; empty without a secret."""
     return (("authorization", f"Bearer {secret}"),) if secret else ()
 
 
@@ -84,5 +87,5 @@ class Credentials:
     tls: TlsReader | None = None
 
     def material(self) -> TlsMaterial | None:
-        """Return the present certificates for a new connection; None: plain text."""
+        """Return the present certificates for a new connection; None if the connection is plain text."""
         return self.tls.current() if self.tls else None

@@ -1,4 +1,4 @@
-"""The certificate files of a cluster with mutual TLS. The module reads and checks them, also when they change."""
+"""Reads and checks the certificate files of a caller or service with mutual TLS, also when the files change."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from stampede_rt.errors import InvalidArgument, PermissionDenied
 
 logger = logging.getLogger(__name__)
 
-LOOK_EVERY_S = 1.0  # new connections use a changed file at the latest this long after the change
+LOOK_EVERY_S = 1.0  # a connection that begins this long after a change of the files uses the new contents
 _PARTS = ("ca", "certificate", "key")
 CLIENT_VARIABLES = tuple(f"STAMPEDE_TLS_{part.upper()}" for part in _PARTS)
-"""The names of a client's environment variables. Those of services differ, so that one shell can hold both."""
-_READ_TRIES_MAX = 3
-_PATIENT_TRIES_MAX = 5
-_PATIENCE_S = 0.05
+"""The names of a client's environment variables. Services have other names, so that one shell can hold both."""
+_READ_TRIES_MAX = 3  # if the files change during the reading
+_PATIENT_TRIES_MAX = 5  # at the start of the program, if the files do not work
+_PATIENCE_S = 0.05  # between two of these tries
 
-_Stamp = tuple[tuple[int, int, int], ...]
+_Stamp = tuple[tuple[int, int, int], ...]  # for each file its inode, size and time of change
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,7 +47,7 @@ class TlsFiles:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TlsMaterial:
-    """The contents of the files at the last reading. Each reading makes an object of its own, equal only to itself."""
+    """The contents of the files at one reading. Each reading makes a new object, which is equal only to itself."""
 
     ca: bytes
     certificate: bytes
@@ -60,7 +60,7 @@ class TlsMaterial:
 def files_from_environment(
     environ: Mapping[str, str], variables: tuple[str, ...] = CLIENT_VARIABLES
 ) -> TlsFiles | None:
-    """The files that the environment variables `variables` name; None if no variable is set.
+    """Return the files that the environment variables `variables` name; None if no variable is set.
 
     `variables` has the names for ca, certificate and key, in this order. Raises InvalidArgument if only some are set.
     """
@@ -75,20 +75,20 @@ def files_from_environment(
 class TlsReader:
     """Gives the present contents of the files. Several threads may use it.
 
-    The constructor reads the files, and raises PermissionDenied if they do not work together. If the files change
-    later and do not work (a half-written file, the key of another certificate), the reader logs that, and keeps the
-    last good contents.
+    The constructor reads the files, and raises PermissionDenied if they cannot be used together. If the files change
+    later and cannot be used (a half-written file, the key of another certificate), the reader logs a warning and keeps
+    the last good contents.
     """
 
     def __init__(self, files: TlsFiles) -> None:
         self.files = files
         self._lock = threading.Lock()
         self._stamp, self._material = _read_patiently(files)
-        self._refused: _Stamp | None = None
-        self._looked_s = time.monotonic()
+        self._refused: _Stamp | None = None  # of changed files that cannot be used
+        self._looked_s = time.monotonic()  # when the reader last looked for changes
 
     def current(self) -> TlsMaterial:
-        """Return the newest contents that work. Looks at the files at most once in LOOK_EVERY_S."""
+        """Return the last good contents. Looks for changes of the files at most once in LOOK_EVERY_S."""
         with self._lock:
             if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
                 self._looked_s = time.monotonic()
@@ -122,7 +122,7 @@ def _stamp_if_there(files: TlsFiles) -> _Stamp | None:
 
 
 def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
-    """Return the contents that all three files had at one moment, after a check. Raises PermissionDenied."""
+    """Return the stamp and the checked contents of the files, all as of one moment. Raises PermissionDenied."""
     for _ in range(_READ_TRIES_MAX):
         before = _stamp_if_there(files)
         ca, certificate, key = (_bytes_of(path) for path in files.paths())
@@ -133,7 +133,7 @@ def _read(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
 
 
 def _read_patiently(files: TlsFiles) -> tuple[_Stamp, TlsMaterial]:
-    """Do as `_read` does, but try again after a short wait if it fails: somebody may be replacing the files."""
+    """Do as `_read` does, but try again after a short wait if it fails, because somebody may be replacing the files."""
     for _ in range(_PATIENT_TRIES_MAX - 1):
         try:
             return _read(files)

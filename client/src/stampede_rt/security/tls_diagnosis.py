@@ -1,8 +1,8 @@
 """Says in one sentence why a connection with certificates failed.
 
-gRPC mostly says "Socket closed", because its server ends a handshake without a reason. So this module repeats the
-handshake with the standard library, which shows whether the other side speaks TLS, and its certificate. The module also
-checks the caller's own files.
+gRPC mostly says "Socket closed", because its server ends a handshake without a reason. This module therefore repeats
+the handshake with the standard library, which shows whether the server speaks TLS, and what is wrong with the server's
+certificate. The module also checks the caller's own files.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ def explain_refusal(
 ) -> PermissionDenied | None:
     """Return why a caller with `tls` (None: plain text) cannot talk to `target`; None if TLS is not the reason.
 
-    Blocks for at most about 2 * (CONNECT_SECONDS + `seconds`), after the name is resolved.
+    Blocks for at most about 2 * (CONNECT_SECONDS + `seconds`), and for the resolution of the name.
     """
-    # Try twice. A server that is just stopping also closes the connection, but the second try does not reach it.
+    # Try twice. A server that is just stopping also closes the first connection, but takes no second one.
     if not _look(target, tls, seconds) or not (reason := _look(target, tls, seconds)):
         return None
     return PermissionDenied(reason, reason="UNAUTHENTICATED", metadata={"target": target})
@@ -56,7 +56,7 @@ def _place(target: str) -> tuple[str, int] | None:
 def _try_plain(connection: socket.socket, target: str) -> str:
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
-    context.verify_mode = ssl.CERT_NONE  # the module sends nothing here: it only asks whether the server speaks TLS
+    context.verify_mode = ssl.CERT_NONE  # safe, because this only asks whether the server speaks TLS, and sends nothing
     context.set_alpn_protocols(["h2"])
     try:
         with context.wrap_socket(connection):
@@ -99,16 +99,16 @@ def _context(tls: TlsReader) -> ssl.SSLContext:
 
 
 class Validity(NamedTuple):
-    """When a certificate begins and ends, in seconds since the epoch."""
+    """The instants from which and until which a certificate is valid, in seconds since the epoch."""
 
     begins_s: float
     ends_s: float
 
 
 def certificate_validity(target: str, tls: TlsReader) -> Validity | None:
-    """Return when the certificate of `target` begins and ends; None if it has no valid one.
+    """Return when the certificate of the server at `target` begins and ends; None if no handshake succeeds.
 
-    Blocks as long as `explain_refusal`.
+    Blocks for at most CONNECT_SECONDS and a few HANDSHAKE_SECONDS, and for the resolution of the name.
     """
     place = _place(target)
     if place is None:
@@ -124,7 +124,7 @@ def certificate_validity(target: str, tls: TlsReader) -> Validity | None:
 
 
 def validity_of(shown: Mapping[str, object]) -> Validity | None:
-    """Return when a certificate begins and ends; None if the standard library does not say."""
+    """Return when a certificate begins and ends. `shown` is the result of `getpeercert`; None if it has no dates."""
     begin, end = shown.get("notBefore"), shown.get("notAfter")
     if not isinstance(begin, str) or not isinstance(end, str):
         return None

@@ -115,7 +115,7 @@ def live_thread_ids() -> frozenset[int]:
 
 
 def thread_id() -> int:
-    """Return the key of the caller's connections. It is always 0, because all tasks of a loop share its connections."""
+    """Return the key of the caller's bindings and streams. It is always 0, because all tasks of a loop share them."""
     return 0
 
 
@@ -126,7 +126,7 @@ def begin_if_blocking(operation: Callable[[], Awaitable[None]]) -> None:
 class EventLoopCheck:
     """Remembers the event loop of its first check, and refuses every other loop.
 
-    gRPC's connections and asyncio's locks belong to one loop. On another one their users would wait for ever.
+    gRPC's connections and asyncio's locks belong to one loop. On another loop their users would wait for ever.
     """
 
     def __init__(self) -> None:

@@ -21,10 +21,10 @@ class NumberedRun:
 
 @dataclass(slots=True)
 class RunBuilder:
-    """Collects items that fit together in one run. The caller takes the run when it can send it.
+    """Collects items that fit together in one run. The caller takes the run when it can send the run.
 
-    Items fit together if all or none have a time, if they share attributes and content type, and if the run stays
-    within its limits. Numbers grow by one for each item, over all runs.
+    Items fit together if all or none of them have a time, if their attributes and content types are equal, and if the
+    run stays within its limits. The builder numbers the items of all its runs: the next item has `next_number`.
     """
 
     next_number: int = 1
@@ -58,7 +58,7 @@ class RunBuilder:
         attributes: Mapping[str, str] | None,
         content_type: str,
     ) -> None:
-        """Append an item that fits."""
+        """Append an item to the present run. Call `fits` first."""
         if not self._payloads:
             self._attributes, self._content_type = attributes or None, content_type
         self._payloads.append(payload)

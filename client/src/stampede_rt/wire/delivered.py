@@ -8,12 +8,12 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import item_pb2
 
 RUN_ITEMS_MAX = 256
-RESPONSE_ITEMS_MAX = 2**20 // 12  # a response has 1 MiB of runs, and an item at least a time and a length
-_SEQ_END = 2**64
+RESPONSE_ITEMS_MAX = 2**20 // 12  # a response has at most 1 MiB, and an item at least a time and a length: 12 bytes
+_SEQ_END = 2**64  # seqs are lower
 
 
 def check_delivered(run: item_pb2.ItemRun, *, payloads: bool) -> int:
-    """Return the number of items of a delivered run. `payloads`: whether it should have them.
+    """Return the number of items of a delivered run. `payloads`: whether the run should have payloads.
 
     Raises StampedeError if the columns disagree.
     """
@@ -31,7 +31,7 @@ def check_delivered(run: item_pb2.ItemRun, *, payloads: bool) -> int:
 class ItemCount:
     """Counts the items of the responses to one request, before the client decodes them.
 
-    `limit`: the greatest number of items that the request asks for; 0: no limit.
+    `limit`: the greatest number of items that the request asks for. 0 stands for no limit.
     """
 
     def __init__(self, limit: int = 0) -> None:
@@ -39,7 +39,7 @@ class ItemCount:
         self._items = 0
 
     def add(self, runs: Iterable[item_pb2.ItemRun]) -> None:
-        """Count the items of one response. Raises StampedeError if the host sent more than it may."""
+        """Count the items of one response. Raises StampedeError if the host sent more items than it may."""
         items = sum(len(run.payload_length_bytes) for run in runs)
         self._items += items
         if items > RESPONSE_ITEMS_MAX:
@@ -55,7 +55,7 @@ def check_granted(items: int, granted: int) -> None:
 
 
 def malformed(what: str) -> StampedeError:
-    """The error for a run that has `what`."""
+    """Return the error for a run that a host sent. `what` says what is wrong with its columns."""
     return StampedeError(f"a host sent a run with {what}; it is defective, or not of this product: replace it")
 
 

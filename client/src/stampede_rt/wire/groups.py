@@ -22,7 +22,7 @@ def group_spec(
     idle_after_nanos: int | None,
     max_lead_nanos: int,
 ) -> group_pb2.GroupSpec:
-    """Return the message for a group's spec, as its creator states it."""
+    """Return the message for the members and settings that the creator of a group states."""
     return group_pb2.GroupSpec(
         channel_ids=channel_ids,
         reference=group_pb2.GROUP_REFERENCE_CHANNEL if reference_id else group_pb2.GROUP_REFERENCE_OLDEST,
@@ -69,7 +69,10 @@ def member_status(message: group_pb2.GroupMemberStatus) -> MemberStatus:
 def cut_items(
     parts: Sequence[group_service_pb2.CutPart], decoder: ItemDecoder, since: int, cut: int
 ) -> tuple[Items, Sequence[Item]]:
-    """Return one channel's items of one event: the items since the cut `since`, and the late items."""
+    """Return one channel's items of one cut event: the items from the cut `since` to `cut`, and the late items.
+
+    `parts`: the channel's parts of the event.
+    """
     losses = [part.loss for part in parts if part.HasField("loss")]
     items = Items(
         decoder.decode([run for part in parts for run in part.runs]),

@@ -8,7 +8,7 @@ from stampede_rt.wire.records import change_kind
 
 
 def peer_info(record: peer_pb2.PeerRecord) -> PeerInfo:
-    """A peer, as callers see it."""
+    """Return a peer, as callers see it."""
     return PeerInfo(
         peer_id=record.peer_id,
         name=record.name,
@@ -35,7 +35,7 @@ def clock_offset(message: peer_pb2.ClockOffset) -> ClockOffset:
 
 
 def clock_message(clock: ClockOffset | None) -> peer_pb2.ClockOffset | None:
-    """Return a clock offset for the wire. For None (unknown) the field stays absent."""
+    """Return the message for a clock offset; None for None, so that the field stays absent."""
     if clock is None:
         return None
     return peer_pb2.ClockOffset(
@@ -46,5 +46,5 @@ def clock_message(clock: ClockOffset | None) -> peer_pb2.ClockOffset | None:
 
 
 def peer_change(message: peer_pb2.PeerChange) -> PeerChange:
-    """One change among the peers."""
+    """Return one change of a peer."""
     return PeerChange(index=message.index, kind=change_kind(message.kind), peer=peer_info(message.peer))

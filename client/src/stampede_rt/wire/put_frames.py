@@ -13,16 +13,20 @@ _RUN_TAG = bytes((3 << 3 | 2,))  # PutRun.run
 
 
 def put_head(subject_id: bytes, epoch: int, producer_id: int) -> bytes:
-    """Return the encoded fields that name the channel or queue. Only the first request of a stream has them."""
+    """Return the encoded fields that name the channel or queue and the producer.
+
+    They are the beginning of the first request of a stream.
+    """
     return channel_pb.PutRequest(channel_id=subject_id, epoch=epoch, producer_id=producer_id).SerializeToString()
 
 
 def put_request(
     head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, message_id: str = ""
 ) -> bytes:
-    """Return an encoded PutRequest or EnqueueRequest with one run. `run`: the bytes of the run, in pieces.
+    """Return an encoded PutRequest or EnqueueRequest with one run.
 
-    `message_id` is for queues only. `wait_nanos` is as in PutRun; None leaves it out.
+    `head` is the result of `put_head`, or empty. `run` has the bytes of the run, in pieces. `message_id` is for queues
+    only. `wait_nanos` is as in PutRun; None leaves the field out.
     """
     put = queue_pb.EnqueueRun(
         first_number=first_number, wait_nanos=wait_nanos, message_id=message_id

@@ -34,20 +34,20 @@ REJECTED_REASONS = ("full", "too_large", "malformed", "overloaded")
 
 
 def queue_policy_to_spec(policy: QueuePolicy) -> queue_pb2.QueueSpec:
-    """The message for a queue's policy. A field that nobody has stated stays unset."""
+    """Return the message for a queue's policy. A setting that nobody has stated stays unset."""
     stated = {name: getattr(policy, name) for name in _OPTIONAL}
     on_full = _ON_FULL[policy.on_full] if policy.on_full else queue_pb2.QUEUE_ON_FULL_UNSPECIFIED
     return queue_pb2.QueueSpec(on_full=on_full, **stated)
 
 
 def queue_policy_from_spec(spec: queue_pb2.QueueSpec) -> QueuePolicy:
-    """A queue's policy, from its message. A field that nobody has stated is None."""
+    """Return a queue's policy, from its message. A setting that nobody has stated is None."""
     stated = {name: getattr(spec, name) for name in _OPTIONAL if spec.HasField(name)}
     return QueuePolicy(on_full=_FROM_ON_FULL.get(spec.on_full), **stated)
 
 
 def queue_info(record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord | None) -> QueueInfo:
-    """A queue, as callers see it; `host` is its owner, or None if the directory no longer knows that host."""
+    """Return a queue, as callers see it. `host` is its owner, or None if the directory no longer knows that host."""
     return QueueInfo(
         queue_id=record.queue_id,
         name=record.name,
@@ -64,7 +64,7 @@ def queue_info(record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord | N
 
 
 def queue_stats(status: queue_pb2.QueueStatus) -> QueueStats:
-    """A queue's counters, as callers see them."""
+    """Return a queue's counters, as callers see them."""
     counters = status.counters
     return QueueStats(
         **{name: getattr(counters, name) for name in _COUNTED},
@@ -94,10 +94,10 @@ class DeliveredMessage:
 
 
 def deliveries_of(leased: queue_pb2.LeasedRun, content_type: str) -> Iterator[DeliveredMessage]:
-    """The deliveries of a leased run, one for each message.
+    """Yield the deliveries of a leased run, one for each message.
 
-    `content_type` is the content type of the queue. It counts if the run has none of its own.
-    Raises StampedeError if the columns disagree.
+    `content_type` is that of the queue. A run without a content type gets it. Raises StampedeError if the columns
+    disagree.
     """
     run = leased.run
     items = check_delivered(run, payloads=True)
@@ -137,7 +137,7 @@ def _origin(origin: item_pb2.DeadLetterOrigin) -> DeadLetterOrigin:
 
 
 def pending_message(pending: queue_pb2.PendingDelivery) -> PendingMessage:
-    """A leased delivery, as callers see it."""
+    """Return a pending message, as callers see it."""
     return PendingMessage(
         seq=pending.seq,
         taker=pending.taker_name,

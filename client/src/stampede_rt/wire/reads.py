@@ -19,14 +19,17 @@ _REASON_PREFIX = "ABSENCE_REASON_"
 
 
 def bound_to_message(bound: Bound, *, exclusive: bool = False) -> time_pb2.Bound:
-    """One bound of an interval."""
+    """Return the message for one bound of an interval."""
     if bound.meta is None:
         return time_pb2.Bound(instant_unix_nano=bound.offset, exclusive=exclusive)
     return time_pb2.Bound(meta_time=_TO_META[bound.meta], offset_nanos=bound.offset, exclusive=exclusive)
 
 
 def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
-    """One bound of an interval. Raises InvalidArgument if it has no anchor; the error calls the bound `what`."""
+    """Return one bound of an interval. Raises InvalidArgument if the message has neither an instant nor a meta-time.
+
+    `what` names the bound in the error.
+    """
     anchor = message.WhichOneof("anchor")
     if anchor == "instant_unix_nano":
         return Bound(None, message.instant_unix_nano + message.offset_nanos)
@@ -36,7 +39,7 @@ def bound_from_message(message: time_pb2.Bound, what: str) -> Bound:
 
 
 def interval_to_message(interval: Interval) -> time_pb2.Interval:
-    """An interval with both bounds."""
+    """Return the message for an interval."""
     return time_pb2.Interval(
         start=bound_to_message(interval.start, exclusive=interval.start_exclusive),
         end=bound_to_message(interval.end, exclusive=interval.end_exclusive),
@@ -44,7 +47,7 @@ def interval_to_message(interval: Interval) -> time_pb2.Interval:
 
 
 def interval_from_message(message: time_pb2.Interval) -> Interval:
-    """An interval with both bounds. Raises InvalidArgument, InvalidInterval."""
+    """Return an interval, from its message. Raises InvalidArgument, InvalidInterval."""
     return Interval(
         bound_from_message(message.start, "the interval's start"),
         bound_from_message(message.end, "the interval's end"),
@@ -54,12 +57,12 @@ def interval_from_message(message: time_pb2.Interval) -> Interval:
 
 
 def match_to_message(match: Match) -> time_pb2.Match:
-    """The rule by which an interval selects items."""
+    """Return the message for the rule by which an interval selects items."""
     return _TO_MATCH[match]
 
 
 def match_from_message(match: int) -> Match:
-    """The rule by which an interval selects items. Raises InvalidArgument for an unknown number."""
+    """Return the rule by which an interval selects items. Raises InvalidArgument for an unknown number."""
     try:
         return _FROM_MATCH[match]  # type: ignore[index]
     except KeyError:
@@ -67,14 +70,14 @@ def match_from_message(match: int) -> Match:
 
 
 def position_of(after: Item | int) -> item_pb2.ItemPosition:
-    """The position of an item; for an instant, the position behind all items of that instant."""
+    """Return the position of an item. For an instant, return the position after all items of that instant."""
     if isinstance(after, Item):
         return item_pb2.ItemPosition(time_unix_nano=after.time, seq=after.seq, incarnation=after.incarnation)
     return item_pb2.ItemPosition(time_unix_nano=after)
 
 
 def resolved_to_message(interval: ResolvedInterval) -> time_pb2.ResolvedInterval:
-    """The interval as a host resolved it."""
+    """Return the message for an interval that a host has resolved."""
     return time_pb2.ResolvedInterval(
         start_unix_nano=interval.start,
         end_unix_nano=interval.end,
@@ -84,19 +87,19 @@ def resolved_to_message(interval: ResolvedInterval) -> time_pb2.ResolvedInterval
 
 
 def resolved_from_message(message: time_pb2.ResolvedInterval) -> ResolvedInterval:
-    """The interval as a host resolved it."""
+    """Return an interval that a host has resolved, from its message."""
     return ResolvedInterval(
         message.start_unix_nano, message.end_unix_nano, message.start_exclusive, message.end_exclusive
     )
 
 
 def reason_to_message(reason: Reason | None) -> str:
-    """The name of the enum's value that says why an answer is empty or partial. It does not contain the detail."""
+    """Return the name of the AbsenceReason for `reason`; the unspecified one for None. It has no detail."""
     return _REASON_PREFIX + (reason.value if reason else "UNSPECIFIED")
 
 
 def reason_from_message(reason: int, detail: str) -> Reason | None:
-    """Why an answer is empty or partial; None if nothing is missing."""
+    """Return the reason why an answer is empty or partial; None if nothing is missing."""
     if reason == error_pb2.ABSENCE_REASON_UNSPECIFIED:
         return None
     known = error_pb2.AbsenceReason.DESCRIPTOR.values_by_number.get(reason)
@@ -105,5 +108,5 @@ def reason_from_message(reason: int, detail: str) -> Reason | None:
 
 
 def summary_reason(summary: channel_service_pb2.GetSummary) -> Reason | None:
-    """Why a get's answer is empty or partial."""
+    """Return the reason why the answer of a get is empty or partial; None if nothing is missing."""
     return reason_from_message(summary.reason, summary.detail)

@@ -35,6 +35,7 @@ def change_kind(kind: directory_pb2.ChangeKind) -> ChangeKind:
     return _CHANGE_KINDS.get(kind, "updated")
 
 
+# The keys of `ChannelStats.collected` and `ChannelStats.rejected`, which are also parts of the names of counters.
 COLLECTED_CAUSES = ("age", "count", "bytes", "consumption")
 REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed", "overloaded")
 
@@ -76,7 +77,7 @@ def policy_from_spec(spec: channel_pb2.ChannelSpec) -> Policy:
 
 
 def host_info(record: directory_pb2.HostRecord) -> HostInfo:
-    """A host as callers see it."""
+    """Return a host, as callers see it."""
     return HostInfo(
         host_id=record.host_id,
         name=record.name,
@@ -88,7 +89,7 @@ def host_info(record: directory_pb2.HostRecord) -> HostInfo:
 
 
 def channel_info(record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelInfo:
-    """A channel as callers see it; `host` is its owner, or None if the directory no longer knows that host."""
+    """Return a channel, as callers see it. `host` is its owner, or None if the directory no longer knows that host."""
     return ChannelInfo(
         channel_id=record.channel_id,
         name=record.name,
@@ -104,7 +105,7 @@ def channel_info(record: channel_pb2.ChannelRecord, host: directory_pb2.HostReco
 
 
 def supernode_info(record: directory_pb2.SupernodeRecord) -> SupernodeInfo:
-    """A supernode as callers see it."""
+    """Return a supernode, as callers see it."""
     return SupernodeInfo(
         supernode_id=record.supernode_id,
         endpoint=record.endpoint.target,
@@ -114,7 +115,7 @@ def supernode_info(record: directory_pb2.SupernodeRecord) -> SupernodeInfo:
 
 
 def channel_stats(status: channel_pb2.ChannelStatus, clock_offset_nanos: int | None = None) -> ChannelStats:
-    """A channel's counters, as callers see them, with the host's clock offset if the caller has measured it."""
+    """Return a channel's counters, as callers see them, and the host's clock offset if the caller has measured it."""
     counters = status.counters
     return ChannelStats(
         accepted=counters.accepted,
@@ -143,7 +144,7 @@ def channel_stats(status: channel_pb2.ChannelStatus, clock_offset_nanos: int | N
 
 
 def change(message: directory_pb2.DirectoryChange, hosts: Mapping[bytes, directory_pb2.HostRecord]) -> Change:
-    """One change of the directory. `hosts` are the known hosts by id; they give a channel's owner its name."""
+    """Return one change of the directory. `hosts` has the known hosts by id, for the names of owners."""
     if message.WhichOneof("subject") == "host":
         return Change(index=message.index, kind=change_kind(message.kind), subject=host_info(message.host))
     info = channel_info(message.channel, hosts.get(message.channel.host_id))

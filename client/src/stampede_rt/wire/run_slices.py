@@ -1,4 +1,4 @@
-"""Cuts parts out of the bytes of sealed runs (`item.proto`). It parses a run once for any number of parts."""
+"""Cuts parts out of the bytes of sealed runs (`item.proto`). A `RunSlicer` parses its run only once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ _PAYLOADS_TAG = bytes((_PAYLOADS << 3 | _BYTES,))
 
 
 class _Field(NamedTuple):
-    """One field of a message: its number, and the positions where the field and its value begin, and where they end."""
+    """One field of a message: its number and wire type, and three positions.
+
+    The field begins at `begin`, and its value at `value`. Both end at `end`.
+    """
 
     number: int
     wire_type: int
@@ -35,9 +38,9 @@ class RunSlicer:
     __slots__ = ("_body", "_columns", "_first_seq", "_labels", "_offsets", "_payloads")
 
     def __init__(self, sealed: bytes) -> None:
-        """`sealed` is a run as a host stores it."""
+        """Parse `sealed`, a run in the form that a host stores."""
         fields = list(_fields(sealed))
-        if not _is_plain(fields):  # for example, a column comes in several pieces: encode the run again
+        if not _is_plain(fields):  # for example, a column is in several pieces; the run is then encoded again
             sealed = item_pb2.ItemRun.FromString(sealed).SerializeToString()
             fields = list(_fields(sealed))
         self._body = sealed
@@ -71,7 +74,7 @@ def slice_run(sealed: bytes, lo: int, hi: int, *, without_payloads: bool = False
 
 
 def _is_plain(fields: list[_Field]) -> bool:
-    """Whether columns are packed, and each field except attributes comes only once."""
+    """Whether all columns are packed, and each field except content type and attributes comes only once."""
     numbers = [field.number for field in fields if field.number not in _LABELS]
     packed = all(field.wire_type == _BYTES for field in fields if field.number in _COLUMN_WIDTHS)
     return packed and len(numbers) == len(set(numbers)) and {_LENGTHS, _FIRST_SEQ} <= set(numbers)
@@ -95,7 +98,7 @@ def _fields(message: bytes) -> Iterator[_Field]:
 
 
 def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """Return the number at position `at`, and the position behind it."""
+    """Return the number at position `at`, and the position after the number."""
     value = shift = 0
     while True:  # ends with the number
         byte = message[at]

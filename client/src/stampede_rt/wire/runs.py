@@ -1,7 +1,7 @@
 """Item runs: columns that a producer encodes once, and that a host stores and sends as they are (`item.proto`).
 
-A host appends its own fields to the producer's bytes. A protobuf parser keeps the last value of a scalar field, and
-concatenates repeated fields. So the result is a valid run again.
+A host appends its own fields to the producer's bytes. The result is again a valid run, because a protobuf parser keeps
+the last value of a scalar field and concatenates repeated fields.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from stampede_rt.wire.delivered import RUN_ITEMS_MAX, ItemCount, check_delivered
 RUN_BYTES_MAX = 64 * 1024
 CONTENT_TYPE_BYTES_MAX = 255
 ATTRIBUTES_BYTES_MAX = 16 * 1024
-ABSENT = -1
+ABSENT = -1  # the duration of an item without a duration
 
 _FIRST_SEQ = struct.Struct("<BQ")
 _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
@@ -39,7 +39,10 @@ _FRAMING_BYTES_MAX = 64
 
 @dataclass(frozen=True, slots=True)
 class RunColumns:
-    """The columns of a producer's run. All have the same length. A duration of -1 stands for none."""
+    """The columns of a producer's run, with one entry for each item. A duration of -1 stands for no duration.
+
+    If `times` is None, the host gives the items their time. If `durations` is None, no item has a duration.
+    """
 
     times: Sequence[int] | None
     durations: Sequence[int] | None
@@ -71,10 +74,10 @@ def run_parts(
     content_type: str = "",
     attributes: Mapping[str, str] | None = None,
 ) -> list[bytes]:
-    """Return the bytes of a run in pieces. Each payload is a piece.
+    """Return the bytes of a run in pieces. Each payload is one of the pieces.
 
-    The caller joins the pieces with other bytes, so that each payload is copied only once. A copy of 300 KB costs a
-    third of a round trip.
+    The caller joins the pieces together with other bytes, so that each payload is copied only once. A copy of 300 KB
+    takes a third of the time of a round trip.
     """
     lengths = [len(payload) for payload in payloads]
     columns = item_pb2.ItemRun(
@@ -148,12 +151,12 @@ def _check_labels(run: item_pb2.ItemRun) -> None:
 
 
 def attributes_length_bytes(attributes: Mapping[str, str]) -> int:
-    """Return the length in bytes of all keys and values, encoded."""
+    """Return the sum of the lengths of all keys and values, in bytes of UTF-8."""
     return sum(len(key.encode()) + len(value.encode()) for key, value in attributes.items())
 
 
 def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = None) -> bytes:
-    """Return a producer's run with the host's fields appended: `first_seq`, and `stamped_times` if it had no times."""
+    """Return a producer's run with the host's fields appended: `first_seq`, and `stamped_times` if it has no times."""
     seq = _FIRST_SEQ.pack(_FIRST_SEQ_TAG, first_seq)
     if stamped_times is None:
         return raw + seq
@@ -162,7 +165,7 @@ def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = N
 
 
 def origin_field(origin: bytes) -> bytes:
-    """Return the field for the sealed run of one dead letter, which a host appends.
+    """Return the field that a host appends to the sealed run of a dead letter.
 
     `origin`: an encoded DeadLetterOrigin.
     """
@@ -180,7 +183,7 @@ def encode_varint(value: int) -> bytes:
 
 
 def select_items(raw: bytes, indexes: Sequence[int]) -> bytes:
-    """Return a producer's run with only the items at `indexes`. A host calls it when it refuses the others."""
+    """Return a producer's run with only the items at `indexes`. A host calls this when it refuses the other items."""
     run = item_pb2.ItemRun.FromString(raw)
     offsets = [0, *accumulate(run.payload_length_bytes)]
     return encode_run(
@@ -232,7 +235,7 @@ class ItemDecoder:
         return [item for one in delivered for item in self._items(one.run, ends)]
 
     def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
-        """Return the items of one response whose runs each stand alone, such as those of a subscription.
+        """Return the items of one response whose runs do not follow each other in time, as in a subscription.
 
         Raises StampedeError for a run whose columns disagree, and for more items than a response has.
         """
@@ -284,9 +287,9 @@ def _end(time: int, duration: int, next_time: int | None, overlap: int) -> int |
 
 
 def _ends(times: Sequence[int], durations: Sequence[int], next_time: int | None, overlap: int) -> list[int | None]:
-    """Return the end of each item.
+    """Return the end of the span of each item; None for a span without an end.
 
-    A run of late items may be out of order. An earlier neighbour does not end an item.
+    The next item in the list ends a span only if its time is later. A run of late items may be out of order.
     """
     ends: list[int | None] = []
     following, bucket = next_time, None
