@@ -1,4 +1,4 @@
-"""Frees the objects of a refused call at once.
+"""Frees the objects of an aborted call as soon as the call ends.
 
 gRPC keeps the error of an aborted call in the call's state. The error's traceback refers to the frames of all functions
 that it passed. These frames refer to the call's context, and the context to the state. Without this module the requests
@@ -20,7 +20,7 @@ from stampede_rt_runtime.rpc import Context
 
 
 class AbortInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Removes all frames but its own from the error of an aborted call. This must be the outermost interceptor."""
+    """Removes all frames but its own from the error of an aborted call. This interceptor must be the outermost one."""
 
     async def intercept_service(
         self,

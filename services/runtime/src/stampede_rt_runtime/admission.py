@@ -19,18 +19,18 @@ from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import is_for_members, why_refused
 from stampede_rt_runtime.rpc import Context
 
-CERTIFICATES_KEPT_MAX = 4096
+CERTIFICATES_KEPT_MAX = 4096  # whose serial numbers and ends are remembered
 _WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and container runtimes call it
 
 
 def caller_identity(context: Context) -> Identity | None:
-    """The identity in the call's certificate; None without certificates, or if the certificate names none."""
+    """The identity in the caller's certificate; None: there is no certificate, or it has no one valid identity."""
     found = context.auth_context().get("peer_uri", ())
     return identity_among(uri.decode(errors="replace") for uri in found)
 
 
 class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Refuses every call whose caller brings no accepted proof, or may not make the call."""
+    """Refuses every call whose caller brings no accepted proof, or whose caller may not make the call."""
 
     def __init__(self, accepted: Accepted, control: AccessControl) -> None:
         self._accepted = accepted
@@ -79,7 +79,7 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
     def _admit(self, method: str, context: Context) -> Caller:
         """The caller, if it may make the call.
 
-        Raises PermissionDenied, which the audit log gets, too, and Unavailable.
+        Raises PermissionDenied or Unavailable. The audit log gets each denial, and each call with an ended certificate.
         """
         caller: Caller | None = None
         try:

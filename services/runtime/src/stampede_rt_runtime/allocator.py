@@ -1,4 +1,4 @@
-"""Makes this process return freed memory to the system. With glibc by mallopt(3); elsewhere it does nothing."""
+"""Makes this process return freed memory to the system. Works with glibc only, and else does nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ ARENAS_MAX = 2
 
 
 TRIM_SECONDS = 1.0
+"""The time between two looks at the unused memory."""
 UNUSED_BYTES_MAX = 64 * 2**20
+"""If the unused memory has grown by more than this, the process returns it to the system."""
 
 
 def give_back_memory() -> None:

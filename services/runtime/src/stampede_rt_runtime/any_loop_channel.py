@@ -42,15 +42,15 @@ class AnyLoopChannel(grpc.aio.Channel):
         self._channel.close()
 
     def get_state(self, try_to_connect: bool = False) -> grpc.ChannelConnectivity:
-        """Not offered."""
+        """Raises NotImplementedError: this channel does not offer it."""
         raise NotImplementedError("make a call: its status shows the state of the connection")
 
     async def wait_for_state_change(self, last_observed_state: grpc.ChannelConnectivity) -> None:
-        """Not offered."""
+        """Raises NotImplementedError: this channel does not offer it."""
         raise NotImplementedError("make a call: its status shows the state of the connection")
 
     async def channel_ready(self) -> None:
-        """Not offered."""
+        """Raises NotImplementedError: this channel does not offer it."""
         raise NotImplementedError("make a call: its status shows the state of the connection")
 
     def unary_unary(self, *args: Any, **kwargs: Any) -> Any:

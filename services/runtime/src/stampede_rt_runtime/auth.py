@@ -1,4 +1,4 @@
-"""The secrets of a cluster without certificates: makes the cluster's file, and reads it and the clients' file."""
+"""The secrets of a cluster and of its clients: makes the file of the cluster's secret, and reads both files."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ class Secret:
 
 
 def load_secret(path: Path | None) -> Secret | None:
-    """The secret in `path`, which must exist, or in the user's default file, which may be absent (None).
+    """The secret in `path`; `path` None: the secret in $STAMPEDE_SECRET_FILE, or in the user's default file.
 
-    Raises PermissionDenied if the file is missing, empty, or may be read by others.
+    None: no file is named, and the default file does not exist. Raises PermissionDenied if the file is missing, empty,
+    or may be read by others.
     """
     secret_path = path or secret_file()
     values = read_secrets(secret_path)

@@ -11,7 +11,7 @@ from stampede_rt.cluster.cluster_ids import told_cluster
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 
-# Returns the error for a caller of that cluster; None: the server serves it. Called for each call that names a cluster.
+# Takes the id of a caller's cluster. Returns the error for the caller; None: the server serves the call.
 JudgeCluster = Callable[[str], StampedeError | None]
 # Callers use these to find out which cluster a server belongs to.
 _OPEN_METHODS = frozenset({"/stampede_rt.v1.DirectoryService/Ping", "/grpc.health.v1.Health/Check"})

@@ -26,9 +26,10 @@ from stampede_rt_runtime.rpc import Context
 
 
 class Slots:
-    """`calls_max` slots for calls of anybody, of which `streams_max` may be streams, and `reserved_max` more slots.
+    """The slots of a port: `concurrent_rpcs_max` for calls of anybody, and `reserved_rpcs_max` more (see `Limits`).
 
-    The reserved slots are for methods that clients never call: Raft, leases, membership, the links between hosts.
+    At most `streams_max` of the first may be streams. The reserved slots are for methods that clients never call: Raft,
+    leases, membership, the links between hosts.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -59,6 +60,7 @@ class Slots:
 # The host counts the refused items of these streams.
 COUNTED_BY_ITEMS = frozenset({"/stampede_rt.v1.ChannelService/Put", "/stampede_rt.v1.QueueService/Enqueue"})
 
+# The calls of these methods also count as subscriptions.
 SUBSCRIPTIONS = frozenset(
     f"/stampede_rt.v1.{name}"
     for name in (

@@ -65,11 +65,11 @@ class Described:
 
     @property
     def lifetime(self) -> timedelta:
-        """The time for which it was made."""
+        """The time for which the certificate was made, without the backdated part."""
         return self.not_after - self.not_before - BACKDATED
 
     def ends_soon(self, now: datetime, at_most: timedelta) -> bool:
-        """Whether less than a third of its lifetime is left, and less than `at_most`."""
+        """Whether less than a third of the lifetime is left, and also less than `at_most`."""
         return self.not_after - now < min(at_most, self.lifetime / 3)
 
 

@@ -32,7 +32,7 @@ from stampede_rt_runtime.written import naming
 DEFAULT_FOLDER = Path("certs")
 AUTHORITY_DAYS, CERTIFICATE_DAYS = 3650, 365
 EXIT_FAILED = 1
-_SOON = timedelta(days=30)
+_SOON = timedelta(days=30)  # `show` points out certificates that end within this time
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -68,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_days,
         default=AUTHORITY_DAYS,
         metavar="N",
-        help=f"it is valid for N days; default: {AUTHORITY_DAYS}",
+        help=f"the authority is valid for N days; default: {AUTHORITY_DAYS}",
     )
     init.set_defaults(run=_init)
     one = verbs.add_parser("issue", help="make the certificate of one part, or renew it")
@@ -76,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
         "--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's folder; default: certs"
     )
     one.add_argument("--name", required=True, help="the part's name: a supernode's --id, a host's --name")
-    one.add_argument("--role", required=True, choices=[str(role) for role in Role], help="the part that it is for")
+    one.add_argument("--role", required=True, choices=[str(role) for role in Role], help="the part of the cluster")
     one.add_argument(
         "--address",
         nargs="+",
@@ -85,12 +85,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HOST",
         help="names and IP addresses at which a service is called; default: this machine's name and localhost",
     )
-    one.add_argument("--out", type=Path, metavar="DIR", help="write it to DIR; default: the authority's folder")
+    one.add_argument("--out", type=Path, metavar="DIR", help="write the files to DIR; default: the authority's folder")
     lifetime = one.add_mutually_exclusive_group()
     lifetime.add_argument(
-        "--days", type=_days, metavar="N", help=f"it is valid for N days; default: {CERTIFICATE_DAYS}"
+        "--days", type=_days, metavar="N", help=f"the certificate is valid for N days; default: {CERTIFICATE_DAYS}"
     )
-    lifetime.add_argument("--ttl", type=_ttl, metavar="DURATION", help="it is valid for this time, such as 12h")
+    lifetime.add_argument("--ttl", type=_ttl, metavar="DURATION", help="valid for this time, such as 12h")
     one.set_defaults(run=_issue)
     renew = verbs.add_parser("renew", help="make certificates anew: same parts, addresses and lifetimes, same files")
     renew.add_argument("files", nargs="+", type=Path, metavar="FILE", help="NAME.pem, with NAME.key beside it")

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from stampede_rt.cluster.cluster_ids import IN_MEMORY
 
 ID_BYTES = 16
-LISTED = "listed-"
+LISTED = "listed-"  # the ids that are made from a list of members begin with this
 
 
 def new_cluster_id(*, in_memory: bool) -> str:

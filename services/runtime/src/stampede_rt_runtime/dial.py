@@ -1,4 +1,7 @@
-"""Outgoing connections of services: with the limits of incoming ones, the secret in every call, and certificates."""
+"""Opens the outgoing connections of services.
+
+The connections have the limits of `Limits`, bring the secret with every call, and use certificates.
+"""
 
 from __future__ import annotations
 

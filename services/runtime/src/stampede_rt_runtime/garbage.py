@@ -2,9 +2,9 @@
 
 The last reference frees an item or record. Only objects in a reference cycle need the collector. Python starts it when
 there are many more objects than at its last run. A full channel drops an old item for each new one, so the number of
-objects hardly grows, and Python starts the collector rarely. By then all held items are new, and the collector would
-walk over all of them at once. Therefore the event loop starts the collector, too, and does so more often when more
-objects are created (decision 0122).
+objects hardly grows, and Python starts the collector rarely. By then all held items are newer than the last run, and
+the collector would walk over all of them in one go. Therefore the event loop starts the collector, too, and does so
+more often when more objects are created (decision 0122).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Patterns over names: `*` stands for any run of characters, `?` for one character. Pure.
 
-Callers send patterns. A match takes time in proportion to the name's length for each star in the pattern, at most.
+Callers send patterns. The time of a match is at most in proportion to the name's length times the number of stars.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _KEPT_MAX = 4096
 def matcher(glob: str) -> Callable[[str], bool]:
     """A function that tells whether a name matches `glob`.
 
-    Every name matches an empty `glob`. Brackets have no meaning.
+    Every name matches an empty `glob`. Brackets stand for themselves.
     """
     beginning = glob.removesuffix("*")
     # most patterns have only a star at the end; an expression takes 0.1 ms to compile

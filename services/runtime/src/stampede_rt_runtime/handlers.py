@@ -1,4 +1,4 @@
-"""Wraps the method of a gRPC server, whatever its kind.
+"""Wraps the method of a gRPC server, of any of gRPC's four kinds.
 
 gRPC gives an interceptor neither the caller's certificate nor the end of a call. Only a running call has them, so this
 module wraps the handler.

@@ -16,8 +16,8 @@ STATUS = health_pb2.HealthCheckResponse
 class Health:
     """The health service for load balancers.
 
-    `Check` is open to everybody, so it reads no request. So no caller can make it wait or buffer. It tells the state of
-    the whole server, whichever service the caller names.
+    `Check` is open to everybody. It reads no request, so that no caller can make it wait or buffer. It tells the state
+    of the whole server, whichever service the caller names.
     """
 
     def __init__(self) -> None:

@@ -77,7 +77,10 @@ def status_of(target: str, timeout_seconds: float = TIMEOUT_SECONDS, files: TlsF
 
 
 def _files_of_service(environ: Mapping[str, str]) -> TlsFiles | None:
-    """The certificates of the first service that has some. Raises InvalidArgument if it has only some of its files."""
+    """The certificates of the first service that has some.
+
+    Raises InvalidArgument if only some of a service's files are named.
+    """
     for service in ("HOST", "FRONTEND", "SUPERNODE"):
         variables = tuple(name.replace("STAMPEDE_", f"STAMPEDE_{service}_") for name in CLIENT_VARIABLES)
         if (found := files_from_environment(environ, variables)) is not None:

@@ -17,7 +17,7 @@ _FILE_NAME = re.compile(r"[a-z0-9][a-z0-9._-]*")
 
 
 class Role(StrEnum):
-    """The purpose of a certificate's owner."""
+    """The role that a certificate or token gives to its owner."""
 
     SUPERNODE = "supernode"
     FRONTEND = "frontend"
@@ -53,8 +53,8 @@ class Identity:
 
     @property
     def file_stem(self) -> str:
-        """The name of its files, without their endings. Different names have different stems, even if case does not
-        count.
+        """The name of its files, without their endings. Different names have different stems, even on a
+        file system that ignores case.
 
         A name with upper-case letters or "/" is no valid file name. Its stem has another spelling, with a digest of the
         name.

@@ -106,7 +106,7 @@ def run_service(
     """Load the settings, run `serve` to its end on a new event loop, and return the process's exit code.
 
     `argv` is without the program's name; None: that of the process. `serve` returns an exit code; None means 0. Exit
-    code 2: the settings are unusable; 1: the service failed to start or to go on. Both with one line on stderr.
+    code 2: the settings are unusable; 1: the service failed to start or to go on. Then one line on stderr says why.
     """
     try:
         words = sys.argv[1:] if argv is None else argv
@@ -173,6 +173,6 @@ def run_loop(work: Awaitable[R]) -> R:
 
 
 def announce(line: str) -> None:
-    """Print the ready line on stdout at once, because the process's starter waits for it."""
+    """Print the ready line on stdout and flush it, because the process's starter waits for it."""
     sys.stdout.write(escaped(line) + "\n")
     sys.stdout.flush()

@@ -48,7 +48,7 @@ class RefusedCalls:
         self._steady_nanos = steady_nanos
 
     def note(self, error: Overloaded) -> None:
-        """Count a refusal. Writes a log line every few seconds at most."""
+        """Count a refusal. Writes a log line every 10 s at most."""
         untold = self._overload.note(1, self._steady_nanos())
         if untold is not None:
             logger.warning("calls are refused", extra={"calls": untold, "why": error.message})

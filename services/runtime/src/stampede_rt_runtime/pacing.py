@@ -30,7 +30,7 @@ class TurnGate:
         self._is_counting = False
 
     def admits(self) -> bool:
-        """Whether the caller may go on at once. If not, it must await `turn`."""
+        """Whether the caller may go on in this turn. If not, it must await `turn`."""
         if not self._left or self._line:
             return False
         self._left -= 1
@@ -66,14 +66,14 @@ class PacedContext:
         self._writes = writes
 
     async def read(self) -> Any:
-        """The next message, or EOF."""
+        """The next message, or EOF. Returns when the message is there and the gate admits the stream."""
         message = await self._context.read()
         if not self._reads.admits():
             await self._reads.turn()
         return message
 
     async def write(self, message: Any) -> None:
-        """Return when gRPC has taken the message."""
+        """Write a message. Returns when gRPC has taken the message and the gate admits the stream."""
         await self._context.write(message)
         if not self._writes.admits():
             await self._writes.turn()
@@ -115,7 +115,7 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
             try:
                 return await serving
             finally:
-                del serving  # an error refers to this frame, and the task to the error: no circle may be left
+                del serving  # an error refers to this frame, and the task to the error: leave no reference cycle
 
         return call
 

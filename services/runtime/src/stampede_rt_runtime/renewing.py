@@ -56,6 +56,7 @@ class RenewingChannel(grpc.aio.Channel):
         self._let_go(connection)
 
     def _let_go(self, connection: _Connection) -> None:
+        """Close a former connection if it has no calls under way."""
         if connection in self._former and not connection.calls:
             self._former.discard(connection)
             closing = asyncio.ensure_future(connection.channel.close())

@@ -102,6 +102,7 @@ def _refusing(behavior: Callable[..., Any]) -> Callable[..., Any]:
 
 @contextlib.asynccontextmanager
 async def _told(context: Context) -> AsyncIterator[None]:
+    """A context that ends the call with a StampedeError raised inside it."""
     try:
         yield
     except StampedeError as error:

@@ -1,7 +1,7 @@
 """The roles that may call each RPC. Pure.
 
-The table has one row for each service of the contract, and one for each RPC that differs from its service. A service
-without a row is refused. So the author of a new service decides here who may call it.
+The table has one row for each service of the contract, and one for each RPC that differs from its service. The
+methods of a service without a row are open to no role. So the author of a new service decides here who may call it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ PACKAGE = "stampede_rt.v1"
 _ALL = frozenset(Role)
 _SUPERNODES = frozenset({Role.SUPERNODE})
 _HOSTS = frozenset({Role.HOST})
-# A host may live inside a participant's process, and hosts call each other, so a host may do what a client may.
+# A host may live inside a client's process, and hosts call each other, so a host may do what a client may.
 _CALLERS = frozenset({Role.CLIENT, Role.OPERATOR, Role.HOST})
 _OPERATORS = frozenset({Role.OPERATOR})
 

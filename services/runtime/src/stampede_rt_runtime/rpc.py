@@ -17,13 +17,13 @@ from google.protobuf.message import Message
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 
-# A method's view of its call. The types of requests and responses are those of the method.
+# The context that gRPC passes to a method. The types of requests and responses are left open.
 Context: TypeAlias = "grpc.aio.ServicerContext[Any, Any]"
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def errors_as_status(method: Method) -> Method:
-    """Wraps `method` so that a StampedeError ends the RPC with its status.
+    """Wraps `method` so that a StampedeError ends the RPC with the status of that error.
 
     Any other exception is a defect, and gRPC reports it as one. `method` takes (self, request, context), and returns a
     response or yields responses.

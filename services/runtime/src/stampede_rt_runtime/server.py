@@ -1,4 +1,4 @@
-"""The gRPC server of every service: limited, with checks of callers, with health, and with an orderly stop."""
+"""The gRPC server of every service. It limits calls, checks callers, reports its health, and stops in order."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from stampede_rt_runtime.values import Address
 
 logger = logging.getLogger(__name__)
 
-DRAIN_SECONDS = 2.0
+DRAIN_SECONDS = 2.0  # how long a stop waits for streams to end, and again for calls to finish
 _STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
@@ -39,9 +39,10 @@ class ServiceServer:
     `stop`.
 
     Make it on the event loop that serves. With `tls` every caller must bring a certificate whose role may make the
-    call. With `secret` every caller must bring that secret, and may make every call, or `client_secret`, and may make
-    the calls of clients. Without `secret` and `tls` the server admits every caller. `judge_cluster` decides about
-    callers of another cluster; without it the server serves them.
+    call. With `secret` every caller must bring a secret or a client token. `secret` allows every call, and
+    `client_secret` the calls of clients. If a caller brings a secret and a certificate, the role of the
+    certificate decides. If it brings a token, the roles of the token decide. Without `secret` and `tls` the server
+    admits every caller. `judge_cluster` decides about callers of another cluster; without it the server serves them.
     """
 
     def __init__(

@@ -1,5 +1,6 @@
-"""The settings of a service: a frozen dataclass, filled from flags, the environment, a file and defaults, in that
-order.
+"""The settings of a service: a frozen dataclass, filled from flags, the environment, a file and defaults.
+
+For each setting the first of these sources that has a value wins.
 
 A field `lease_ttl_nanos: int = field(default=5 * 10**9, metadata=setting(help="...", parse=parse_duration))` of the
 service `supernode` can be given in three ways: as the flag `--lease-ttl 5s`, as the variable

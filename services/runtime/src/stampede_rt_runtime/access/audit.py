@@ -1,6 +1,7 @@
 """The audit log: denied calls, and changes of rights. One line for each event, on the service's log.
 
-A caller that is denied again and again gets at most one line a second. The next line tells how many were left out.
+A caller that is denied again and again gets at most one line a second. The next line tells how many denials were left
+out.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from stampede_rt_runtime.access.caller import Caller
 logger = logging.getLogger("stampede_rt.audit")
 
 LINE_SECONDS_MIN = 1.0
-SUBJECTS_MAX = 1024
+SUBJECTS_MAX = 1024  # the most callers whose last lines are remembered
 
 
 class AuditLog:

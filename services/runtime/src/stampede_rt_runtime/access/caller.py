@@ -19,7 +19,7 @@ class CallerKind(StrEnum):
 
 
 ALL_ROLES = frozenset(Role)
-UNJUDGED = SERVICES | {Role.OPERATOR}
+UNJUDGED = SERVICES | {Role.OPERATOR}  # no rule restricts a caller with one of these roles
 _NAMELESS = {
     CallerKind.CLIENT_SECRET: ("@clients", "a holder of the clients' secret"),
     CallerKind.CLUSTER_SECRET: ("@cluster", "a holder of the cluster's secret"),
@@ -64,9 +64,9 @@ def by_secret(*, of_cluster: bool) -> Caller:
 
 @dataclass(frozen=True, slots=True)
 class Certified:
-    """The contents of a caller's certificate: the identity, and the end.
+    """The contents of a caller's certificate.
 
-    `serial`: its number, in hexadecimal digits.
+    `serial`: its serial number, in hexadecimal digits. `ends_unix_nano`: the end of its validity; 0: unknown.
     """
 
     identity: Identity

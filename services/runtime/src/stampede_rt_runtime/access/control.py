@@ -32,6 +32,7 @@ RIGHTS_PER_TURN = 8
 """To judge the first right of a caller takes 1.5 ms with a thousand rules, and each further right 0.1 ms."""
 CALLS_ENDED_PER_TURN = 16
 SWEEP_SECONDS = 1.0
+"""The time between two looks for calls whose credential has ended."""
 Grant = tuple[AccessVerb, AccessKind, str]
 
 
@@ -64,7 +65,10 @@ class AccessControl:
         self._source = source
 
     def tell(self, state: AccessState) -> None:
-        """Set the state. Ends the open streams of callers that have lost their rights."""
+        """Set the state.
+
+        Ends the open calls whose caller has lost the credential, or a right that the call has used.
+        """
         former, self._state = self._state, state
         if former is None or former.quotas is not state.quotas:
             self.accounts.tell(state.quotas)
@@ -96,7 +100,7 @@ class AccessControl:
         return 0 if state is None else state.version
 
     def refresh(self) -> AccessState | None:
-        """The present state; None: there is none yet."""
+        """Get the state from the source, if there is a source. Returns the present state; None: there is none yet."""
         if self._source is not None:
             state = self._source()
             if state != self._state:
@@ -222,7 +226,7 @@ class OpenCall:
     def check(self, grant: Grant) -> None:
         """Raises PermissionDenied if the caller has no such right.
 
-        The call remembers each right until the rules change.
+        The call remembers a right that the caller has. `judging_again` checks these rights when the rules change.
         """
         if not self._is_judged or grant in self._granted:
             return

@@ -31,7 +31,10 @@ class Accepted:
 
 
 def identify(accepted: Accepted, authorization: bytes | None, certificate: Certified | None) -> Caller:
-    """The caller with this metadata and this certificate. Raises PermissionDenied, and the errors of `read_token`."""
+    """The caller who sent this `authorization` metadata and this certificate.
+
+    Raises PermissionDenied, and the errors of `read_token`.
+    """
     certified = _certified(accepted, certificate) if accepted.cluster else None
     brought = _brought(authorization)
     token = _token(accepted, brought)

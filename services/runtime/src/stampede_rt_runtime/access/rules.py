@@ -78,7 +78,7 @@ class AccessRule:
 
 
 def check_rule(rule: AccessRule) -> None:
-    """Raises InvalidArgument for a rule that can match nothing."""
+    """Raises InvalidArgument for a rule with an invalid pattern, or with verbs that its kind does not have."""
     for text, what, form in ((rule.who, "who", _WHO), (rule.names, "the names", _NAMES)):
         if not 0 < len(text) <= GLOB_CHARACTERS_MAX or form.fullmatch(text) is None:
             raise InvalidArgument(

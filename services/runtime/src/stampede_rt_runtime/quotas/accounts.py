@@ -14,6 +14,7 @@ from stampede_rt_runtime.quotas.turns import Turn, Turns
 
 RECENT_MAX = 1024
 BURST_SECONDS = 10
+"""A caller may make the changes of this many seconds in one go."""
 
 _TEXTS: Mapping[Quota, tuple[str, str]] = {
     Quota.STREAMS: ("streams open at this port", "close some"),
@@ -94,12 +95,15 @@ class Account:
             self._used[quota] -= 1
 
     def hold(self, quota: Quota) -> Hold:
-        """An object for a part of the caller's use of one quota, at first 0."""
+        """An object that sets a part of the caller's use of one quota. The part is 0 at first."""
         return Hold(self, quota)
 
     @contextmanager
     def using(self, quota: Quota, amount: int = 1) -> Iterator[None]:
-        """Use `amount` of the quota for the duration of the block. Raises Overloaded."""
+        """Use `amount` of the quota for the duration of the block.
+
+        Raises Overloaded if the caller may not use so much.
+        """
         self.check(quota, amount)
         self._used[quota] += amount
         try:
@@ -122,7 +126,7 @@ class Account:
         self._used[quota] += amount
 
     def change(self) -> None:
-        """Count one change of the directory. Raises Overloaded."""
+        """Count one change of the directory. Raises Overloaded if the caller makes too many changes."""
         changes = self._changes_now() + 1
         if changes > BURST_SECONDS * self._limits[Quota.CHANGES_PER_SECOND]:
             raise self.exceeded(Quota.CHANGES_PER_SECOND, 1)
@@ -239,7 +243,7 @@ class Accounts:
         return account
 
     def refused_ago_nanos(self) -> int | None:
-        """The time since a caller was last refused something; None: nobody was."""
+        """The time since a caller was last refused something, in nanoseconds; None: no caller was."""
         return None if not self.refusals else round((self._clock_s() - self._refused_at_s) * 1e9)
 
     def _note_refusal(self) -> None:

@@ -46,6 +46,7 @@ OF_MAKERS = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.BYTES_HELD})
 
 Callers without a name of their own count together, by the kind of their proof.
 """
+# The names of callers whose proof has no name of its own. OF_MAKERS have no default limit for them.
 SHARED_NAMES = frozenset({"@clients", "@cluster", "@anyone"})
 
 
@@ -80,8 +81,8 @@ def check_setting(setting: QuotaSetting) -> None:
 class QuotaTable:
     """All settings of a cluster.
 
-    If several match a caller, the one with the most literal characters holds, and among equals the one with the lowest
-    limit.
+    If several settings of a quota match a caller, the setting for exactly this name holds. Else the pattern with the
+    most literal characters holds, and among equal ones the setting with the lowest limit.
     """
 
     def __init__(self, settings: Iterable[QuotaSetting] = ()) -> None:

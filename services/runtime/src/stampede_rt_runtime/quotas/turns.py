@@ -13,7 +13,7 @@ BURST_NANOS = 1_000_000
 """The time that a caller may use beyond its percentage before it must wait: enough for a few messages."""
 CONTENDED_NANOS = 100_000_000
 """When a caller works right after another caller, several callers count as having work for this time."""
-PAUSE_SECONDS_MIN = 0.0005
+PAUSE_SECONDS_MIN = 0.0005  # the shortest time after which a line looks again whether it must still wait
 _SECOND_NANOS = 10**9
 
 Schedule = Callable[[float, Callable[[], None]], object]
