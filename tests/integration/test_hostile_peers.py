@@ -77,7 +77,7 @@ async def terms(cluster: Cluster) -> set[int]:
 
 
 async def test_outsiders_introduce_nobody_and_unseat_nobody_however_often_they_come(tmp_path: Path) -> None:
-    async with running_cluster(tmp_path) as cluster:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         await register(leader, 1)
         await open_channel(leader, "cam/kept")
@@ -94,7 +94,7 @@ async def test_outsiders_introduce_nobody_and_unseat_nobody_however_often_they_c
 
 
 async def test_whoever_takes_a_members_name_needs_its_store(tmp_path: Path) -> None:
-    async with running_cluster(tmp_path) as cluster:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         other, _ = cluster.others(leader)
         await register(leader, 1)
@@ -112,7 +112,7 @@ async def test_whoever_takes_a_members_name_needs_its_store(tmp_path: Path) -> N
 
 async def test_a_member_whose_store_is_known_to_a_liar_ends_no_process_and_raises_no_term(tmp_path: Path) -> None:
     """The liar has stopped a member and taken its folder: each lie costs it the stream, and nobody else anything."""
-    async with running_cluster(tmp_path) as cluster:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         taken, _ = cluster.others(leader)
         await register(leader, 1)

@@ -34,7 +34,7 @@ NEWER = "tests.support.newer_release"
 
 @pytest.fixture
 async def cluster(tmp_path: Path) -> AsyncIterator[Cluster]:
-    async with running_cluster(tmp_path) as cluster:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         yield cluster
 
 

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.timeout(120)
 async def test_a_supernode_without_a_majority_gives_what_it_holds_and_a_new_cluster_goes_on_with_it(
     tmp_path: Path,
 ) -> None:
-    async with running_cluster(tmp_path) as cluster:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         last, *others = cluster.supernodes
         await register(last, 1)
         opened = await open_channel(last, "cam/kept")

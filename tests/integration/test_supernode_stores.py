@@ -52,7 +52,7 @@ async def loses_nothing(supernode: Supernode, names: list[str]) -> None:
 
 
 async def test_a_member_that_is_started_without_its_folder_is_refused_and_loses_nothing(tmp_path: Path) -> None:
-    async with running_cluster(tmp_path) as cluster:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         forgetful, away = cluster.others(leader)
         await have_met(cluster, tmp_path)
@@ -80,7 +80,7 @@ async def test_a_member_that_is_started_without_its_folder_is_refused_and_loses_
 async def test_a_member_with_an_older_copy_of_its_folder_is_refused_for_good_and_status_and_doctor_say_so(
     tmp_path: Path,
 ) -> None:
-    async with running_cluster(tmp_path) as cluster:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         restored, _ = cluster.others(leader)
         await register(leader, 1)
@@ -115,7 +115,7 @@ async def doctor(address: str) -> tuple[int, str]:
 
 
 async def test_an_older_copy_is_refused_also_by_a_leader_that_was_restarted_meanwhile(tmp_path: Path) -> None:
-    async with running_cluster(tmp_path) as cluster:
+    async with running_cluster(tmp_path, "--lease-ttl", "1h") as cluster:
         leader = await cluster.leader()
         restored, away = cluster.others(leader)
         await register(leader, 1)
