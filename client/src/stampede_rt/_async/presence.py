@@ -235,7 +235,7 @@ class Presence:
 
 
 class MailboxLocator(QueueLocator):
-    """Finds the connection's own mailbox. A lost mailbox comes back when the peer registers again."""
+    """Finds the connection's own mailbox. If the mailbox is lost, the peer registers again and gets a new mailbox."""
 
     def __init__(self, session: Session, presence: Presence, state: QueueState) -> None:
         super().__init__(session, state)

@@ -106,7 +106,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
                 await sleep(delay_s)
 
     async def _look_around(self, deadline_s: float) -> None:
-        """Ask the supernodes for their cluster. Raises WatchRestart if the directory has begun anew."""
+        """Check that the supernodes still have the cluster id that the watch began with. Raises WatchRestart if not."""
         if await self._session.supernodes.present_cluster(deadline_s) != self._cluster_id:
             raise WatchRestart("the directory has begun anew, in another cluster; list again, then begin a new watch")
 
@@ -150,8 +150,8 @@ class Watch(DirectoryWatch[Change]):
 
     Each step blocks until the next change. After a break the watch continues after the last change, perhaps at another
     supernode. A step raises Unavailable if the client could not reach a supernode for the duration `reconnect`. It
-    raises WatchRestart if the supernodes no longer keep the changes since the break, or if the directory has begun
-    anew. After WatchRestart list again, and begin a new watch.
+    raises WatchRestart if the supernodes no longer keep the changes since the break, or if the cluster has a new id, as
+    after a restore of a backup. After WatchRestart list again, and begin a new watch.
     """
 
     def __init__(self, session: Session, name_glob: str, reconnect: DurationLike | None) -> None:

@@ -231,7 +231,10 @@ def _show(arguments: argparse.Namespace) -> list[str]:
 
 
 def _revoke(arguments: argparse.Namespace) -> list[str]:
-    """Revoke certificates, as an operator: with a certificate or token of that role, or with the cluster's secret."""
+    """Revoke the given certificates. If none is given, list all revoked serial numbers.
+
+    The caller must prove the role `operator` by a certificate or token, or have the cluster's secret.
+    """
     from stampede_rt.administration.running_cluster import reached  # not at the top: the other verbs need no gRPC
 
     serials = [_serial_of(text) for text in arguments.credentials]

@@ -14,7 +14,7 @@ from stampede_rt_channel_host.channels.requests import group_of, parse, query_of
 from stampede_rt_channel_host.core.channel import Query
 
 PLANS_MAX = 64
-REQUEST_BYTES_MAX = 4096  # the key of a plan is its request's bytes; valid requests have fewer than 512
+REQUEST_BYTES_MAX = 4096  # limits the memory for plans, whose keys are bytes of requests; valid requests have < 512
 _CALL_ID_TAG = 1 << 3  # GetRequest.call_id, varint
 _VARINT_BYTES_MAX = 10
 
@@ -44,7 +44,7 @@ class GetCall:
 
 
 class GetPlans:
-    """The plans of one stream, PLANS_MAX at most. Before one more comes, the object forgets all of them."""
+    """The plans of one stream, at most PLANS_MAX. If there is no room for a new plan, the object first forgets all."""
 
     def __init__(self) -> None:
         self._plans: dict[bytes, GetPlan] = {}
@@ -67,7 +67,7 @@ class GetPlans:
             return GetCall(request.call_id, None, error)
         if len(self._plans) >= PLANS_MAX:
             self._plans.clear()
-        # if `rest` has no call id, the plan fits every call with these bytes
+        # `rest` has a call id if that field was not the first, or came twice. Such a plan would fit only this call.
         if not pb.GetRequest.FromString(rest).call_id:
             self._plans[rest] = plan
         return GetCall(request.call_id, plan)

@@ -17,7 +17,11 @@ _OLDEST = (group_pb2.GROUP_REFERENCE_UNSPECIFIED, group_pb2.GROUP_REFERENCE_OLDE
 
 
 def group_spec_from(spec: group_pb2.GroupSpec) -> GroupSpec:
-    """The set-up in a message. Raises InvalidArgument for an unknown reference or bound, or contradictory ones."""
+    """The set-up in a message.
+
+    Raises InvalidArgument if the reference or bound is unknown, or if the message has a `reference_channel_id` although
+    no channel is the reference.
+    """
     if spec.bound not in _BOUNDS_FROM_WIRE:
         raise InvalidArgument(f"bound is {spec.bound}, which this version does not know; see GroupBound for the values")
     return GroupSpec(
@@ -82,10 +86,10 @@ def group_from(record: group_pb2.GroupRecord) -> GroupRecord:
 
 
 def group_entry(group: GroupRecord, witnesses: tuple[bytes, ...]) -> pb.GroupEntry:
-    """The entry that supernodes keep for a group."""
+    """The entry that supernodes keep for a group. `witnesses`: the ids of hosts, see `GroupTable`."""
     return pb.GroupEntry(record=group_record(group), witness_host_ids=witnesses)
 
 
 def group_entry_from(entry: pb.GroupEntry) -> tuple[GroupRecord, tuple[bytes, ...]]:
-    """The group and its witnesses, from an entry that this codec wrote."""
+    """The group, and the host ids of its witnesses, from an entry that this codec wrote."""
     return group_from(entry.record), tuple(entry.witness_host_ids)

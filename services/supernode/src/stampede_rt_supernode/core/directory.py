@@ -33,9 +33,9 @@ class Directory(DirectoryState):
             self.tables.note_index(index)
 
     def note_done(self, index: int, result: bytes) -> None:
-        """Add the result of an operation to the digest.
+        """Add the encoded result of the operation at log position `index` to `digest`, unless the digest is unknown.
 
-        Not called for refusals, whose texts differ between releases.
+        Do not call it for refusals, because their texts differ between releases.
         """
         if self.digest:
             done = self.digest + index.to_bytes(8, "big") + result

@@ -1,7 +1,8 @@
 """A whole queue as values, for a host that takes it over (paper, section 4.1: queues migrate). Pure.
 
-Seqs, delivery ids and counters continue. Takers and waiting runs do not move: their streams hear of the new host.
-Durations replace instants, because two hosts' clocks differ. The values follow `HandoffRecord` of the contract.
+Seqs, delivery ids and counters continue. Takers, and runs that wait for room, do not move: the former host names the
+new host to their streams. Durations replace instants, because two hosts' clocks differ. The values follow
+`HandoffRecord` of the contract.
 """
 
 from __future__ import annotations
@@ -32,11 +33,12 @@ class LeaseState(NamedTuple):
 
 
 class ItemState(NamedTuple):
-    """A message with a history.
+    """A message with a history: it is leased, held back or leaving, or was delivered or acknowledged before.
 
     `deliveries` says for each copy that was delivered and not acknowledged how often it was delivered. The leased
     copies come first, in the order of `leases`. `delay_nanos`: the queue holds the message back for this time.
-    `is_leaving`: it is on its way to the dead-letter queue. `last`: its last failed delivery.
+    `is_leaving`: it is on its way to the dead-letter queue. `last`: its last failed delivery. `acknowledged`: the ids
+    of the takers that acknowledged a copy.
     """
 
     seq: int
@@ -60,7 +62,8 @@ class QueueHandoff:
     """The whole queue.
 
     `runs` and `held` ascend. Each run has at least one held message. Held messages without an entry in `items` have no
-    history. The runs' `accepted_at`, and the times of acknowledgements, recorded runs and message ids, are ages.
+    history. An age in nanoseconds replaces each time in `runs` (`accepted_at`), `acknowledged`, `producers` and
+    `message_ids`.
     """
 
     next_seq: int
@@ -92,7 +95,7 @@ def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now:
 
 
 def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> None:
-    """Fill an empty queue. The next tick handles times that are already over."""
+    """Fill an empty queue with `state`. The next `Queue.tick` ends the leases and delays that are over by then."""
     queue_items.tally = replace(state.tally)
     leasing.next_delivery_id = state.next_delivery_id
     states = {one.seq: one for one in state.items}
@@ -110,7 +113,7 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
         elif seq < fresh_from:
             queue_items.refresh(queue_items.touched[seq])
     queue_items.next_seq = state.next_seq
-    for seq in [one.seq for one in state.items if one.is_leaving]:  # they move in this order
+    for seq in [one.seq for one in state.items if one.is_leaving]:  # in the order in which they will leave
         queue_items.set_leaving(queue_items.touched[seq])
     for one in state.acknowledged:
         leasing.acknowledged.record(one.delivery_id, one.taker_id, now - one.time)
@@ -121,14 +124,15 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
 
 
 def _aged(kept: KeptRun, now: int) -> KeptRun:
-    """The run with its age instead of its time, or with its time instead of its age."""
+    """The run with its age in place of its time (for `export`), or its time in place of its age (for `restore`)."""
     return kept._replace(outcome=kept.outcome._replace(time=now - kept.outcome.time))
 
 
 def _fresh_from(state: QueueHandoff) -> int:
-    """The seq from which on all messages are held, and no message has a history.
+    """The seq from which on the queue holds all messages, and none of them has a history. They become fresh messages.
 
-    Older messages may have no history either, for example after a return. They count as touched all the same.
+    An older message may have no history either, for example if the queue took its delivery back before the host sent
+    it. An older message becomes a touched message in any case.
     """
     if not state.held or state.held[-1].last != state.next_seq - 1:
         return state.next_seq
