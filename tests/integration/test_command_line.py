@@ -210,6 +210,16 @@ def test_a_full_disk_below_the_output_is_told_as_that(
     assert (done.returncode, done.stderr) == (1, "stampede: the output cannot be written: No space left on device\n")
 
 
+def test_a_front_end_in_the_place_of_a_supernode_and_the_reverse_are_told_as_that(
+    stampede: Run, cluster: LocalCluster
+) -> None:
+    [member] = json.loads(stampede("supernode", "status", "-o", "json").stdout)
+    said = stampede("supernode", "status", "--member", cluster.address, status=1).stderr
+    assert "no supernode answers there, but another service does; name a front-end with --url" in said
+    said = stampede("supernode", "status", "--url", member["address"], status=1).stderr
+    assert "no front-end answers there, but another service does; name a supernode with --member" in said
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["get", "--help"]])
 def test_help_and_version_load_no_grpc(arguments: list[str]) -> None:
     script = (

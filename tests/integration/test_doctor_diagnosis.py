@@ -210,7 +210,14 @@ def test_a_majority_that_runs_without_a_leader_is_no_lack_of_supernodes() -> Non
     observations = [replace(one, ready=False) if one.kind == SUPERNODE else one for one in WELL]
     quorum = found(observations, "quorum")
     assert quorum.state == "3 of 3 run, 0 serve"
-    assert "has no leader" in quorum.advice
+    assert "has no leader; look again in 5 s, then check the network" in quorum.advice
+    down = [replace(one, failure="gone") if one.name == "s1" else one for one in observations]
+    assert "has no leader; look again in 5 s, then start s1 again with its data folder" in found(down, "quorum").advice
+
+
+def test_a_cluster_in_memory_alone_is_told_as_that_and_is_no_fault() -> None:
+    quorum = found([replace(one, in_memory=one.kind == SUPERNODE) for one in WELL], "quorum")
+    assert (quorum.state, quorum.advice) == ("3 of 3 serve, in memory alone", "")
 
 
 def test_the_loss_of_all_supernodes_has_its_own_chapter() -> None:

@@ -67,9 +67,10 @@ class Cluster:
 
     def members(self) -> directory_pb.ListSupernodesResponse:
         """Return the members, as the first supernode that answers knows them. Raises Unavailable."""
-        listed: directory_pb.ListSupernodesResponse = self._first(
-            lambda endpoint: endpoint.call(endpoint.directory.ListSupernodes, _LIST, CALL_SECONDS)
-        )
+        with _explaining_another_service("no supernode", "a front-end with --url"):
+            listed: directory_pb.ListSupernodesResponse = self._first(
+                lambda endpoint: endpoint.call(endpoint.directory.ListSupernodes, _LIST, CALL_SECONDS)
+            )
         return listed
 
     def ping(self, address: str) -> Any:
@@ -300,7 +301,10 @@ def reached(frontend: str | None, member: str | None, *, secret: str | None = No
 
 def _bound(endpoints: EndpointPool, frontends: Sequence[str]) -> list[str]:
     request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
-    bound = _first(endpoints, frontends, lambda endpoint: endpoint.call(endpoint.frontend.Bind, request, CALL_SECONDS))
+    with _explaining_another_service("no front-end", "a supernode with --member"):
+        bound = _first(
+            endpoints, frontends, lambda endpoint: endpoint.call(endpoint.frontend.Bind, request, CALL_SECONDS)
+        )
     endpoints.metadata.cluster_id = bound.cluster_id
     return [one.endpoint.target for one in bound.supernodes]
 
@@ -325,6 +329,17 @@ def _same_cluster(endpoints: EndpointPool, members: Sequence[str]) -> list[str]:
 
 def _quotas(endpoint: ServerEndpoint) -> Any:
     return endpoint.stub(quota_service_pb2_grpc.QuotaServiceStub)
+
+
+@contextmanager
+def _explaining_another_service(expected: str, way_out: str) -> Iterator[None]:
+    """While entered, the error of a service without the call says that `expected` is there, and names `way_out`."""
+    try:
+        yield
+    except StampedeError as error:
+        if not _is_unknown(error):
+            raise
+        raise StampedeError(f"{expected} answers there, but another service does; name {way_out}") from error
 
 
 def _is_unknown(error: StampedeError) -> bool:

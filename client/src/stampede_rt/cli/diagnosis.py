@@ -148,13 +148,16 @@ def _quorum(seen: Sequence[Observation]) -> Iterator[CheckResult]:
     needed = len(members) // 2 + 1
     if ready >= needed:
         again = f"start {down} again with its data folder, or, if that is lost, replace it (runbook: replace one)"
-        yield CheckResult("quorum", "-", f"{ready} of {len(members)} serve", again if down else "")
+        kept = ", in memory alone" if any(one.in_memory for one in running) else ""
+        yield CheckResult("quorum", "-", f"{ready} of {len(members)} serve{kept}", again if down else "")
     elif len(running) >= needed:
         yield CheckResult(
             "quorum",
             "-",
             f"{len(running)} of {len(members)} run, {ready} serve",
-            "a majority runs, but has no leader; look again in 5 s, then check the network between them",
+            "a majority runs, but has no leader; look again in 5 s"
+            + (f", then start {down} again with its data folder" if down else "")
+            + ", then check the network between them",
         )
     elif len(running) + refused >= needed:
         advice = "a majority runs, but refuses this caller; use the cluster's secret and certificates to see more"

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.cli.observations import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Inventory, Observation
 from stampede_rt.cli.supernode_findings import gathered
+from stampede_rt.cluster.cluster_ids import IN_MEMORY
 from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
 from stampede_rt.security.tls_diagnosis import (
     Validity,
@@ -178,6 +179,7 @@ class Examination:
                 lease_held=getattr(response, "lease_held", True),
                 **(_load(response) if part.kind == HOST else {}),
                 **(_levels(response) if part.kind == SUPERNODE else {}),
+                in_memory=part.kind == SUPERNODE and response.cluster_id.startswith(IN_MEMORY),
                 denials=response.access.denials,
                 denied_ago_nanos=_optional(response.access, "denied_ago_nanos"),
                 quota_refusals=response.access.quota_refusals,

@@ -26,6 +26,7 @@ class Observation:
     - `quota_refusals`: the number of calls that the part refused since its start because their callers were beyond a
       quota, the last one `quota_refused_ago_nanos` ago.
     - `is_member`: whether the supernodes list this supernode as a member.
+    - `in_memory`: whether a supernode keeps the directory in memory alone.
     - `refuses_caller`: the part runs, but the caller's secret or certificate, or the part's certificate, is wrong.
     - `refused_because`: why other supernodes refuse the store of this supernode.
 
@@ -53,6 +54,7 @@ class Observation:
     quota_refused_ago_nanos: int | None = None
     held_bytes: int = 0
     memory_bytes_max: int = 0
+    in_memory: bool = False
     refuses_caller: bool = False
     refused_because: str = ""
     round_trip_nanos: int | None = None
