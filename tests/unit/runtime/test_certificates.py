@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import stat
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import InvalidArgument, PermissionDenied
-from stampede_rt.security.tls import TlsFiles, TlsReader, files_from_environment
+from stampede_rt.security.tls import TlsFiles, TlsReader, check_files, files_from_environment
 from stampede_rt.security.tls_diagnosis import check_own_certificate
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_runtime.certificates import CertificateError, describe, issue, make_authority
@@ -244,6 +245,29 @@ def test_a_reader_gives_new_files_and_waits_out_broken_ones(
     third = reader.current()
     assert third is not second
     assert third.key == second.key
+
+
+def test_a_reader_takes_files_whose_replacement_ends_while_it_refuses_half_of_it(
+    made: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reader took note of the second file as refused, too, and never read the whole pair."""
+    monkeypatch.setattr("stampede_rt.security.tls.LOOK_EVERY_S", 0.0)
+    files = made.issue(Role.CLIENT, "cam")
+    reader = TlsReader(files)
+    _, certificate, key = files.paths()
+    newer = made.issue(Role.CLIENT, "newer").paths()
+    os.replace(newer[2], key)  # the certificate does not belong to it yet
+
+    def check_and_end(given: TlsFiles) -> None:
+        try:
+            check_files(given)
+        finally:
+            if newer[1].exists():
+                os.replace(newer[1], certificate)
+
+    monkeypatch.setattr("stampede_rt.security.tls.check_files", check_and_end)
+    reader.current()
+    assert reader.current().certificate == certificate.read_bytes()
 
 
 def test_the_standard_library_shows_our_own_certificate(made: ClusterCertificates) -> None:

@@ -96,17 +96,17 @@ class TlsReader:
             return self._material
 
     def _look(self) -> None:
+        stamp = _stamp_if_there(self.files)  # before the reading: a change during it has another stamp
+        if stamp is not None and stamp in (self._stamp, self._refused):
+            return
         try:
-            stamp = _stamp(self.files)
-            if stamp in (self._stamp, self._refused):
-                return
             self._stamp, self._material = _read(self.files)
             logger.info("new certificates from now on: %s", self.files.certificate)
         except (PermissionDenied, OSError) as error:
             logger.warning(
                 "the certificate files have changed, but cannot be used; the earlier contents count: %s", error
             )
-            self._refused = _stamp_if_there(self.files)
+            self._refused = stamp
 
 
 def _stamp(files: TlsFiles) -> _Stamp:
