@@ -93,7 +93,7 @@ def puts_beside_group_gets(others: int) -> list[float]:
     host.put(channel, START)
     shown = Shown(channel, START + 1)
     gets = WaitingGets(shown, Coming(channel.channel), lambda: host.now, lambda: START + 1)
-    channel.followers[_Follower(gets, host)] = None
+    channel.group_observers[_Follower(gets, host)] = None
     query = Query(
         interval=parse_interval(MIN_INSTANT, MAX_INSTANT), match=Match.START, newer_than=Position(START), limit=1
     )

@@ -47,7 +47,7 @@ async def group_readers(rig: Rig, count: int) -> tuple[str, Work]:
     waiters = [Waiter() for _ in range(count)]
     waiting = [asyncio.create_task(wait(one)) for one in waiters]
     for one in waiters:
-        hosted.listeners.add(one)
+        hosted.cut_observers.add(one)
     await asyncio.sleep(0)  # they wait
 
     async def work() -> None:

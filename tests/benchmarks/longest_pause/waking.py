@@ -76,7 +76,7 @@ async def subscribers(rig: Rig, count: int) -> tuple[str, Work]:
     channel, hosted = await opened(rig)
     client = asyncio.create_task(asked(rig, channel, "follow")())  # type: ignore[arg-type]
     async with asyncio.timeout(PATIENCE_SECONDS):
-        await until(lambda: len(hosted.listeners) == count)
+        await until(lambda: len(hosted.subscriptions) == count)
 
     async def work() -> None:
         for _ in range(FOLLOWED_ITEMS):

@@ -174,7 +174,7 @@ async def test_subscriptions_are_ended_in_pieces(rig: Rig) -> None:
             ended.append(error)
 
     for _ in range(3 * OBSERVERS_PER_PIECE):
-        hosted.listeners.add(Reader())
+        hosted.subscriptions.add(Reader())
     counts = [len(ended) for _ in hosted.ending(Unavailable("gone"))]
     assert counts == [OBSERVERS_PER_PIECE * pieces for pieces in (1, 2)]
     assert len(ended) == 3 * OBSERVERS_PER_PIECE

@@ -76,7 +76,7 @@ async def test_a_cut_that_moves_wakes_a_few_readers_in_a_turn() -> None:
     hosted = Hosted()
     readers = [Reader() for _ in range(MANY)]
     for reader in readers:
-        hosted.group.listeners.add(reader)
+        hosted.group.cut_observers.add(reader)
     hosted.move_to(7)
     counts = await turns(lambda: sum(one.woken for one in readers))
     assert (counts[0], most(counts), counts[-1]) == (OBSERVERS_PER_PIECE, OBSERVERS_PER_PIECE, MANY)
@@ -105,9 +105,9 @@ async def test_an_end_is_told_to_a_few_in_a_turn() -> None:
     hosted = Hosted()
     readers = [Reader() for _ in range(MANY)]
     for reader in readers[::2]:
-        hosted.group.listeners.add(reader)
+        hosted.group.cut_observers.add(reader)
     for reader in readers[1::2]:
-        hosted.group.watchers.add(reader)
+        hosted.group.news_observers.add(reader)
     waiting = [asyncio.create_task(hosted.group.reach(9, None)) for _ in range(MANY)]
     await asyncio.sleep(0)
     hosted.group.end(Unavailable("gone"))

@@ -76,6 +76,6 @@ class GroupAccess(Protocol):
         """
 
     def subscribe(
-        self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: ChannelObserver
+        self, begun: pb.SubscribeOpen, hosted: HostedChannel, observer: ChannelObserver
     ) -> AbstractAsyncContextManager[Cursor]:
-        """Begin a subscription. While its context is entered, `listener` hears of changes of the group."""
+        """Begin a subscription. While its context is entered, `observer` hears of changes of the group."""

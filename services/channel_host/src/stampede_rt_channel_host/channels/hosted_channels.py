@@ -55,9 +55,10 @@ class HostedChannel:
         self.gets = WaitingGets(self.channel, Coming(self.channel), now, begin=begin, limits=limits)
         self._charge = memory.charge_for(record.created_by)
         self.puts = ChannelPuts(self.channel, self._charge, now, self._announce, self._touched, may_serve)
-        self.listeners = Observers(begin)  # subscriptions
-        self.matches = Observers(begin)  # streams of matches for the items of this channel
-        self.followers: dict[ChannelObserver, None] = {}  # groups and their blocked gets; woken in one step
+        self.subscriptions = Observers(begin)
+        self.match_streams = Observers(begin)  # streams of matches for the items of this channel
+        # The groups that have the channel, and their blocked gets. The channel wakes all of them in one step.
+        self.group_observers: dict[ChannelObserver, None] = {}
         self.group_gets: set[object] = set()  # blocked gets through groups
         self.group_readers: set[object] = set()  # streams of cut events, and of matches for another channel's items
         self.messages = SharedMessages()
@@ -106,12 +107,12 @@ class HostedChannel:
 
     def ending(self, error: StampedeError) -> Pieces[None]:
         """End the waits of the channel's callers and the streams of its readers with `error`, in pieces."""
-        for follower in [*self.followers]:  # each call is short: a follower leaves long work to the scheduler
-            follower.end(error)
-        listeners, matches = self.listeners.ending(error), self.matches.ending(error)
+        for observer in [*self.group_observers]:  # each call is short: an observer leaves long work to the scheduler
+            observer.end(error)
+        subscriptions, match_streams = self.subscriptions.ending(error), self.match_streams.ending(error)
         yield from self.puts.ending(error)  # first, so that no waiting put is accepted any more
-        yield from listeners
-        yield from matches
+        yield from subscriptions
+        yield from match_streams
         yield from self.gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
@@ -156,10 +157,10 @@ class HostedChannel:
         self.changes += 1
         if len(self.gets):
             self.gets.changed(now)
-        for follower in [*self.followers]:
-            follower.wake()
-        self.matches.wake()
-        self.listeners.wake()
+        for observer in [*self.group_observers]:
+            observer.wake()
+        self.match_streams.wake()
+        self.subscriptions.wake()
 
 
 def _ignore(hosted: HostedChannel) -> None:

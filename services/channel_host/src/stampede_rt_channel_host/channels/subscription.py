@@ -124,7 +124,7 @@ class Subscription:
         WRITE_SECONDS_MAX.
         """
         begun = request.open
-        if len(self._hosted.listeners) >= SUBSCRIPTIONS_MAX:
+        if len(self._hosted.subscriptions) >= SUBSCRIPTIONS_MAX:
             raise Overloaded(
                 f"channel {self._hosted.record.name} has {SUBSCRIPTIONS_MAX} subscriptions, the limit; end some"
             )
@@ -154,14 +154,14 @@ class Subscription:
     async def _serve(self, cursor: Cursor, begun: pb.SubscribeOpen) -> None:
         channel = self._hosted.channel
         opened = pb.SubscriptionOpened(incarnation=channel.incarnation, next_seq=channel.next_seq)
-        self._hosted.listeners.add(self)
+        self._hosted.subscriptions.add(self)
         self._owes_progress = begun.HasField("start")
         try:
             await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._standing(cursor))
             while not self._credit.is_over:
                 await self._step(cursor, without_payloads=begun.without_payloads)
         finally:
-            self._hosted.listeners.discard(self)
+            self._hosted.subscriptions.discard(self)
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
         """Send the new items, or wait. Send the progress after an advance and after a long silence.
@@ -199,7 +199,7 @@ class Subscription:
             part.slices,
             self._about(part, cursor, now),
             without_payloads=without_payloads,
-            readers=len(self._hosted.listeners),
+            readers=len(self._hosted.subscriptions),
         )
 
     def _about(self, part: SubscriptionBatch, cursor: Cursor, now: int) -> bytes:

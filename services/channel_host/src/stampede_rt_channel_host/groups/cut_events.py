@@ -84,7 +84,7 @@ class CutEvents:
         group = await self._groups.find(begun.group_id, begun.spec_version)
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         await self._begin(group, begun)
-        hearing = group.watchers if begun.decides else group.listeners
+        hearing = group.news_observers if begun.decides else group.cut_observers
         hearing.add(self._waiter)
         reading = self._stream.spawn(self._read(group, decides=begun.decides))
         try:

@@ -29,9 +29,9 @@ class HostedGroup:
     `record` is the latest record from the directory. `owners` gives each member's host, `targets` the addresses of the
     live hosts. `unheard`: the live hosts that own members and have not told their cut. A new group shows nothing until
     all of them have told it.
-    The group wakes `listeners` and `gets` when it shows more or when members or owners change. It wakes `watchers` at
-    all news of a member. `arrangement` grows whenever members, their hosts, or the members served here may have
-    changed.
+    The group wakes `cut_observers` and `gets` when it shows more or when members or owners change. It wakes
+    `news_observers` at all news of a member. `arrangement` grows whenever members, their hosts, or the members served
+    here may have changed.
     """
 
     def __init__(
@@ -50,8 +50,8 @@ class HostedGroup:
         idle. `begin` does long work that nobody waits for (`PieceScheduler.begin`).
         """
         self.cut = GroupCut(told.group.definition, board)
-        self.listeners = Observers(begin)
-        self.watchers = Observers(begin)
+        self.cut_observers = Observers(begin)
+        self.news_observers = Observers(begin)
         self.gets: dict[object, ChannelObserver] = {}  # by channel: the object with the blocked gets of that channel
         # the floors that callers wait for, with their futures
         self._reaching: Any = SortedKeyList(key=itemgetter(0, 1))
@@ -150,8 +150,8 @@ class HostedGroup:
         if has_changed:
             for gets in [*self.gets.values()]:
                 gets.wake()
-            self.listeners.wake()
-        self.watchers.wake()
+            self.cut_observers.wake()
+        self.news_observers.wake()
         self._arm()
 
     def end(self, error: StampedeError) -> None:
@@ -168,9 +168,9 @@ class HostedGroup:
         for gets in [*self.gets.values()]:
             gets.end(error)
         reaching = [reached for _, _, reached in self._reaching]
-        listeners, watchers = self.listeners.ending(error), self.watchers.ending(error)
-        yield from listeners
-        yield from watchers
+        of_cut, of_news = self.cut_observers.ending(error), self.news_observers.ending(error)
+        yield from of_cut
+        yield from of_news
         for part in batched(reaching, OBSERVERS_PER_PIECE):
             yield
             for reached in part:

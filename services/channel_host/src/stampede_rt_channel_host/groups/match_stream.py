@@ -69,15 +69,15 @@ class MatchStream:
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
         _check_life(group, request.after.group_incarnation)
         hosted = self._groups.channels.find(request.per_channel_id, request.epoch)
-        group.watchers.add(self._waiter)
-        hosted.matches.add(self._waiter)
+        group.news_observers.add(self._waiter)
+        hosted.match_streams.add(self._waiter)
         reading = self._stream.spawn(self._read())
         try:
             await self._serve(group, hosted, request)
         finally:
             reading.cancel()
-            group.watchers.discard(self._waiter)
-            hosted.matches.discard(self._waiter)
+            group.news_observers.discard(self._waiter)
+            hosted.match_streams.discard(self._waiter)
             for near in self._near.values():
                 near.group_readers.discard(self)
             for _, following in self._far.values():

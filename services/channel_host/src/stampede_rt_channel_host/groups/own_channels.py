@@ -32,7 +32,7 @@ class OwnChannel:
         self._on_end = on_end
         self._own = OwnTimes(hosted.channel, now())
         self.tell()
-        hosted.followers[self] = None
+        hosted.group_observers[self] = None
 
     def wake(self) -> None:
         """Enter the new times after a put or an advance."""
@@ -47,7 +47,7 @@ class OwnChannel:
 
     def let_go(self) -> None:
         """Stop following the channel. Its last times stay on the board."""
-        self.hosted.followers.pop(self, None)
+        self.hosted.group_observers.pop(self, None)
         self._board.disown(self.channel_id, self._now())
 
     def tell(self) -> None:

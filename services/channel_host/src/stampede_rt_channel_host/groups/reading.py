@@ -107,7 +107,7 @@ class GroupReads:
 
     @asynccontextmanager
     async def subscribe(
-        self, begun: pb.SubscribeOpen, hosted: HostedChannel, listener: ChannelObserver
+        self, begun: pb.SubscribeOpen, hosted: HostedChannel, observer: ChannelObserver
     ) -> AsyncIterator[Cursor]:
         """See `GroupAccess`. Raises Unavailable if other hosts do not tell their cuts."""
         group = await self._groups.find(begun.group_id)
@@ -119,11 +119,11 @@ class GroupReads:
             raise Unavailable(f"group {group.record.name} shows nothing new {group.held_by()}; subscribe again")
         self._check_served(hosted)
         cursor = _cursor(group, hosted, begun, self._groups.channels.now())
-        group.listeners.add(listener)
+        group.cut_observers.add(observer)
         try:
             yield cursor
         finally:
-            group.listeners.discard(listener)
+            group.cut_observers.discard(observer)
 
     def _check_served(self, hosted: HostedChannel) -> None:
         """Check after a wait that the channel is still here. Raises StaleBinding."""

@@ -174,7 +174,8 @@ class GroupStore:
             return False
         if group.is_stale:
             return True  # other hosts may wait for this host, even if nobody here reads the group
-        if not (group.listeners or group.watchers or group.gets) and _now_s() - group.named_s > IN_USE_SECONDS:
+        has_callers = group.cut_observers or group.news_observers or group.gets
+        if not has_callers and _now_s() - group.named_s > IN_USE_SECONDS:
             return False
         return since_s >= LOOK_UP_SECONDS or self._misses_a_host(group)
 

@@ -119,7 +119,7 @@ class GroupGets:
 
         get = self.gets.add(pending, wake, wait_nanos, self._now(), finish)
         self._group.gets[self._hosted] = self
-        self._hosted.followers[self] = None
+        self._hosted.group_observers[self] = None
         self._hosted.group_gets.add(get)
         try:
             return await released
@@ -164,7 +164,7 @@ class GroupGets:
     def _leave(self) -> None:
         if self._group.gets.get(self._hosted) is self:
             del self._group.gets[self._hosted]
-        self._hosted.followers.pop(self, None)
+        self._hosted.group_observers.pop(self, None)
 
     def _visible_to(self) -> int:
         cut = self._group.horizon().cut
