@@ -24,7 +24,7 @@ GROUPS_PER_PIECE = 16
 
 
 class Exchange:
-    """Implements `Knowledge`: gives the links the messages to send, and takes in the messages of other hosts.
+    """Implements `LinkHandler`: gives the links the messages to send, and takes in the messages of other hosts.
 
     Calls `on_stale` with groups that are new here, or that other hosts know in a newer version. Calls `on_asked` with
     channels of this host that other hosts believe to be members of groups.
@@ -98,37 +98,37 @@ class Exchange:
     # The methods that links call.
 
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
-        """See `Knowledge`."""
+        """See `LinkHandler`."""
         own, heard = self._table.own.get(channel_id), self._table.board.find(channel_id)
         if own is None or heard is None:
             return None
         return times_to_message(channel_id, heard.times, heard.silent_nanos(self._channels.now()))
 
     def floor_of(self, group_id: bytes) -> CutFloor | None:
-        """See `Knowledge`."""
+        """See `LinkHandler`."""
         group = self._table.groups.get(group_id)
         return None if group is None else group.floor()
 
     def name_of_host(self, host_id: bytes) -> str:
-        """See `Knowledge`."""
+        """See `LinkHandler`."""
         return self._names.get(host_id, "")
 
     def greeted(self, link: HostLink) -> None:
-        """See `Knowledge`."""
+        """See `LinkHandler`."""
         self._told_all.discard(link.host_id)
         self.peers.greeted(link)
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
-        """See `Knowledge`."""
+        """See `LinkHandler`."""
         self._on_asked(channel_ids)
 
     def check_lease(self) -> None:
-        """See `Knowledge`."""
+        """See `LinkHandler`."""
         if not self._channels.lease_held():
             raise HostNotFound(f"host {self._identity.name} has no lease at present and speaks for no channel; wait")
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
-        """See `Knowledge`. Accepts only times of channels that the other host owns, as the directory says."""
+        """See `LinkHandler`. Accepts only times of channels that the other host owns, as the directory says."""
         table, now, wanted = self._table, self._channels.now(), self.peers.wanted_of(host_id)
         table.board.confirm(wanted, now)
         news: set[bytes] = set()

@@ -27,7 +27,7 @@ ENTRIES_MAX = 1024  # channels, and also groups, of one message
 INTEREST_MAX = 4096  # channels that one host may want to hear of
 
 
-class Knowledge(Protocol):
+class LinkHandler(Protocol):
     """The source of a link's messages, and the receiver of the other host's messages."""
 
     def times_of(self, channel_id: bytes) -> group_pb2.ChannelTimes | None:
@@ -64,7 +64,7 @@ class HostLink:
         self,
         identity: HostIdentity,
         cluster_id: str,
-        knowledge: Knowledge,
+        handler: LinkHandler,
         message: Callable[..., Any],
         write: Callable[[Any], Awaitable[None]],
         read: Callable[[], Awaitable[Any]],
@@ -76,10 +76,10 @@ class HostLink:
         self.host_id = b""  # of the other host; empty until it has sent its hello
         self._identity = identity
         self._cluster_id = cluster_id
-        self._knowledge = knowledge
+        self._handler = handler
         self._message, self._write, self._read = message, write, read
         self._certified_name = certified_name
-        self._told = False  # whether the other side has told its whole state
+        self._has_full_state = False  # whether the other side has told its whole state by now
         self._wanted: set[bytes] = set()  # channels of this host that the other host wants to hear of
         self._times: dict[bytes, None] = {}  # channels whose times this side has still to send
         self._floors: dict[bytes, None] = {}  # groups whose cut this side has still to send
@@ -100,7 +100,7 @@ class HostLink:
         )
         await self._write(self._message(hello=hello))
         self._greet(await self._next(), peer)
-        self._knowledge.greeted(self)
+        self._handler.greeted(self)
         async with asyncio.TaskGroup() as sides:
             writing = sides.create_task(self._write_all())
             await self._read_all()
@@ -144,7 +144,7 @@ class HostLink:
 
     def _check_name(self, host_id: bytes) -> None:
         """Check that the certificate's name is the name of the host. Raises PermissionDenied."""
-        name = self._knowledge.name_of_host(host_id)
+        name = self._handler.name_of_host(host_id)
         if self._certified_name and name and name != self._certified_name:
             raise PermissionDenied(
                 f"the certificate is that of host {self._certified_name}, and the hello names host {name}; a host "
@@ -165,13 +165,13 @@ class HostLink:
             update = message.update
             if update.HasField("interest"):
                 self._wanted = set(update.interest.channel_ids[:INTEREST_MAX])
-                self._knowledge.asked_for(self._wanted)
+                self._handler.asked_for(self._wanted)
                 self._times.update(dict.fromkeys(sorted(self._wanted)))
                 self._news.set()
-            first = not self._told and len(update.floors) < ENTRIES_MAX
-            self._told = self._told or first
+            first = not self._has_full_state and len(update.floors) < ENTRIES_MAX
+            self._has_full_state = self._has_full_state or first
             self._check_name(self.host_id)  # the host and its name may have become known since the hello
-            self._knowledge.hear(self.host_id, update, is_first=first)
+            self._handler.hear(self.host_id, update, is_first=first)
 
     async def _write_all(self) -> None:
         while True:  # until `run` cancels this task, or an error ends it
@@ -192,11 +192,11 @@ class HostLink:
 
         If nothing has changed, the update is empty: a sign of life.
         """
-        self._knowledge.check_lease()
+        self._handler.check_lease()
         self._news.clear()
         interest, self._interest = self._interest, None
-        times = [self._knowledge.times_of(one) for one in _taken(self._times)]
-        floors = [self._knowledge.floor_of(one) for one in _taken(self._floors)]
+        times = [self._handler.times_of(one) for one in _taken(self._times)]
+        floors = [self._handler.floor_of(one) for one in _taken(self._floors)]
         return pb.TimesUpdate(
             interest=None if interest is None else pb.TimesInterest(channel_ids=interest),
             times=[one for one in times if one is not None],

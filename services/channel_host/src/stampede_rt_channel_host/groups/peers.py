@@ -19,7 +19,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import group_service_pb2_grpc
 from stampede_rt_channel_host.cluster.identity import HostIdentity
-from stampede_rt_channel_host.groups.link import INTEREST_MAX, HostLink, Knowledge
+from stampede_rt_channel_host.groups.link import INTEREST_MAX, HostLink, LinkHandler
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 
@@ -47,15 +47,15 @@ class PeerHost:
 class PeerHosts:
     """Keeps a link to each other host. `lease_held` says whether this host may speak for its channels.
 
-    The links get the facts that they send from `knowledge`, and pass the facts that they receive to it.
+    The links get the facts that they send from `handler`, and pass the facts that they receive to it.
     """
 
     def __init__(
-        self, identity: HostIdentity, knowledge: Knowledge, dial: Dial, cluster_id: Callable[[], str],
+        self, identity: HostIdentity, handler: LinkHandler, dial: Dial, cluster_id: Callable[[], str],
         lease_held: Callable[[], bool],
     ) -> None:  # fmt: skip
         self._identity = identity
-        self._knowledge = knowledge
+        self._handler = handler
         self._dial = dial
         self._cluster_id = cluster_id
         self._lease_held = lease_held
@@ -122,12 +122,12 @@ class PeerHosts:
 
     async def accept(self, context: Context) -> None:
         """Serve a stream that another host opened, until it ends."""
-        self._knowledge.check_lease()
+        self._handler.check_lease()
         caller = caller_identity(context)
         link = HostLink(
             self._identity,
             self._cluster_id(),
-            self._knowledge,
+            self._handler,
             pb.ExchangeTimesResponse,
             context.write,
             context.read,
@@ -199,7 +199,7 @@ class PeerHosts:
         try:
             call = group_service_pb2_grpc.GroupServiceStub(channel).ExchangeTimes()
             link = HostLink(
-                self._identity, self._cluster_id(), self._knowledge, pb.ExchangeTimesRequest, call.write, call.read
+                self._identity, self._cluster_id(), self._handler, pb.ExchangeTimesRequest, call.write, call.read
             )
             await _unwrapped(link.run(peer.host_id))
         except grpc.RpcError as error:
