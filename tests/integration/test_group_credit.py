@@ -43,7 +43,7 @@ async def deciding(host: Host, group: group_pb2.GroupRecord, credit: int) -> Cut
 async def test_what_becomes_visible_while_no_event_is_wanted_is_one_event(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writing, "LIFE_SECONDS", 0.0)  # a sign of life would be due at any time
+    monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.0)  # a sign of life would be due at any time
     left, right, group = await a_pair(host)
     t = host.now() - S
     reader = await deciding(host, group, credit=0)
@@ -89,7 +89,7 @@ async def test_credit_goes_to_the_host_that_decides_and_boundaries_to_the_others
 async def test_matches_wait_for_credit_and_take_what_all_their_items_take(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writing, "LIFE_SECONDS", 0.0)
+    monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.0)
     left, right, group = await a_pair(host)
     t = host.now() - S
     begun = pb.SubscribeMatchesOpen(group_id=group.group_id, per_channel_id=left.channel_id, epoch=1, tolerance_nanos=3)

@@ -123,7 +123,7 @@ async def test_a_host_that_missed_a_new_member_learns_of_it_from_who_waits_for_i
 async def test_hosts_agree_on_who_is_idle_without_waiting_for_a_sign_of_life(
     cluster: Cluster, clock: ManualClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for limit in ("LIFE_SECONDS", "BROKEN_AFTER_SECONDS"):
+    for limit in ("LINK_SIGN_OF_LIFE_SECONDS", "BROKEN_AFTER_SECONDS"):
         monkeypatch.setattr(link, limit, 10 * WAIT_SECONDS)
     left, right = await two_channels(cluster)
     group, t = cluster.directory.add_group("pair", [left, right], idle_after_nanos=S // 10), left.host.now()

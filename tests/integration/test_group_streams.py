@@ -54,7 +54,7 @@ def matching(left: GroupedChannel, group: group_pb2.GroupRecord, **fields: Any) 
 async def test_a_stream_gives_signs_of_life_though_news_wake_it_all_the_time(
     host: Host, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writing, "LIFE_SECONDS", 0.05)
+    monkeypatch.setattr(writing, "SIGN_OF_LIFE_SECONDS", 0.05)
     monkeypatch.setattr(subscription, "PROGRESS_SECONDS", 0.05)
     left, right, t = await host.open("left"), await host.open("right"), host.now() - S
     group = host.directory.add_group("pair", [left, right])

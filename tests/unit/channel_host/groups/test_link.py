@@ -176,7 +176,7 @@ async def test_whoever_does_not_greet_is_refused() -> None:
 
 
 async def test_silence_breaks_a_link_and_signs_of_life_keep_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_module, "LIFE_SECONDS", 0.01)
+    monkeypatch.setattr(link_module, "LINK_SIGN_OF_LIFE_SECONDS", 0.01)
     monkeypatch.setattr(link_module, "BROKEN_AFTER_SECONDS", 0.2)
     wire = Wire(Notebook())
     await wire.greet()
@@ -187,7 +187,7 @@ async def test_silence_breaks_a_link_and_signs_of_life_keep_it(monkeypatch: pyte
 
 
 async def test_a_host_without_a_lease_speaks_for_no_channel(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_module, "LIFE_SECONDS", 0.01)
+    monkeypatch.setattr(link_module, "LINK_SIGN_OF_LIFE_SECONDS", 0.01)
     notebook = Notebook()
     wire = Wire(notebook)
     await wire.greet()

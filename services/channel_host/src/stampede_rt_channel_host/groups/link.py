@@ -21,7 +21,7 @@ from stampede_rt_channel_host.groups.messages import floor_to_message
 from stampede_rt_runtime.version import PROTOCOL_VERSION
 
 PACE_SECONDS = 0.005
-LIFE_SECONDS = 1.0  # a link without changes sends a sign of life this often
+LINK_SIGN_OF_LIFE_SECONDS = 1.0  # a link without changes sends a sign of life this often
 BROKEN_AFTER_SECONDS = 5.0  # a link on which the other host is silent for so long ends
 ENTRIES_MAX = 1024  # channels, and also groups, of one message
 INTEREST_MAX = 4096  # channels that one host may want to hear of
@@ -182,7 +182,7 @@ class HostLink:
 
     async def _wait(self) -> None:
         try:
-            async with asyncio.timeout(LIFE_SECONDS):
+            async with asyncio.timeout(LINK_SIGN_OF_LIFE_SECONDS):
                 await self._news.wait()
         except TimeoutError:
             return

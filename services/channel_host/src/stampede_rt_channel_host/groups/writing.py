@@ -8,7 +8,7 @@ from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
 from stampede_rt_runtime.rpc import Context
 
-LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
+SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
 
 
 class EventWriter:
@@ -22,7 +22,7 @@ class EventWriter:
     @property
     def silence_left_s(self) -> float:
         """The seconds until a sign of life is due; 0 or less: it is due now. Every write postpones it."""
-        return self._written_s + LIFE_SECONDS - _now_s()
+        return self._written_s + SIGN_OF_LIFE_SECONDS - _now_s()
 
     async def write(self, message: bytes) -> None:
         """Write a message. Waits while the reader takes nothing. Raises Overloaded after WRITE_SECONDS_MAX."""
