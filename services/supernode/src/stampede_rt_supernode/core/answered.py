@@ -6,7 +6,7 @@ oldest one. So all replicas forget an operation at the same log position.
 
 No replica does a forgotten operation again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago or
 earlier (calls.py). And the directory refuses a command whose request came to its supernode before the last mark but one
-(`check_in_time`). At least 40 s lie between a forgotten operation and that mark, which is 10 s more than the greatest
+(`check_not_late`). At least 40 s lie between a forgotten operation and that mark, which is 10 s more than the greatest
 age of a request.
 """
 
@@ -92,7 +92,7 @@ class Answered:
             )
         return answer.result
 
-    def check_in_time(self, as_of_index: int) -> None:
+    def check_not_late(self, as_of_index: int) -> None:
         """Check that a command does not come too late. `as_of_index`: see Command.
 
         Raises Unavailable with reason AMBIGUOUS if the proposer got the request before the last mark but one.

@@ -42,7 +42,7 @@ class CommandKind(Generic[Op, Done]):
     check: Callable[[Op], None] = _check_nothing
     # Checks a command that was made when the log had reached `as_of_index` (0: unknown). Raises Unavailable with reason
     # AMBIGUOUS if it comes too late.
-    check_in_time: Callable[[DirectoryState, Op, int], None] = _never_late
+    check_not_late: Callable[[DirectoryState, Op, int], None] = _never_late
     # Does the command. Gets the state, the operation, and the command's time in Unix nanoseconds. Either raises a
     # StampedeError without any change, or succeeds.
     apply: Callable[[DirectoryState, Op, int], Done]
@@ -62,7 +62,7 @@ def on_tables(transition: Callable[[Tables, Op], Done]) -> Callable[[DirectorySt
     return apply
 
 
-def noting_creator(transition: Callable[[Tables, Made], Done]) -> Callable[[DirectoryState, Made, int], Done]:
+def on_tables_with_creator(transition: Callable[[Tables, Made], Done]) -> Callable[[DirectoryState, Made, int], Done]:
     """As `on_tables`, for a command that may create a thing. Below OWNERS_LEVEL no replica keeps the creator."""
 
     def apply(state: DirectoryState, operation: Made, time_unix_nano: int) -> Done:

@@ -54,10 +54,10 @@ class Directory(DirectoryState):
             return found
         if not kind.is_remembered:
             return kind.apply(self, command.operation, command.time_unix_nano)
-        self.answered.check_in_time(command.as_of_index)
+        self.answered.check_not_late(command.as_of_index)
         if kind.needs_room:
             self.answered.check_room()
-        kind.check_in_time(self, command.operation, command.as_of_index)
+        kind.check_not_late(self, command.operation, command.as_of_index)
         result = kind.apply(self, command.operation, command.time_unix_nano)
         self.answered.remember(Answer(command.op_id, index, subject, result))
         return result

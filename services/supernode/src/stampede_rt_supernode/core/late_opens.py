@@ -16,7 +16,7 @@ from stampede_rt_supernode.core.answered import Answered
 from stampede_rt_supernode.core.commands import Success
 
 
-def check_in_time(
+def check_not_late(
     answered: Answered, thing: tuple[str, str], as_of_index: int, frees: Callable[[Success], bool]
 ) -> None:
     """Raises Unavailable with reason AMBIGUOUS if the thing to create may have been deleted since the request.

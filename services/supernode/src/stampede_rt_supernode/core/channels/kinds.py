@@ -20,14 +20,14 @@ from stampede_rt_supernode.core.channels.transitions import (
     open_channel,
     update_channel,
 )
-from stampede_rt_supernode.core.command_kinds import CommandKind, noting_creator, on_tables
+from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables_with_creator, on_tables
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
 
 
-def _check_open_in_time(state: DirectoryState, operation: OpenChannel, as_of_index: int) -> None:
+def _check_open_not_late(state: DirectoryState, operation: OpenChannel, as_of_index: int) -> None:
     if state.tables.channel_named(operation.name) is None:
-        late_opens.check_in_time(
+        late_opens.check_not_late(
             state.answered,
             ("channel", operation.name),
             as_of_index,
@@ -42,8 +42,8 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=lambda one: one.name,
         check=check_open,
-        check_in_time=_check_open_in_time,
-        apply=noting_creator(open_channel),
+        check_not_late=_check_open_not_late,
+        apply=on_tables_with_creator(open_channel),
     ),
     CommandKind(
         operation=UpdateChannel,

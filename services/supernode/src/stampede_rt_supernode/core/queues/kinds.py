@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from stampede_rt_supernode.core import late_opens
-from stampede_rt_supernode.core.command_kinds import CommandKind, noting_creator, on_tables
+from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables_with_creator, on_tables
 from stampede_rt_supernode.core.queues.commands import (
     DeleteQueue,
     OpenQueue,
@@ -25,9 +25,9 @@ from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
 
 
-def _check_open_in_time(state: DirectoryState, operation: OpenQueue, as_of_index: int) -> None:
+def _check_open_not_late(state: DirectoryState, operation: OpenQueue, as_of_index: int) -> None:
     if state.tables.queues.named(operation.name) is None:
-        late_opens.check_in_time(
+        late_opens.check_not_late(
             state.answered,
             ("queue", operation.name),
             as_of_index,
@@ -42,8 +42,8 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=lambda one: one.name,
         check=check_open_queue,
-        check_in_time=_check_open_in_time,
-        apply=noting_creator(open_queue),
+        check_not_late=_check_open_not_late,
+        apply=on_tables_with_creator(open_queue),
     ),
     CommandKind(
         operation=UpdateQueue,
