@@ -32,7 +32,7 @@ class Reconnecting:
         self._bound_s = parse_reconnect(reconnect)
         self._held = held
         self._since_s: float | None = None  # when the client noticed the present break; None while the stream is open
-        self._told = False  # whether the client has logged the present break
+        self._is_logged = False  # whether the client has logged the present break
         self.ended = False  # whether someone has called `stop`
         self.reconnects = 0
 
@@ -91,8 +91,8 @@ class Reconnecting:
         return max(began_s + self._bound_s - monotonic_s(), 0.0)
 
     def _tell(self, error: StampedeError) -> None:
-        if not self._told and self._since_s is not None and monotonic_s() - self._since_s > SILENT_S:
-            self._told = True
+        if not self._is_logged and self._since_s is not None and monotonic_s() - self._since_s > SILENT_S:
+            self._is_logged = True
             bound = "" if self._bound_s == float("inf") else f" for {format_duration(round(self._bound_s * 1e9))}"
             _log.warning(
                 "%s has been broken for %g s; the client tries again%s: %s", self._what, SILENT_S, bound, error
@@ -102,9 +102,9 @@ class Reconnecting:
         if self._since_s is None:
             return
         self.reconnects += 1
-        if self._told:
+        if self._is_logged:
             _log.warning("%s is back after %.0f s", self._what, monotonic_s() - self._since_s)
-        self._since_s, self._told = None, False
+        self._since_s, self._is_logged = None, False
 
 
 def may_heal(error: StampedeError) -> bool:

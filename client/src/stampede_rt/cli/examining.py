@@ -110,7 +110,7 @@ class Examination:
         rest = {address: name for address, name in listed.items() if address not in named and name not in found}
         more = self._ask(_supernode(name, address) for address, name in rest.items())
         refused = gathered(_refused_by(one, listed) for one in (*first, *more) if not _of_others(one, own_id))
-        answers = [_named(_told_apart(one, own_id), listed, refused) for one in (*first, *more)]
+        answers = [_named(_marked_if_foreign(one, own_id), listed, refused) for one in (*first, *more)]
         return sorted(answers, key=lambda one: one.seen.name)
 
     def _listed(self, answers: Iterable[_Answer]) -> Sequence[Any]:
@@ -320,7 +320,7 @@ def _of_others(answer: _Answer, own_id: str) -> bool:
     return bool(own_id) and answer.response is not None and answer.response.cluster_id not in ("", own_id)
 
 
-def _told_apart(answer: _Answer, own_id: str) -> _Answer:
+def _marked_if_foreign(answer: _Answer, own_id: str) -> _Answer:
     """Return the answer. If the supernode is of another cluster than `own_id`, the observation says so as a failure."""
     if not _of_others(answer, own_id):
         return answer

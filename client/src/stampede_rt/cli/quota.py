@@ -164,7 +164,7 @@ def _asked(arguments: argparse.Namespace, rpc: str, request: Any) -> Any:
 def _print(rows: Iterable[dict[str, Any]], output: str, columns: tuple[str, ...], none: str = "") -> None:
     """Print `columns` of `rows`. A table has numbers as texts for people, JSON has plain numbers."""
     if output == "table":
-        rows = [row | {key: _told(row, key) for key in ("limit", "used") if key in row} for row in rows]
+        rows = [row | {key: _amount_text(row, key) for key in ("limit", "used") if key in row} for row in rows]
     print_rows([{column: row[column] for column in columns} for row in rows], output, none=none)
 
 
@@ -176,7 +176,7 @@ def _limit_row(kind: int, limit: int) -> dict[str, Any]:
     return {"quota": _name(kind), "limit": limit}
 
 
-def _told(row: dict[str, Any], key: str) -> str:
+def _amount_text(row: dict[str, Any], key: str) -> str:
     if row["quota"] == "bytes-held" and row[key] == UNLIMITED and DEFAULT in row.values():
         return "7/8 of each host's --memory-bytes-max"
     return _text(row["quota"], row[key])

@@ -14,11 +14,11 @@ class CallMetadata:
 
     def __init__(self, secret: str | None) -> None:
         self._of_secret = call_metadata(secret)
-        self._told, self._cluster_id = self._of_secret, ""
+        self._metadata, self._cluster_id = self._of_secret, ""
 
     def __call__(self) -> tuple[tuple[str, str], ...]:
         """Return the metadata of a call that begins now."""
-        return self._told
+        return self._metadata
 
     @property
     def cluster_id(self) -> str:
@@ -28,4 +28,4 @@ class CallMetadata:
     @cluster_id.setter
     def cluster_id(self, cluster_id: str) -> None:
         self._cluster_id = cluster_id
-        self._told = self._of_secret + cluster_metadata(cluster_id)
+        self._metadata = self._of_secret + cluster_metadata(cluster_id)

@@ -53,7 +53,7 @@ class Stage:
     def __init__(self, settings: RoleSettings) -> None:
         self.settings = settings
         self._lock = threading.Lock()
-        self._told_nanos = 0
+        self._progress_nanos = 0  # when the last `progress` event was sent
         self._ready_cpu_seconds = 0.0
 
     def wait_for_start(self) -> int:
@@ -85,9 +85,9 @@ class Stage:
         """Send a `progress` event, or nothing if the last one is less than PROGRESS_NANOS ago."""
         now = time.monotonic_ns()
         with self._lock:
-            if now - self._told_nanos < PROGRESS_NANOS:
+            if now - self._progress_nanos < PROGRESS_NANOS:
                 return
-            self._told_nanos = now
+            self._progress_nanos = now
         self.tell("progress", **fields)
 
 

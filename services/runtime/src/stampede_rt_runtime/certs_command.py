@@ -224,7 +224,7 @@ def _show(arguments: argparse.Namespace) -> list[str]:
     lines = []
     for file in arguments.files:
         try:
-            lines += [f"{file}: {_told(one, now)}" for one in describe(file.read_bytes())]
+            lines += [f"{file}: {_line(one, now)}" for one in describe(file.read_bytes())]
         except CertificateError as error:
             raise CertificateError(f"{file}: {error}") from error
     return lines
@@ -254,7 +254,7 @@ def _serial_of(text: str) -> str:
     return text
 
 
-def _told(one: Described, now: datetime) -> str:
+def _line(one: Described, now: datetime) -> str:
     who = str(one.identity or one.subject)
     what = f"{who} (an authority)" if one.is_authority else who if one.identity else f"{who} (of no role)"
     where = f", called at {', '.join(one.addresses)}" if one.addresses else ""

@@ -87,21 +87,21 @@ def _refusing(behavior: Callable[..., Any]) -> Callable[..., Any]:
     if inspect.isasyncgenfunction(behavior):
 
         async def stream(requests: Any, context: Context) -> AsyncIterator[Any]:
-            async with _told(context), contextlib.aclosing(behavior(requests, context)) as responses:
+            async with _aborting(context), contextlib.aclosing(behavior(requests, context)) as responses:
                 async for response in responses:
                     yield response
 
         return stream
 
     async def call(requests: Any, context: Context) -> Any:
-        async with _told(context):
+        async with _aborting(context):
             return await behavior(requests, context)
 
     return call
 
 
 @contextlib.asynccontextmanager
-async def _told(context: Context) -> AsyncIterator[None]:
+async def _aborting(context: Context) -> AsyncIterator[None]:
     """A context that ends the call with a StampedeError raised inside it."""
     try:
         yield

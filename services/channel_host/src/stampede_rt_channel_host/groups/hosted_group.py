@@ -36,7 +36,7 @@ class HostedGroup:
 
     def __init__(
         self,
-        told: ResolvedGroup,
+        resolved: ResolvedGroup,
         board: TimesBoard,
         now: Callable[[], int],
         *,
@@ -49,7 +49,7 @@ class HostedGroup:
         The group calls `on_moved` whenever the cut has moved, and `on_idle` with each member of this host that becomes
         idle. `begin` does long work that nobody waits for (`PieceScheduler.begin`).
         """
-        self.cut = GroupCut(told.group.definition, board)
+        self.cut = GroupCut(resolved.group.definition, board)
         self.cut_observers = Observers(begin)
         self.news_observers = Observers(begin)
         self.gets: dict[object, ChannelObserver] = {}  # by channel: the object with the blocked gets of that channel
@@ -69,22 +69,22 @@ class HostedGroup:
         # at the last `changed`: the cut, whether it was confirmed, and the arrangement
         self._shown: tuple[int | None, bool, int] = None, False, 0
         self._idle_timer: asyncio.TimerHandle | None = None
-        self.adopt(told)
+        self.adopt(resolved)
 
-    def adopt(self, told: ResolvedGroup) -> bool:
+    def adopt(self, resolved: ResolvedGroup) -> bool:
         """Take over the directory's record.
 
         Returns True if the group began anew, so that its readers must begin anew, too.
         """
-        anew = told.group.incarnation != self.cut.definition.incarnation
-        self.record: RecordedGroup = told.group
-        self.owners: dict[bytes, bytes] = {one: record.host_id for one, record in told.channels.items()}
-        self.channels = told.channels
-        self.targets = told.targets
-        self.host_names = told.host_names
+        anew = resolved.group.incarnation != self.cut.definition.incarnation
+        self.record: RecordedGroup = resolved.group
+        self.owners: dict[bytes, bytes] = {one: record.host_id for one, record in resolved.channels.items()}
+        self.channels = resolved.channels
+        self.targets = resolved.targets
+        self.host_names = resolved.host_names
         self._owner_ids = frozenset(self.owners.values())
-        definition = told.group.definition
-        self._lead_nanos = definition.max_lead_nanos + max(map(_future_nanos, told.channels.values()), default=0)
+        definition = resolved.group.definition
+        self._lead_nanos = definition.max_lead_nanos + max(map(_future_nanos, resolved.channels.values()), default=0)
         self.cut.define(definition)
         self.arrangement += 1
         return anew

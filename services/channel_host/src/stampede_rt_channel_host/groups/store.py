@@ -202,12 +202,12 @@ class GroupStore:
         if known is not None:
             known.is_stale = False  # a later change causes another lookup
         try:
-            told = await self._directory.resolve(group_id)
+            resolved = await self._directory.resolve(group_id)
         except StampedeError as error:
             self._refused(group_id, known, error)
             raise
         former_hosts = (known.owners, known.targets) if known is not None else None
-        group = self._adopt(group_id, told)
+        group = self._adopt(group_id, resolved)
         group.looked_up_s = _now_s()
         self._table.board.confirm(group.ownerless(), self.channels.now())
         await self._bind_own(group)
@@ -227,12 +227,12 @@ class GroupStore:
             self.exchange.share(group_id)
             known.end(error)
 
-    def _adopt(self, group_id: bytes, told: ResolvedGroup) -> HostedGroup:
+    def _adopt(self, group_id: bytes, resolved: ResolvedGroup) -> HostedGroup:
         group = self._table.groups.get(group_id)
         if group is None:
             tell = self.exchange.peers
             group = HostedGroup(
-                told,
+                resolved,
                 self._table.board,
                 self.channels.now,
                 on_moved=tell.tell_floor,
@@ -244,9 +244,9 @@ class GroupStore:
             self.in_use.set()
         else:
             version = group.record.spec_version, group.record.incarnation
-            if self._table.adopt(group, told):
-                group.end(began_anew(told.group))
-            if version != (told.group.spec_version, told.group.incarnation):
+            if self._table.adopt(group, resolved):
+                group.end(began_anew(resolved.group))
+            if version != (resolved.group.spec_version, resolved.group.incarnation):
                 # the message has the version, so that the other hosts look up the group, too
                 self.exchange.peers.tell_floor(group_id)
         for host_id, floor in self.exchange.take_floors(group_id).items():

@@ -40,10 +40,10 @@ class HostedGroups:
         if group.cut.definition.idle_after_nanos is not None:
             self.idling.add(group_id)
 
-    def adopt(self, group: HostedGroup, told: ResolvedGroup) -> bool:
+    def adopt(self, group: HostedGroup, resolved: ResolvedGroup) -> bool:
         """Take over the directory's answer about a group. Returns True if the group began anew."""
-        self._leave(group, told.group.definition.members)
-        is_anew = group.adopt(told)
+        self._leave(group, resolved.group.definition.members)
+        is_anew = group.adopt(resolved)
         self.enter(group)
         return is_anew
 

@@ -43,7 +43,7 @@ class Probe:
     ) -> None:
         self._log = log
         self._explain = explain
-        self._told: dict[str, str] = {}  # address -> the last logged reason why the member refuses this one
+        self._logged: dict[str, str] = {}  # address -> the last logged reason why the member refuses this one
         self._dial = dial
         self._channels: dict[str, grpc.aio.Channel] = {}
         self._findings: dict[str, Finding] = {}
@@ -80,14 +80,14 @@ class Probe:
         except grpc.aio.AioRpcError:  # whatever the reason, this supernode cannot reach the member
             await self._tell_why(member)
             return Finding(False, None)
-        self._told.pop(member.address, None)
+        self._logged.pop(member.address, None)
         return Finding(pong.ready, time.monotonic_ns() - began)
 
     async def _tell_why(self, member: Member) -> None:
         """Log once that certificates are the reason why the member does not answer, if they are the reason."""
         refusal = await self._explain(member.address) if self._explain else None
-        if refusal is not None and self._told.get(member.address) != refusal.message:
-            self._told[member.address] = refusal.message
+        if refusal is not None and self._logged.get(member.address) != refusal.message:
+            self._logged[member.address] = refusal.message
             logger.warning("no certificates in common with member %s: %s", member.member_id, refusal.message)
 
     async def _hang_up(self, addresses: Sequence[str]) -> None:

@@ -54,7 +54,7 @@ def snapshot_at(index: int, *, with_digest: bool) -> bytes:
 
 def test_a_snapshot_of_this_release_is_compared_where_it_ends() -> None:
     follower = Follower(snapshot_at(2, with_digest=True))
-    follower.digests.told(2, b"another state's")
+    follower.digests.compare(2, b"another state's")
     assert (follower.digests.doubtful_at, follower.digests.diverged_at) == (2, 0)
     follower.digests.told_of_most(2, b"another state's")
     assert (follower.digests.doubtful_at, follower.digests.diverged_at) == (0, 2)
@@ -66,11 +66,11 @@ def test_a_state_from_a_snapshot_without_a_digest_goes_on_from_the_leaders_and_h
 ) -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
     assert follower.replica.digest() == (2, b"")
-    follower.digests.told(2 + ahead, leader_at(2 + ahead).digest()[1])
+    follower.digests.compare(2 + ahead, leader_at(2 + ahead).digest()[1])
     for index in range(3, 6):
         follower.apply(index, COMMANDS[index - 1])
     assert follower.replica.digest() == leader_at(5).digest()
-    follower.digests.told(*leader_at(5).digest())
+    follower.digests.compare(*leader_at(5).digest())
     assert follower.digests.diverged_at == 0
     restored = DirectoryReplica()
     restored.prepare_restore(follower.replica.begin_snapshot()())()
@@ -79,7 +79,7 @@ def test_a_state_from_a_snapshot_without_a_digest_goes_on_from_the_leaders_and_h
 
 def test_what_differs_after_the_first_digest_that_follows_is_found() -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
-    follower.digests.told(*leader_at(2).digest())
+    follower.digests.compare(*leader_at(2).digest())
     follower.apply(3, UNKNOWN)
     follower.digests.told_of_most(*leader_at(3).digest())
     assert follower.digests.diverged_at == 3
@@ -88,11 +88,11 @@ def test_what_differs_after_the_first_digest_that_follows_is_found() -> None:
 def test_a_digest_of_where_the_state_is_no_more_is_not_taken_over() -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
     follower.apply(3, COMMANDS[2])
-    follower.digests.told(*leader_at(2).digest())
+    follower.digests.compare(*leader_at(2).digest())
     assert follower.replica.digest() == (3, b"")
-    follower.digests.told(3, b"")
+    follower.digests.compare(3, b"")
     assert follower.replica.digest() == (3, b""), "nor that of a leader that knows none"
-    follower.digests.told(*leader_at(3).digest())
+    follower.digests.compare(*leader_at(3).digest())
     assert follower.replica.digest() == leader_at(3).digest()
     assert follower.digests.diverged_at == 0
 
@@ -169,7 +169,7 @@ def test_a_position_is_named_until_all_who_are_connected_have_answered_but_not_f
 def test_a_member_answers_for_the_position_that_was_named_last_once_it_is_there() -> None:
     digests = Digests(lambda digest: None)
     digests.note(5, ONE)
-    digests.told(7, ONE)
+    digests.compare(7, ONE)
     assert digests.answer == NO_DIGEST
     digests.note(6, b"then")
     digests.note(7, OTHER)

@@ -89,7 +89,7 @@ class Holdings(HeldItems):
         trimmed = self.index.trim_below(self.floor)
         if trimmed is not None:
             self._forget(trimmed)
-        self.floor = self._told = FIRST_KEY
+        self.floor = self._reported_to = FIRST_KEY
 
     def _split_block(self, crowded: tuple[ItemKey, ItemKey] | None) -> None:
         """Split a block of the tally that late items have made too large."""
@@ -209,20 +209,20 @@ class Holdings(HeldItems):
 
     def tell(self, on_gone: Callable[[int, int], None] | None) -> None:
         """From now on call `on_gone` with the seqs of collected items: the first, and the end, exclusive."""
-        self._on_gone, self._told = on_gone, self.floor
+        self._on_gone, self._reported_to = on_gone, self.floor
 
     def tell_gone(self, slices_max: int) -> bool:
         """Tell `on_gone` of up to `slices_max` collected slices. Returns True if more are left.
 
         The channel frees a slice only after `on_gone` was told of it.
         """
-        if self._on_gone is None or self._told >= self.floor:
+        if self._on_gone is None or self._reported_to >= self.floor:
             return False
-        parts = [*islice(self.index.slices(self._told, self.floor), slices_max)]
+        parts = [*islice(self.index.slices(self._reported_to, self.floor), slices_max)]
         for part in parts:
             self._on_gone(part.first_seq, part.end_seq)
-        self._told = (parts[-1].last_time, parts[-1].end_seq) if len(parts) == slices_max else self.floor
-        return self._told < self.floor
+        self._reported_to = (parts[-1].last_time, parts[-1].end_seq) if len(parts) == slices_max else self.floor
+        return self._reported_to < self.floor
 
     def _note_end(self, last: Slice, following: int | None, cause: str, now: int) -> None:
         """Note the latest span end of collected items.

@@ -20,7 +20,7 @@ from stampede_rt_supernode.core.channels.transitions import (
     open_channel,
     update_channel,
 )
-from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables_with_creator, on_tables
+from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables, on_tables_with_creator
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
 

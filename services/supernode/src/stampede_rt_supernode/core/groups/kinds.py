@@ -6,7 +6,7 @@ from typing import Any
 
 from stampede_rt_supernode.core import late_opens
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted
-from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables_with_creator, on_tables
+from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables, on_tables_with_creator
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,

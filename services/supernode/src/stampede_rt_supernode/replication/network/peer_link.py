@@ -90,7 +90,7 @@ class PeerLink:
         # When this member sent the first request since the peer's last answer, in the loop's time.
         self._unanswered_since: float | None = None
         # The members in the peer's latest list on this stream.
-        self._told: tuple[Member, ...] = ()
+        self._members_of_peer: tuple[Member, ...] = ()
         # True if an empty request is due, so that the peer answers.
         self._probe_due = False
         # True if the stream must end, so that the next one begins with a new hello.
@@ -151,7 +151,7 @@ class PeerLink:
             raise LinkBroken(f"refused: {await call.code()}: {await call.details()}")
         if answer.protocol_version != PROTOCOL_VERSION:
             raise LinkBroken(other_protocol(self._settings.self_member.member_id, answer.protocol_version))
-        self._told = ()
+        self._members_of_peer = ()
         self._take_members(answer)
         if answer.unknown_caller:
             await call.read()
@@ -177,8 +177,8 @@ class PeerLink:
         with contextlib.suppress(MalformedMessage):
             # An unreadable list can be ignored, because the log contains the members anyway.
             members = tuple(decode_members(answer.members))
-            if members != self._told:
-                self._told = members
+            if members != self._members_of_peer:
+                self._members_of_peer = members
                 self._deliver(MembersTold(self._member.member_id, members))
 
     async def _listen(self, call: Any) -> None:

@@ -43,18 +43,20 @@ class Digests:
         # replica's digest there.
         self.answer: StateDigest = NO_DIGEST
         self._own: dict[int, bytes] = {}  # by position, ascending
-        self._told: StateDigest | None = None  # the leader's digest at a position that this replica has yet to reach
+        self._leaders_digest: StateDigest | None = (
+            None  # the leader's digest at a position that this replica has yet to reach
+        )
 
     def note(self, index: int, digest: bytes) -> None:
         """Note the digest of this replica after all entries up to `index`."""
         self._own[index] = digest
         if len(self._own) > DIGESTS_MAX:
             del self._own[next(iter(self._own))]
-        if self._told is not None and index >= self._told[0]:
-            told, self._told = self._told, None
-            self.told(*told)
+        if self._leaders_digest is not None and index >= self._leaders_digest[0]:
+            awaited, self._leaders_digest = self._leaders_digest, None
+            self.compare(*awaited)
 
-    def told(self, index: int, digest: bytes) -> None:
+    def compare(self, index: int, digest: bytes) -> None:
         """Compare the leader's digest at `index` with this replica's own.
 
         If this replica has not reached `index` yet, it compares them when it gets there. It keeps one such digest, and
@@ -63,8 +65,8 @@ class Digests:
         own = self._own.get(index)
         last = next(reversed(self._own), 0)
         if own is None:
-            if self._told is None and index > last:
-                self._told = (index, digest)
+            if self._leaders_digest is None and index > last:
+                self._leaders_digest = (index, digest)
         elif not digest:
             pass  # the leader's digest is unknown
         elif not own:

@@ -24,7 +24,7 @@ from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 from stampede_rt_supernode.replication.wire.records import encode_configuration
 
 # The most members that this node remembers because a known member has named them.
-TOLD_MEMBERS_MAX = 64
+NAMED_MEMBERS_MAX = 64
 # The most strangers that this node remembers.
 STRANGERS_MAX = 16
 
@@ -43,7 +43,7 @@ class Membership(NodeState):
     locked_out_seconds: float
 
     # By id: the members that known members have named, the latest last. At first these are the members in the settings.
-    _told: dict[str, Member]
+    _named: dict[str, Member]
     # By id: the nodes that have named themselves, or that a stranger has named, the latest last.
     _strangers: dict[str, Member]
     _hears_strangers: bool = False
@@ -98,8 +98,8 @@ class Membership(NodeState):
         if self.is_stranger(teller_id):
             for member in members:
                 self.on_introduced(member)
-        elif any(self._told.get(member.member_id) != member for member in members):
-            _remember(self._told, members, TOLD_MEMBERS_MAX)
+        elif any(self._named.get(member.member_id) != member for member in members):
+            _remember(self._named, members, NAMED_MEMBERS_MAX)
             self._adopt()
 
     def on_introduced(self, member: Member) -> None:
@@ -123,7 +123,7 @@ class Membership(NodeState):
 
     def is_stranger(self, member_id: str) -> bool:
         """Whether neither the log nor a known member has named this member."""
-        if member_id in self._told or member_id == self.self_member.member_id:
+        if member_id in self._named or member_id == self.self_member.member_id:
             return False
         return all(member.member_id != member_id for member in self.log.configurations.known_members())
 
@@ -185,7 +185,7 @@ class Membership(NodeState):
 
     def _adopt_peers(self, known: list[Member], current: Configuration) -> None:
         strangers = self._strangers if self._hears_strangers else {}
-        peers = {**strangers, **self._told, **{member.member_id: member for member in known}}
+        peers = {**strangers, **self._named, **{member.member_id: member for member in known}}
         if self.learner is not None:
             peers[self.learner.member_id] = self.learner
         # Drops a member only when its removal is applied. Until then a new leader, even the member itself, may undo it.

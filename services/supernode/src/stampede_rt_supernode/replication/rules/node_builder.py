@@ -46,7 +46,7 @@ def build_node(
     node.clock, node.state_machine, node.has_room = clock, state_machine, has_room
     node.digests, node.poll = Digests(state_machine.adopt_digest), DigestPoll()
     node.self_member, node.make_member, node.peers = settings.self_member, assembly.make_member, peers
-    node._told = dict(peers)
+    node._named = dict(peers)
     node._strangers, node.disputed_by, node.had_leader_at = {}, {}, clock()
     node._answered_at = {}
     node.locked_out_seconds = 2 * settings.timing.election_timeout_max_seconds
