@@ -113,7 +113,7 @@ def test_a_message_is_given_up_with_a_reason_and_its_dead_letter_tells_it(stampe
     )
 
 
-def test_queues_are_listed_with_their_set_up_and_counters(stampede: Run) -> None:
+def test_queues_are_listed_with_their_policy_and_counters(stampede: Run) -> None:
     stampede("queue", "put", "cli/list/failed", "x")
     stated = ("--lease", "10s", "--max-items", "9", "--max-deliveries", "3", "--dead-letter", "cli/list/failed")
     stampede("queue", "put", "cli/list/jobs", "x", *stated)
@@ -121,14 +121,14 @@ def test_queues_are_listed_with_their_set_up_and_counters(stampede: Run) -> None
     heads, failed, jobs = table.splitlines()
     assert "  lease 30 s  " in failed
     counters = ["HELD", "LEASED", "ACCEPTED", "CONSUMED"]
-    assert re.split("  +", heads) == ["QUEUE", "HOST", "SET UP", "EPOCH", "CREATED BY", *counters]
+    assert re.split("  +", heads) == ["QUEUE", "HOST", "POLICY", "EPOCH", "CREATED BY", *counters]
     assert failed.split()[:2] == ["cli/list/failed", "h1"]
     assert "9 items, lease 10 s, 3 deliveries, dead letters to cli/list/failed" in jobs
     rows = json.loads(stampede("queue", "ls", "cli/list/*", "-o", "json")[0])
     assert [row["queue"] for row in rows] == ["cli/list/failed", "cli/list/jobs"]
     assert stampede("queue", "ls", "nothing/*")[0] == "no queue matches 'nothing/*'\n"
     info, _ = stampede("queue", "info", "cli/list/jobs")
-    assert "set up          9 items, lease 10 s, 3 deliveries, dead letters to cli/list/failed\n" in info
+    assert "policy          9 items, lease 10 s, 3 deliveries, dead letters to cli/list/failed\n" in info
 
 
 def test_a_queue_is_deleted(stampede: Run) -> None:

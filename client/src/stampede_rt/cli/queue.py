@@ -25,7 +25,7 @@ from stampede_rt.values.timeline import format_duration
 if TYPE_CHECKING:
     from stampede_rt import Connection, Queue, QueueInfo, QueuePolicy
 
-STATED = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter")  # policy options
+POLICY_OPTIONS = ("max_items", "max_bytes", "copies", "on_full", "lease", "max_deliveries", "dead_letter")
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -102,7 +102,7 @@ def _row(rt: Connection, info: QueueInfo, names: Mapping[bytes, str], arguments:
     row: dict[str, Any] = {
         "queue": info.name,
         "host": f"{info.host} (lost)" if lost else info.host,
-        "set_up": policy_text(info.policy, names),
+        "policy": policy_text(info.policy, names),
         "epoch": info.epoch,
     }
     if arguments.long:
@@ -141,7 +141,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "created_by": info.created_by or None,
         "epoch": info.epoch,
         "incarnation": f"{stats.incarnation:016x}",
-        "set_up": policy_text(stats.policy, names),
+        "policy": policy_text(stats.policy, names),
     }
     print_facts(facts | counted(stats, arguments.output), arguments.output)
     return 0
@@ -151,7 +151,7 @@ def run_put(arguments: argparse.Namespace) -> int:
     """Put one message, and print its queue and seq."""
     payload = payload_of(arguments)
     with connected(arguments) as rt:
-        queue = rt.queue(arguments.queue, **{name: getattr(arguments, name) for name in STATED})
+        queue = rt.queue(arguments.queue, **{name: getattr(arguments, name) for name in POLICY_OPTIONS})
         sent = queue.put(
             payload, arguments.timeout, attributes=dict(arguments.attribute or ()), message_id=arguments.message_id
         )
