@@ -103,7 +103,7 @@ def test_a_second_init_does_not_replace_the_authority(tmp_path: Path, capsys: py
     assert stampede(["certs", "init", str(tmp_path)]) == 0
     before = (tmp_path / "ca.pem").read_bytes()
     assert stampede(["certs", "init", str(tmp_path)]) == 1
-    assert "exists already" in capsys.readouterr().err
+    assert "already has the key of an authority" in capsys.readouterr().err
     assert (tmp_path / "ca.pem").read_bytes() == before
 
 
@@ -174,8 +174,8 @@ def test_nothing_is_renewed_if_one_of_the_files_cannot_be(tmp_path: Path, capsys
         assert stampede(["certs", "issue", "--dir", str(folder), "--name", "cam", "--role", "client"]) == 0
     before = (ours / "client-cam.pem").read_bytes()
     for wrong, why in (
-        (others / "client-cam.pem", "is of cluster far, and the authority of lab"),
-        (ours / "ca.pem", "is no NAME.pem of a part of a cluster"),
+        (others / "client-cam.pem", "is of cluster far, but the authority is of cluster lab"),
+        (ours / "ca.pem", "is not the certificate of a part of a cluster"),
         (ours / "ca.key", "it holds no certificate in PEM form"),
         (ours / "absent.pem", "cannot be used: No such file"),
     ):

@@ -27,8 +27,8 @@ class Listener(BackgroundStart, BoundToProcess):
     `delivered` counts the calls that returned. `failures` counts the calls that raised; `last_failure` is the last
     exception. The listener continues after an exception. `losses` counts how many times the channel's host was lost
     with its items. After such a loss the listener continues with the new incarnation. `error` is the error that ended
-    the listener, or None while the listener runs and after `cancel`. With asyncio, `await listener` waits until the
-    subscription is open, and raises `error` if there is one.
+    the listener, or None while the listener runs and after `cancel`. With asyncio, awaiting the listener waits until
+    the subscription is open, and raises `error` if there is one.
     """
 
     def __init__(

@@ -157,17 +157,17 @@ class Presence:
             if self._epoch.is_overtaken(error):
                 self._lose(self._taken_over())
                 return
-            _log.warning("the lease of peer %r has ended; it registers again", self._name)
+            _log.warning("the lease of peer %r has ended; the peer registers again", self._name)
             self._registered = False
         except StampedeError as error:
-            self._failed("was not renewed", error)
+            self._log_failure("the lease of peer %r was not renewed", error)
         if self._registered:
             return
         try:
             self._register(timeout_s)
             self._failures = 0
         except (Unavailable, DeadlineExceeded) as error:
-            self._failed("could not be registered again", error)
+            self._log_failure("peer %r could not register again", error)
         except StampedeError as error:
             self._lose(error)
 
@@ -184,10 +184,11 @@ class Presence:
             metadata={"peer": self._name},
         )
 
-    def _failed(self, how: str, error: StampedeError) -> None:
+    def _log_failure(self, event: str, error: StampedeError) -> None:
+        """Log the 1st, 2nd, 4th, 8th ... failure in a row. `event` has a place for the peer's name."""
         self._failures += 1
         if should_log(self._failures):
-            _log.warning("the lease of peer %r %s; the client tries again: %s", self._name, how, error)
+            _log.warning(f"{event}; the client tries again: %s", self._name, error)
 
     def _renew(self, timeout_s: float) -> None:
         """Renew the lease at the leader, because only the leader renews leases.

@@ -132,7 +132,7 @@ def _init(arguments: argparse.Namespace) -> list[str]:
     made = make_authority(arguments.cluster, now=datetime.now(UTC), lifetime=timedelta(days=arguments.days))
     if (folder / "ca.key").exists():
         raise CertificateError(
-            f"{folder / 'ca.key'} exists already; for a second authority, which can replace it, name another folder"
+            f"{folder} already has the key of an authority (ca.key); to make another authority, name another folder"
         )
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     write_pair(made, folder, "ca")
@@ -157,8 +157,8 @@ def _issue(arguments: argparse.Namespace) -> list[str]:
     certificate, key = write_pair(made, out, identity.file_stem)
     reached = f", called at {', '.join(addresses)}" if addresses else ""
     end = describe(made.certificate)[0].not_after
-    told = [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d %H:%M} UTC", f"{key}: its private key"]
-    return [*told, "", *_how_to_use(identity, folder / "ca.pem", certificate, key)]
+    lines = [f"{certificate}: {identity}{reached}, until {end:%Y-%m-%d %H:%M} UTC", f"{key}: its private key"]
+    return [*lines, "", *_how_to_use(identity, folder / "ca.pem", certificate, key)]
 
 
 def _authority(folder: Path) -> Issued:
@@ -173,24 +173,28 @@ def _authority(folder: Path) -> Issued:
 def _renew(arguments: argparse.Namespace) -> list[str]:
     """Renew certificates. Makes all new ones before it replaces any."""
     authority, now = _authority(arguments.dir), datetime.now(UTC)
-    made = [(file, *_anew(authority, file, now)) for file in arguments.files]
-    told = []
+    made = [(file, *_renewed(authority, file, now)) for file in arguments.files]
+    lines = []
     for file, identity, issued in made:
         write_pair(issued, file.parent, file.stem)
-        told.append(f"{file}: {identity}, until {describe(issued.certificate)[0].not_after:%Y-%m-%d %H:%M} UTC")
-    return told
+        lines.append(f"{file}: {identity}, until {describe(issued.certificate)[0].not_after:%Y-%m-%d %H:%M} UTC")
+    return lines
 
 
-def _anew(authority: Issued, file: Path, now: datetime) -> tuple[Identity, Issued]:
+def _renewed(authority: Issued, file: Path, now: datetime) -> tuple[Identity, Issued]:
+    """The owner of the certificate in `file`, and a new certificate for it. Raises CertificateError, OSError."""
     try:
         former = describe(file.read_bytes())[0]
     except CertificateError as error:
         raise CertificateError(f"{file}: {error}") from error
     if former.identity is None or former.is_authority or file.suffix != ".pem":
-        raise CertificateError(f"{file} is no NAME.pem of a part of a cluster, as `stampede certs issue` makes them")
+        raise CertificateError(
+            f"{file} is not the certificate of a part of a cluster; name a file NAME.pem of `stampede certs issue`"
+        )
     if former.identity.cluster != cluster_of(authority.certificate):
         raise CertificateError(
-            f"{file} is of cluster {former.identity.cluster}, and the authority of {cluster_of(authority.certificate)}"
+            f"{file} is of cluster {former.identity.cluster}, but the authority is of cluster "
+            f"{cluster_of(authority.certificate)}; name the folder of the right authority with --dir"
         )
     return former.identity, issue(authority, former.identity, former.addresses, now=now, lifetime=former.lifetime)
 
@@ -240,10 +244,10 @@ def _revoke(arguments: argparse.Namespace) -> list[str]:
     serials = [_serial_of(text) for text in arguments.credentials]
     with reached(arguments.url, None) as cluster:
         if not serials:
-            return list(cluster.revoked_serials()) or ["nothing is revoked"]
+            return list(cluster.revoked_serials()) or ["no certificate is revoked"]
         behind = cluster.parts_behind(max([cluster.revoke(serial) for serial in serials]))
     done = [f"{one} is revoked: the streams of its bearers end, and the services refuse it" for one in serials]
-    return done + [f"not yet at {name}: {why}" for name, why in behind.items()]
+    return done + [f"not in force yet at {name}: {why}" for name, why in behind.items()]
 
 
 def _serial_of(text: str) -> str:

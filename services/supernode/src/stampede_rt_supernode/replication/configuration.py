@@ -25,8 +25,8 @@ class Configuration:
 
     members: tuple[Member, ...]
     retired: tuple[str, ...] = ()
-    # Pairs of a ticket, which is the hash of a join token, and the id of the member that it has let in. Each ticket lets in
-    # one member.
+    # Pairs of a ticket (the hash of a join token) and the id of the member that it has let in. Each ticket lets in one
+    # member.
     spent: tuple[tuple[str, str], ...] = ()
 
     @classmethod
