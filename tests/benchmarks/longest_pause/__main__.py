@@ -18,6 +18,7 @@ from stampede_rt_bench.tables import Table
 from stampede_rt_runtime.garbage import GarbageCollection
 from tests.benchmarks.longest_pause.client import ask
 from tests.benchmarks.longest_pause.groups import group_readers, late_items
+from tests.benchmarks.longest_pause.leases import elsewhere, fence, registration
 from tests.benchmarks.longest_pause.queues import batches
 from tests.benchmarks.longest_pause.reads import given_up_get, large_get, listing, page, subscription
 from tests.benchmarks.longest_pause.retention import (
@@ -33,6 +34,7 @@ from tests.benchmarks.longest_pause.sizes import (
     BUCKET_ITEMS,
     CHANNELS,
     GROUP_READERS,
+    HELD_CHANNELS,
     ITEMS,
     LATE_ITEMS,
     QUEUED_ITEMS,
@@ -67,6 +69,9 @@ CASES: dict[str, tuple[Case, int]] = {
     "subscribers": (subscribers, SUBSCRIBERS),
     "watches": (watches, WATCHES),
     "group-readers": (group_readers, GROUP_READERS),
+    "fence": (fence, HELD_CHANNELS),
+    "registration": (registration, HELD_CHANNELS),
+    "elsewhere": (elsewhere, HELD_CHANNELS),
 }
 
 

@@ -22,10 +22,11 @@ from stampede_rt_channel_host.channels.listing import NAMES_PER_PIECE, STATUSES_
 from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.puts import ITEMS_OFFERED_MAX, PUTS_PER_PIECE, IncomingRun
-from stampede_rt_channel_host.channels.store import CHANNELS_PER_PIECE
+from stampede_rt_channel_host.channels.store import CHANNELS_COMPARED_PER_PIECE, CHANNELS_ENDED_PER_PIECE, ChannelStore
 from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Pieces
+from stampede_rt_channel_host.core.records import RecordedChannel
 from tests.support.channel_host.rig import HOST_ID, Opened, Rig, run_of, running_host
 
 REQUEST_ID = b"0123456789abcdef"
@@ -180,26 +181,54 @@ async def test_subscriptions_are_ended_in_pieces(rig: Rig) -> None:
     assert len(ended) == 3 * OBSERVERS_PER_PIECE
 
 
-async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece(rig: Rig) -> None:
-    store = rig.host.store
+def adopt(store: ChannelStore, channels: int) -> list[RecordedChannel]:
+    """Serve channels without asking the directory."""
     records = [
         recorded_channel(
             channel_pb2.ChannelRecord(
                 channel_id=number.to_bytes(16, "big"), name=f"c/{number}", incarnation=1, epoch=1, host_id=HOST_ID
             )
         )
-        for number in range(4 * CHANNELS_PER_PIECE)
+        for number in range(channels)
     ]
     for record in records:
         store._adopt(record)
+    return records
+
+
+async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece(rig: Rig) -> None:
+    store = rig.host.store
+    records = adopt(store, 8 * CHANNELS_COMPARED_PER_PIECE)
     late = channel_pb2.ChannelRecord(channel_id=b"l" * 16, name="late", incarnation=1, epoch=1, host_id=HOST_ID)
     left = []
     for at, _ in enumerate(store.registering(records[:10], all_told=True)):
         left.append(len(store.all()))
         if at == 0:
             store._adopt(recorded_channel(late))  # which the directory told of since
-    assert max(before - after for before, after in pairwise(left)) <= CHANNELS_PER_PIECE
+    assert max(before - after for before, after in pairwise(left)) <= CHANNELS_COMPARED_PER_PIECE
     assert {hosted.record.name for hosted in store.all()} == {"late", *(f"c/{number}" for number in range(10))}
+    assert len(store.scheduler._begun) <= 8
+
+
+async def test_a_lost_lease_ends_a_bounded_number_of_channels_in_one_piece_and_lists_no_others(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = rig.host.store
+    adopt(store, 4 * CHANNELS_ENDED_PER_PIECE)
+    ended: list[HostedChannel] = []
+
+    def ending(hosted: HostedChannel, error: StampedeError) -> Pieces[None]:
+        ended.append(hosted)
+        yield from ()
+
+    monkeypatch.setattr(HostedChannel, "ending", ending)
+    monkeypatch.setattr(ChannelStore, "all", None)
+    store.fence()
+    assert len(ended) == CHANNELS_ENDED_PER_PIECE
+    async with asyncio.timeout(10):
+        while store.scheduler._begun:
+            await rig.gate.Ping(gate_pb.GatekeeperServicePingRequest())
+    assert len({*ended}) == len(ended) == 4 * CHANNELS_ENDED_PER_PIECE
 
 
 async def test_refused_subscriptions_and_binds_are_counted_and_other_errors_are_not(

@@ -45,6 +45,7 @@ class HostedChannel:
         """
         self.record = record
         self.epoch: int = record.epoch
+        self.registration = 0  # the host's last registration when the store last took over a record of the directory
         self.channel = ChannelCore(
             record.policy,
             incarnation=record.incarnation,

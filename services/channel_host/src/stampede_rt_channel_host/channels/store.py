@@ -27,7 +27,7 @@ from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
-from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched
+from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched_keys, one_after_another, rest_of
 from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
 from stampede_rt_runtime.access.control import check_access, current_account
@@ -38,7 +38,8 @@ from stampede_rt_runtime.overload import RefusedCalls
 logger = logging.getLogger(__name__)
 
 CHANNELS_MAX = 100_000
-CHANNELS_PER_PIECE = 256
+CHANNELS_ENDED_PER_PIECE = 128
+CHANNELS_COMPARED_PER_PIECE = 32  # to log and drop one takes up to 50 us
 RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
 _ID_END = b"\xff" * 17  # above every id
 DROPS_REMEMBERED_MAX = 1024  # ids of the latest requests that deleted a channel
@@ -160,29 +161,37 @@ class ChannelStore:
         not name all channels of the host. The store then serves an unnamed channel again only after its next `bind`.
         """
         self._registrations += 1
-        held = [(hosted, hosted.record.epoch) for hosted in self._channels.values()]
+        registration = self._registrations
         told: dict[bytes, RecordedChannel] = {}
         unread = iter(records)
         while part := [*islice(unread, RECORDS_PER_PIECE)]:
             told.update((record.channel_id, record) for record in part)
             yield
-        for channels in batched(held, CHANNELS_PER_PIECE):
-            for hosted, epoch in channels:
-                if self._channels.get(hosted.record.channel_id) is hosted and hosted.record.epoch == epoch:
-                    self._compare(hosted, told.get(hosted.record.channel_id), all_told=all_told)
+        for names in batched_keys(self._names, CHANNELS_COMPARED_PER_PIECE):
+            left: list[Pieces[None]] = []
+            for _, channel_id in names:
+                hosted = self._channels.get(channel_id)
+                if (
+                    hosted is not None and hosted.registration < registration
+                ):  # else told of since
+                    self._compare(hosted, told.get(channel_id), left, all_told=all_told)
+            self.scheduler.begin(one_after_another(left))  # one work for all: each has a task
             yield
 
-    def _compare(self, hosted: HostedChannel, record: RecordedChannel | None, *, all_told: bool) -> None:
+    def _compare(
+        self, hosted: HostedChannel, record: RecordedChannel | None, left: list[Pieces[None]], *, all_told: bool
+    ) -> None:
         """Adopt the directory's record of a channel that has not changed since the registration.
 
-        None: the answer has no record of the channel. Then the store drops the channel, or, if the answer was not
-        complete, asks the directory at the next `bind`.
+        None: the answer has no record of the channel. Then the store drops the channel, and adds the work that is left
+        to `left`. If the answer was not complete, the store asks the directory at the next `bind` instead.
         """
         if record is not None:
             self._adopt(record)
         elif all_told:
             logger.warning("channel went elsewhere", extra={"channel": hosted.record.name})
-            self._forget(hosted.record.channel_id, refusals.not_here(self._identity.name, hosted.record.channel_id))
+            error = refusals.not_here(self._identity.name, hosted.record.channel_id)
+            left += self._drop(hosted.record.channel_id, error)
         else:
             hosted.epoch = 0  # no request can name it: the next bind asks the directory
 
@@ -199,13 +208,14 @@ class ChannelStore:
 
         If there are many of them, the last ones end a moment later.
         """
-        self.scheduler.begin(self._ending(self.all(), error))
+        self.scheduler.begin(self._ending(error))
 
-    def _ending(self, channels: Iterable[HostedChannel], error: StampedeError) -> Pieces[None]:
-        for at, hosted in enumerate(channels):
-            yield from hosted.ending(error)
-            if at % CHANNELS_PER_PIECE == CHANNELS_PER_PIECE - 1:
-                yield
+    def _ending(self, error: StampedeError) -> Pieces[None]:
+        for names in batched_keys(self._names, CHANNELS_ENDED_PER_PIECE):
+            for _, channel_id in names:
+                if (hosted := self._channels.get(channel_id)) is not None:  # if None, it has left meanwhile
+                    yield from hosted.ending(error)
+            yield
 
     def named_after(self, name: str, count: int) -> list[HostedChannel]:
         """The next `count` channels after a name, by name."""
@@ -263,6 +273,7 @@ class ChannelStore:
         held = self._channels.get(record.channel_id)
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
+                held.registration = self._registrations
                 held.update(record)
             return held
         if held is not None:
@@ -274,16 +285,22 @@ class ChannelStore:
         hosted = HostedChannel(
             record, self.memory, self.now, self.sweep.touch, self._may_serve, self.scheduler.begin, self.limits
         )
+        hosted.registration = self._registrations
         self._channels[record.channel_id] = hosted
         self._names.add((record.name, record.channel_id))
         return hosted
 
     def _forget(self, channel_id: bytes, error: StampedeError) -> None:
+        self.scheduler.begin(one_after_another(self._drop(channel_id, error)))
+
+    def _drop(self, channel_id: bytes, error: StampedeError) -> list[Pieces[None]]:
+        """Drop the channel, and end its first callers with `error`. Returns the work that is left."""
         hosted = self._channels.pop(channel_id, None)
-        if hosted is not None:
-            self._names.remove((hosted.record.name, channel_id))
-            self.sweep.forget(hosted)
-            self.scheduler.begin(hosted.leaving(error))
+        if hosted is None:
+            return []
+        self._names.remove((hosted.record.name, channel_id))
+        self.sweep.forget(hosted)
+        return rest_of(hosted.leaving(error))
 
 
 def _check_policy(held: Policy, change: Policy) -> None:

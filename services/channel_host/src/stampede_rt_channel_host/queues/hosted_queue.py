@@ -70,6 +70,7 @@ class HostedQueue:
         """
         self.record = record
         self.epoch: int = record.epoch
+        self.registration = 0  # the host's last registration when the store last took over a record of the directory
         self.queue = QueueCore(
             QueueLimits.of(record.policy),
             incarnation=record.incarnation,

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from itertools import islice
+
+from sortedcontainers import SortedDict
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
 from stampede_rt_channel_host.channels.holders import Holders
@@ -18,7 +20,7 @@ from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.identity import HostIdentity
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
-from stampede_rt_channel_host.core.channel import Pieces, batched
+from stampede_rt_channel_host.core.channel import Pieces, batched_keys, one_after_another, rest_of
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.records import RecordedChange, RecordedQueue
 from stampede_rt_channel_host.queues import refusals
@@ -28,7 +30,8 @@ from stampede_rt_channel_host.queues.refusals import display_name
 logger = logging.getLogger(__name__)
 
 QUEUES_MAX = 100_000
-QUEUES_PER_PIECE = 256
+QUEUES_PER_PIECE = 128
+QUEUES_COMPARED_PER_PIECE = 32  # to log and drop one takes up to 50 us
 RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
 # the most questions to the directory for one `use`: the store asks again if the host registered during a question
 LOOKUPS_MAX = 3
@@ -60,7 +63,7 @@ class QueueStore:
         self._lease_held = lease_held
         self._scheduler = scheduler
         self._on_departures = on_departures
-        self._queues: dict[bytes, HostedQueue] = {}
+        self._queues: dict[bytes, HostedQueue] = SortedDict()
         self._single_flight = SingleFlight()
         self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
         self._registrations = 0  # the number of registrations whose answers have come
@@ -99,29 +102,37 @@ class QueueStore:
         only after the next `use` of that queue.
         """
         self._registrations += 1
-        held = [(hosted, hosted.record.epoch) for hosted in self._queues.values()]
+        registration = self._registrations
         told: dict[bytes, RecordedQueue] = {}
         unread = iter(records)
         while part := [*islice(unread, RECORDS_PER_PIECE)]:
             told.update((record.queue_id, record) for record in part)
             yield
-        for queues in batched(held, QUEUES_PER_PIECE):
-            for hosted, epoch in queues:
-                if self._queues.get(hosted.record.queue_id) is hosted and hosted.record.epoch == epoch:
-                    self._compare(hosted, told.get(hosted.record.queue_id), all_told=all_told)
+        for ids in batched_keys(self._queues, QUEUES_COMPARED_PER_PIECE):
+            left: list[Pieces[None]] = []
+            for queue_id in ids:
+                hosted = self._queues.get(queue_id)
+                if (
+                    hosted is not None and hosted.registration < registration
+                ):  # else told of since
+                    self._compare(hosted, told.get(queue_id), left, all_told=all_told)
+            self._scheduler.begin(one_after_another(left))  # one work for all: each has a task
             yield
 
-    def _compare(self, hosted: HostedQueue, record: RecordedQueue | None, *, all_told: bool) -> None:
+    def _compare(
+        self, hosted: HostedQueue, record: RecordedQueue | None, left: list[Pieces[None]], *, all_told: bool
+    ) -> None:
         """Adopt the directory's record of a queue that has not changed since the registration.
 
-        None: the list has no record of the queue. Then the store drops the queue, or, if the list was not complete,
-        asks the directory at the next `use`.
+        None: the list has no record of the queue. Then the store drops the queue, and adds the work that is left to
+        `left`. If the list was not complete, the store asks the directory at the next `use` instead.
         """
         if record is not None:
             self._adopt(record)
         elif all_told:
             logger.warning("queue went elsewhere", extra={"queue": display_name(hosted.record)})
-            self._forget(hosted.record.queue_id, refusals.not_here(self._identity.name, hosted.record.queue_id))
+            error = refusals.not_here(self._identity.name, hosted.record.queue_id)
+            left += self._drop(hosted.record.queue_id, error)
         else:
             hosted.epoch = 0  # no request can name it: the next use asks the directory
 
@@ -139,11 +150,12 @@ class QueueStore:
 
     async def missed(self) -> None:
         """See `Watched`: ask about every queue that this host has."""
-        for queue_id in list(self._queues):
-            try:
-                await self._ask(queue_id)
-            except (QueueNotFound, StaleBinding) as error:
-                logger.info("this host no longer has the queue", extra={"queue": queue_id.hex(), "why": str(error)})
+        for ids in batched_keys(self._queues, QUEUES_PER_PIECE):
+            for queue_id in ids:
+                try:
+                    await self._ask(queue_id)
+                except (QueueNotFound, StaleBinding) as error:
+                    logger.info("this host no longer has the queue", extra={"queue": queue_id.hex(), "why": str(error)})
 
     def changed_in_directory(self, change: RecordedChange) -> None:
         """See `Watched`."""
@@ -163,7 +175,14 @@ class QueueStore:
 
         If there are many, the last ones end later.
         """
-        self._scheduler.begin(_ending(self.all(), error))
+        self._scheduler.begin(self._ending(error))
+
+    def _ending(self, error: StampedeError) -> Pieces[None]:
+        for ids in batched_keys(self._queues, QUEUES_PER_PIECE):
+            for queue_id in ids:
+                if (hosted := self._queues.get(queue_id)) is not None:  # if None, it has left meanwhile
+                    yield from hosted.ending(error)
+            yield
 
     def all(self) -> list[HostedQueue]:
         """All queues that callers have used here."""
@@ -219,6 +238,7 @@ class QueueStore:
         held = self._queues.get(record.queue_id)
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
+                held.registration = self._registrations
                 held.update(record)
             return
         if held is not None:
@@ -227,19 +247,15 @@ class QueueStore:
             self._forget(record.queue_id, refusals.wrong_epoch(record, held.record.epoch))
         if len(self._queues) >= QUEUES_MAX:
             raise Overloaded(f"host {self._identity.name} has {QUEUES_MAX} queues, the limit; use another host")
-        self._queues[record.queue_id] = HostedQueue(
-            record, self.memory, self.now, self._on_departures, self.deadlines, self._may_serve
-        )
+        hosted = HostedQueue(record, self.memory, self.now, self._on_departures, self.deadlines, self._may_serve)
+        hosted.registration = self._registrations
+        self._queues[record.queue_id] = hosted
         self.in_use.set()
 
     def _forget(self, queue_id: bytes, error: StampedeError) -> None:
+        self._scheduler.begin(one_after_another(self._drop(queue_id, error)))
+
+    def _drop(self, queue_id: bytes, error: StampedeError) -> list[Pieces[None]]:
+        """Drop the queue, and end its first callers with `error`. Returns the work that is left."""
         hosted = self._queues.pop(queue_id, None)
-        if hosted is not None:
-            self._scheduler.begin(hosted.leaving(error))
-
-
-def _ending(queues: Sequence[HostedQueue], error: StampedeError) -> Pieces[None]:
-    for at, hosted in enumerate(queues, 1):
-        yield from hosted.ending(error)
-        if at % QUEUES_PER_PIECE == 0:
-            yield
+        return [] if hosted is None else rest_of(hosted.leaving(error))

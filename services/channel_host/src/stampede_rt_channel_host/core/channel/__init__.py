@@ -36,7 +36,17 @@ from stampede_rt_channel_host.core.channel.consumption import (
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import HeldThen, Moment
-from stampede_rt_channel_host.core.channel.pieces import Pieces, Unfinished, abandoning, batched, first_of, run_to_end
+from stampede_rt_channel_host.core.channel.pieces import (
+    Pieces,
+    Unfinished,
+    abandoning,
+    batched,
+    batched_keys,
+    first_of,
+    one_after_another,
+    rest_of,
+    run_to_end,
+)
 from stampede_rt_channel_host.core.channel.reading import Pending
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, Slice, Slicer
 from stampede_rt_channel_host.core.channel.subscribing import AllCursor, NewestCursor
@@ -99,8 +109,11 @@ __all__ = [
     "WakeAt",
     "abandoning",
     "batched",
+    "batched_keys",
     "drained",
     "emptying",
     "first_of",
+    "one_after_another",
+    "rest_of",
     "run_to_end",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Generic, TypeVar
 
 STEPS_PER_PIECE = 256
@@ -48,6 +49,17 @@ def batched(things: Sequence[Thing], size: int) -> Iterator[Sequence[Thing]]:
     return (things[at : at + size] for at in range(0, len(things), size))
 
 
+def batched_keys(keys: Any, size: int) -> Iterator[list[Any]]:
+    """The keys of a SortedList or SortedDict in parts of `size`, in order. No step copies all of them.
+
+    Keys may come and go between two parts. Keys that come are included only if they belong behind the last part.
+    """
+    part = [*islice(keys, size)]
+    while part:
+        yield part
+        part = [*islice(keys.irange(minimum=part[-1], inclusive=(False, True)), size)]
+
+
 def run_to_end(pieces: Pieces[Result]) -> Result:
     """Perform all pieces, one after the other, and return the result."""
     while True:  # ends with the last piece
@@ -71,3 +83,16 @@ def first_of(pieces: Pieces[Result]) -> Result | Unfinished[Result]:
     except StopIteration as end:
         return end.value  # type: ignore[no-any-return]
     return Unfinished(pieces)
+
+
+def rest_of(pieces: Pieces[None]) -> list[Pieces[None]]:
+    """Perform the first piece. Returns the rest of the work, in a list for `one_after_another`; empty: it is done."""
+    found = first_of(pieces)
+    return [found.rest] if isinstance(found, Unfinished) else []
+
+
+def one_after_another(works: list[Pieces[None]]) -> Pieces[None]:
+    """Perform begun work, the last one of the list first. Empties the list. The first piece does nothing."""
+    while works:
+        yield
+        yield from works.pop()
