@@ -171,9 +171,7 @@ class ChannelStore:
             left: list[Pieces[None]] = []
             for _, channel_id in names:
                 hosted = self._channels.get(channel_id)
-                if (
-                    hosted is not None and hosted.registration < registration
-                ):  # else told of since
+                if hosted is not None and hosted.registration < registration:  # else told of since
                     self._compare(hosted, told.get(channel_id), left, all_told=all_told)
             self.scheduler.begin(one_after_another(left))  # one work for all: each has a task
             yield

@@ -112,9 +112,7 @@ class QueueStore:
             left: list[Pieces[None]] = []
             for queue_id in ids:
                 hosted = self._queues.get(queue_id)
-                if (
-                    hosted is not None and hosted.registration < registration
-                ):  # else told of since
+                if hosted is not None and hosted.registration < registration:  # else told of since
                     self._compare(hosted, told.get(queue_id), left, all_told=all_told)
             self._scheduler.begin(one_after_another(left))  # one work for all: each has a task
             yield
