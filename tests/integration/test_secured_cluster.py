@@ -20,20 +20,17 @@ from typing import Any
 
 import grpc
 import pytest
-from grpc_health.v1 import health_pb2, health_pb2_grpc
 
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt.cli.main import main as stampede
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.tls import TlsReader
-from stampede_rt.status import from_error_message, from_rpc_error
+from stampede_rt.status import from_error_message
 from stampede_rt.v1 import (
     directory_pb2,
     directory_service_pb2,
     directory_service_pb2_grpc,
-    frontend_service_pb2,
-    frontend_service_pb2_grpc,
     item_pb2,
     raft_service_pb2_grpc,
 )
@@ -43,10 +40,10 @@ from stampede_rt.v1 import raft_service_pb2 as raft_pb
 from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceFailed, ServiceProcess
-from stampede_rt_runtime.certs_command import main as certs
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
+from tests.support.certificates import ask
 
 DAY = timedelta(days=1)
 PATIENCE_SECONDS = 5.0
@@ -156,21 +153,6 @@ def test_a_certificate_that_only_the_caller_trusts_is_refused(
         f"{cluster.address} refused the certificate {stranger.certificate}: "
         "no authority that issued it is trusted there; use a certificate of that cluster"
     )
-
-
-def ask(address: str, files: st.TlsFiles | None, call: Callable[[Any], Any]) -> str:
-    """What a supernode answers to a call with this certificate; empty if it was let in and the call went through."""
-
-    async def asked() -> str:
-        assert files is not None
-        async with dial(address, secret=None, tls=TlsReader(files)) as channel:
-            try:
-                await call(channel)
-            except grpc.aio.AioRpcError as error:
-                return f"{error.code().name}: {from_rpc_error(error, 'it').message}"
-        return ""
-
-    return asyncio.run(asked())
 
 
 def registering(name: str) -> Callable[[grpc.aio.Channel], Any]:
@@ -473,49 +455,3 @@ async def test_hosts_alone_say_where_a_dead_letter_comes_from(
             assert f"{role} robot may not set the origin of a run" in ack.error.message
             assert "hosts alone forward dead letters; leave origin out" in ack.error.message
         assert (await queue.stats()).held == int(believed)
-
-
-def test_a_revoked_certificate_opens_nothing_and_its_open_streams_end(
-    cluster: LocalCluster, certificates: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    files, operator = certificates.issue(Role.CLIENT, "lost"), certificates.issue(Role.OPERATOR, "ops")
-    names = zip(("CA", "CERTIFICATE", "KEY"), (operator.ca, operator.certificate, operator.key), strict=True)
-    for variable, path in names:
-        monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
-    with st.connect(cluster.address, tls=files) as rt:
-        channel = rt.channel("revoked")
-        with channel.subscribe() as items:
-            channel.put(b"x")
-            assert next(items).payload == b"x"
-            assert certs(["revoke", str(files.certificate), "--url", cluster.address]) == 0
-            with pytest.raises(PermissionDenied, match="of client lost was revoked"):
-                next(items)
-        with pytest.raises(PermissionDenied, match="of client lost was revoked"):
-            rt.channel("revoked-too")
-
-
-def test_a_front_end_ends_the_open_streams_of_a_revoked_certificate(
-    cluster: LocalCluster, certificates: ClusterCertificates, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    files, operator = certificates.issue(Role.CLIENT, "watcher"), certificates.issue(Role.OPERATOR, "ops")
-    names = zip(("CA", "CERTIFICATE", "KEY"), (operator.ca, operator.certificate, operator.key), strict=True)
-    for variable, path in names:
-        monkeypatch.setenv(f"STAMPEDE_TLS_{variable}", str(path))
-    bind = frontend_service_pb2.BindRequest(protocol_version=1)
-
-    async def watch(channel: grpc.aio.Channel) -> None:
-        health: Any = health_pb2_grpc.HealthStub(channel)
-        call = health.Watch(health_pb2.HealthCheckRequest(), timeout=20)
-        assert (await call.read()).status == health_pb2.HealthCheckResponse.SERVING
-        revoke = ["revoke", str(files.certificate), "--url", cluster.address]
-        assert await asyncio.to_thread(certs, revoke) == 0
-        await call.read()
-
-    async def bound(channel: grpc.aio.Channel) -> None:
-        await frontend_service_pb2_grpc.FrontendServiceStub(channel).Bind(bind, timeout=10)
-
-    assert ask(cluster.address, files, bound) == ""
-    for call in (watch, bound):
-        told = ask(cluster.address, files, call)
-        assert told.startswith("UNAUTHENTICATED: the certificate ")
-        assert "of client watcher was revoked" in told

@@ -1,0 +1,29 @@
+"""Calls with a certificate of the caller's choice."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+
+import stampede_rt as st
+from stampede_rt.security.tls import TlsReader
+from stampede_rt.status import from_rpc_error
+from stampede_rt_runtime.dial import dial
+
+
+def ask(address: str, files: st.TlsFiles | None, call: Callable[[Any], Any]) -> str:
+    """What a supernode answers to a call with this certificate; empty if it was let in and the call went through."""
+
+    async def asked() -> str:
+        assert files is not None
+        async with dial(address, secret=None, tls=TlsReader(files)) as channel:
+            try:
+                await call(channel)
+            except grpc.aio.AioRpcError as error:
+                return f"{error.code().name}: {from_rpc_error(error, 'it').message}"
+        return ""
+
+    return asyncio.run(asked())
