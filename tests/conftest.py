@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import tempfile
+from pathlib import Path
 
 from hypothesis import settings
+
+from stampede_rt_local import ports
 
 # The suite plays the same stories each time: it fails by a change, not by a draw. `make explore` plays others.
 settings.register_profile("suite", derandomize=True, database=None, deadline=None)
@@ -24,3 +27,13 @@ _settings_folder = tempfile.TemporaryDirectory(prefix="stampede-tests-")
 os.environ["XDG_CONFIG_HOME"] = _settings_folder.name
 for variable in ("STAMPEDE_SECRET_FILE", "STAMPEDE_URL"):
     os.environ.pop(variable, None)
+
+# The suite starts hundreds of Python processes. Where bytecode files are forbidden (as in many container images)
+# each of them would compile all its modules again, which takes half of its CPU time. They keep bytecode below `.make`.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / ".make" / "pycache")
+
+# A cluster looks for free ports before its services listen there, and a supernode that restarts takes its port again.
+# So each of pytest's workers ("gw0", "gw1", ...) has ports of its own, and no other worker takes them meanwhile.
+WORKERS_MAX = 4
+ports.PORTS = ports.PORTS[int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:]) % WORKERS_MAX :: WORKERS_MAX]

@@ -20,7 +20,6 @@ from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import peer_service_pb2_grpc as peer_grpc
 from stampede_rt_local.cluster import LocalCluster
-from stampede_rt_local.ports import free_ports
 from stampede_rt_runtime.server import serving
 from tests.contract.surfaces import Surface
 
@@ -28,7 +27,7 @@ from tests.contract.surfaces import Surface
 
 MINUTE_NANOS = 60 * 10**9
 NAME = "clocks/one"
-NOBODY = f"localhost:{free_ports(1, 'localhost')[0]}"
+NOBODY = "localhost:1"  # tcpmux: nothing listens there
 Connecting = Callable[..., Any]
 
 

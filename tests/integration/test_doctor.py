@@ -15,7 +15,6 @@ from stampede_rt.cli.main import main as stampede
 from stampede_rt.security.tls import TlsReader
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt_local.cluster import LocalCluster
-from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceProcess
 from stampede_rt_runtime.auth import make_secret_file
 from stampede_rt_runtime.identity import Role
@@ -24,7 +23,7 @@ from tests.support.waiting import wait_until
 
 DAY = timedelta(days=1)
 PATIENCE_SECONDS = 20.0
-NOBODY = f"localhost:{free_ports(1, 'localhost')[0]}"
+NOBODY = "localhost:1"  # tcpmux: nothing listens there
 
 cluster = cluster_fixture(scope="function", hosts=1, supernodes=3, durable=False)
 

@@ -7,7 +7,6 @@ import contextlib
 import os
 import secrets
 import signal
-import socket
 import sys
 import time
 from collections.abc import AsyncIterator, Awaitable
@@ -21,6 +20,7 @@ from stampede_rt.errors import LeaseExpired, StampedeError
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_pb2, directory_service_pb2_grpc
 from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_local import ports
 from stampede_rt_runtime.dial import dial
 
 PATIENCE_SECONDS = 20.0
@@ -168,9 +168,7 @@ def clean_environment() -> dict[str, str]:
 
 
 def free_ports(count: int) -> list[int]:
-    with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
-        return [one.getsockname()[1] for one in sockets]
+    return ports.free_ports(count, "127.0.0.1")
 
 
 async def attempts() -> AsyncIterator[None]:

@@ -6,7 +6,7 @@ import random
 import socket
 
 # Below the ephemeral range of every system (Linux: from 32768 on), so that no outgoing connection takes the port.
-_LOWEST, _HIGHEST = 15_000, 32_000
+PORTS = range(15_000, 32_000)
 _TRIES_MAX = 200
 
 
@@ -16,13 +16,13 @@ def free_ports(count: int, host: str = "localhost", *, besides: int = 0) -> list
     They are random, so that clusters at the same time seldom use the same ports. Raises OSError if there are none.
     """
     found: list[int] = []
-    for port in random.sample(range(_LOWEST, _HIGHEST), _TRIES_MAX):
+    for port in random.sample(PORTS, _TRIES_MAX):
         if len(found) == count:
             break
         if port != besides and _is_free(host, port):
             found.append(port)
     if len(found) < count:
-        raise OSError(f"no {count} free ports at {host} between {_LOWEST} and {_HIGHEST}")
+        raise OSError(f"no {count} free ports at {host} between {PORTS[0]} and {PORTS[-1]}")
     return found
 
 
