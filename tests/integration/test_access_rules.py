@@ -15,8 +15,14 @@ import pytest
 import stampede_rt as st
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.credentials import call_metadata
+from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import directory_service_pb2_grpc as directory_grpc
+from stampede_rt.v1 import group_directory_service_pb2 as group_pb
+from stampede_rt.v1 import group_directory_service_pb2_grpc as group_grpc
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import peer_service_pb2_grpc as peer_grpc
+from stampede_rt.v1 import queue_directory_service_pb2 as queue_pb
+from stampede_rt.v1 import queue_directory_service_pb2_grpc as queue_grpc
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 from tests.support.operator import Operator, operating
@@ -115,6 +121,53 @@ def test_peers_own_their_mailboxes_and_nobody_else_does(cluster: LocalCluster, o
         message = robot.mailbox.get(timeout=10)
         assert message is not None
         assert message.payload == b"hello"
+
+
+def test_no_listing_and_no_watch_tells_of_things_that_its_caller_may_not_list(
+    cluster: LocalCluster, operator: Operator
+) -> None:
+    """The token of a page held the last name that was looked at, and a hidden change made an empty response."""
+    with (
+        st.connect(cluster.address, name="hidden/peer") as rt,
+        grpc.insecure_channel(cluster.supernodes[0].address) as supernode,
+    ):
+        things(cluster)
+        channels = [rt.channel(f"hidden/{number}") for number in range(3)]
+        rt.group("hidden/group", channels)
+        rt.queue("hidden/queue")
+        rt.queue("shown").put(b"x")
+        operator.add("dash", "list", "shown")
+        bearer = call_metadata(operator.token("dash"))
+        told = [
+            *listed(
+                directory_grpc.DirectoryServiceStub(supernode).ListChannels, directory_pb.ListChannelsRequest, bearer
+            ),
+            *listed(group_grpc.GroupDirectoryServiceStub(supernode).ListGroups, group_pb.ListGroupsRequest, bearer),
+            *listed(
+                queue_grpc.QueueDirectoryServiceStub(supernode).ListQueues,
+                lambda **page: queue_pb.ListQueuesRequest(include_mailboxes=True, **page),
+                bearer,
+            ),
+            *listed(peer_grpc.PeerServiceStub(supernode).ListPeers, peer_pb.ListPeersRequest, bearer),
+        ]
+        assert [len(page.queues) for page in told if isinstance(page, queue_pb.ListQueuesResponse)] == [1]
+        assert [page.next_page_token for page in told] == [""] * 4
+        watch = directory_grpc.DirectoryServiceStub(supernode).Watch(
+            directory_pb.WatchRequest(include_queues=True), timeout=20, metadata=bearer
+        )
+        assert not next(watch).changes, "where the watch begins"
+        rt.channel("hidden/new")
+        rt.queue("shown", max_items=7)
+        assert [change.queue.name for change in next(watch).changes] == ["shown"]
+        watch.cancel()
+
+
+def listed(method: Any, request: Any, metadata: Any) -> list[Any]:
+    """All pages with one thing each."""
+    pages = [method(request(page_size=1), timeout=10, metadata=metadata)]
+    while pages[-1].next_page_token:
+        pages.append(method(request(page_size=1, page_token=pages[-1].next_page_token), timeout=10, metadata=metadata))
+    return pages
 
 
 def test_a_name_that_no_rule_gives_cannot_be_registered(cluster: LocalCluster, operator: Operator) -> None:

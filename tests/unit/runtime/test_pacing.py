@@ -124,6 +124,29 @@ async def _handler(behavior: Any) -> Any:
     return (await PacingInterceptor().intercept_service(found, None)).stream_stream  # type: ignore[arg-type]
 
 
+async def test_streams_that_are_cancelled_again_while_they_wait_for_their_turn_to_end_also_end() -> None:
+    """A caller that left at the moment of its revocation: the stream went on without a caller and without a quota."""
+    ended = 0
+
+    async def behavior(_requests: Any, _context: Any) -> None:
+        nonlocal ended
+        try:
+            await asyncio.Event().wait()
+        finally:
+            ended += 1
+
+    handler = await _handler(behavior)
+    calls = [asyncio.create_task(handler(None, Stream())) for _ in range(STREAMS)]
+    for _ in range(3):
+        await asyncio.sleep(0)
+    for _ in range(2):
+        for call in calls:
+            call.cancel()
+        await asyncio.sleep(0)
+    await asyncio.gather(*calls, return_exceptions=True)
+    assert ended == STREAMS
+
+
 async def test_streams_whose_callers_go_together_end_a_few_in_each_turn() -> None:
     ended = 0
 

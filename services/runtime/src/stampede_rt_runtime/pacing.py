@@ -7,6 +7,7 @@ and each then looked for its next one: a turn of 10 ms and more, in which the se
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import inspect
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -110,7 +111,9 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
                 await asyncio.wait({serving})
             except asyncio.CancelledError:  # the caller has gone, maybe with many streams: they end a few at a time
                 if not self._ends.admits():
-                    await self._ends.turn()
+                    # a second cancellation may come here; without `serving.cancel` the stream would stay for good
+                    with contextlib.suppress(asyncio.CancelledError):
+                        await self._ends.turn()
                 serving.cancel()
             try:
                 return await serving

@@ -21,6 +21,7 @@ from stampede_rt_runtime.access.caller import Caller, CallerKind
 from stampede_rt_runtime.access.control import (
     CALLS_ENDED_PER_TURN,
     CALLS_PER_TURN,
+    GRANTS_KEPT_MAX,
     RIGHTS_PER_TURN,
     AccessControl,
     allowed_to,
@@ -207,3 +208,30 @@ async def test_the_calls_of_a_token_that_is_over_end_a_few_at_a_time() -> None:
             left.append(sum(call.error is None for call in calls))
     assert (left[0], left[-1]) == (100 - CALLS_ENDED_PER_TURN, 0)
     assert max(before - after for before, after in pairwise(left)) == CALLS_ENDED_PER_TURN
+
+
+async def test_a_call_that_has_used_more_rights_than_are_remembered_ends_when_the_rules_change() -> None:
+    """A get of a forbidden channel stayed open after 1024 gets of other channels on the same stream."""
+    allow, other = AccessRule("@clients", (), None, "*"), AccessRule("nobody", (), None, "*")
+    async with port() as (server, begin):
+        server.access.tell(state(1, allow))
+        busy, brief = begin(CLIENTS), begin(CLIENTS)
+        for number in range(GRANTS_KEPT_MAX + 1):
+            await said(busy, f"c{number}")
+        await said(brief, "c0")
+        server.access.tell(state(2, allow))
+        assert await said(busy, "x") == b"1"
+        server.access.tell(state(3, allow, other))
+        assert "has used more than 1024 rights" in str(await ended(busy))
+        assert await said(brief, "c0") == b"1"
+
+
+async def test_a_right_that_was_taken_away_cannot_be_used_before_the_call_is_judged_again() -> None:
+    control = AccessControl()
+    control.tell(state(1, ALLOW))
+    client = Caller(kind=CallerKind.CLIENT_SECRET, roles=frozenset(), name="@clients")
+    async with control.serving(client, SimpleNamespace(peer=lambda: "here")):
+        check_access(AccessVerb.READ, AccessKind.CHANNEL, "open")
+        control.tell(state(2, AccessRule("nobody", (), None, "*")))
+        with pytest.raises(PermissionDenied, match="may not read channel open"):
+            check_access(AccessVerb.READ, AccessKind.CHANNEL, "open")

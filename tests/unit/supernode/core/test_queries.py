@@ -50,12 +50,6 @@ def test_pages_continue_where_the_last_one_ended(log: Log) -> None:
     assert (seen, pages) == (["cam/left", "cam/right", "cam/top/far", "camera"], 2)
 
 
-def test_a_page_names_each_owner_once(log: Log) -> None:
-    page = channel_page(log.directory.tables, "", "", 0)
-    assert len(page.hosts) == 3
-    assert {channel.host_id for channel in page.channels} == {host.host_id for host in page.hosts}
-
-
 def test_a_page_looks_at_a_bounded_number_of_names(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(queries, "NAMES_EXAMINED_MAX", 2)
     page = channel_page(log.directory.tables, "*mic", "", 0)

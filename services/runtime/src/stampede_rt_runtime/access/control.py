@@ -211,7 +211,10 @@ class OpenCall:
         self._control = control
         self.context = context
         self._is_judged = caller.is_judged
-        self._granted: dict[Grant, None] = {}
+        # the rights that the call has used, with the rules that gave them
+        self._granted: dict[Grant, AccessRules] = {}
+        # the rules that gave the forgotten rights; None: none was forgotten
+        self._forgotten: AccessRules | None = None
 
     def end(self, error: StampedeError) -> None:
         """Interrupt the call, wherever it waits, and end the RPC with `error`. Only the first error counts."""
@@ -224,17 +227,21 @@ class OpenCall:
         return self._control.rules() if self._is_judged else NO_RULES
 
     def check(self, grant: Grant) -> None:
-        """Raises PermissionDenied if the caller has no such right.
+        """Raises PermissionDenied if the caller has no such right by the present rules.
 
         The call remembers a right that the caller has. `judging_again` checks these rights when the rules change.
         """
-        if not self._is_judged or grant in self._granted:
+        if not self._is_judged:
             return
-        if not self.rules().judge(self.caller, *grant).allowed:
+        rules = self.rules()
+        if self._granted.get(grant) is rules:
+            return
+        if not rules.judge(self.caller, *grant).allowed:
             raise self.denied(denied(self.caller, *grant), *grant)
-        if len(self._granted) >= GRANTS_KEPT_MAX:
+        if len(self._granted) >= GRANTS_KEPT_MAX and grant not in self._granted:
             self._granted.clear()
-        self._granted[grant] = None
+            self._forgotten = rules
+        self._granted[grant] = rules
 
     def judging_again(self, state: AccessState) -> Iterator[None]:
         """Check the credential and the used rights against a new state, and end the call if one is lost.
@@ -243,6 +250,14 @@ class OpenCall:
         """
         if self.caller.serial in state.revoked_serials:
             self.end(_revoked(self.caller))
+            return
+        if self._forgotten is not None and self._forgotten.rules != state.rules.rules:
+            self.end(
+                Unavailable(
+                    f"the rules of access have changed, and this call has used more than {GRANTS_KEPT_MAX} rights, so "
+                    "that the service does not know which of them it still uses; open it again"
+                )
+            )
             return
         for grant in tuple(self._granted):  # what the call uses meanwhile is judged by the new rules
             if not state.rules.judge(self.caller, *grant).allowed:

@@ -18,10 +18,9 @@ HOST_CHANNELS_MAX = 1000
 
 @dataclass(frozen=True, slots=True)
 class ChannelPage:
-    """Channels by name, and their owners. The next page begins after `last_name`, which is None for the last page."""
+    """Channels by name. The next page begins after `last_name`, which is None for the last page."""
 
     channels: tuple[ChannelRecord, ...]
-    hosts: tuple[HostRecord, ...]
     last_name: str | None
 
 
@@ -34,7 +33,7 @@ class HostPage:
 
 
 def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) -> ChannelPage:
-    """Up to `channels_max` (0: the limit) channels after `after_name` with matching names, and their owners, each once.
+    """Up to `channels_max` (0: the limit) channels after `after_name` with matching names.
 
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
     """
@@ -44,11 +43,11 @@ def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) 
     names = names_from(tables.channel_ids, fixed_prefix(glob), after_name)
     for examined, name in enumerate(names, start=1):
         if len(found) == limit or examined > NAMES_EXAMINED_MAX:
-            return ChannelPage(tuple(found), _owners(tables, found), last_name)
+            return ChannelPage(tuple(found), last_name)
         last_name = name
         if matches(name):
             found.append(tables.channels[tables.channel_ids[name]])
-    return ChannelPage(tuple(found), _owners(tables, found), None)
+    return ChannelPage(tuple(found), None)
 
 
 def names_from(ids: SortedDict[str, bytes], prefix: str, after_name: str) -> Iterator[str]:
@@ -58,10 +57,6 @@ def names_from(ids: SortedDict[str, bytes], prefix: str, after_name: str) -> Ite
         if not name.startswith(prefix):
             return
         yield name
-
-
-def _owners(tables: Tables, channels: list[ChannelRecord]) -> tuple[HostRecord, ...]:
-    return tuple(tables.hosts[host_id] for host_id in dict.fromkeys(channel.host_id for channel in channels))
 
 
 def host_page(

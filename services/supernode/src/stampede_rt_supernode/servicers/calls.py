@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from stampede_rt.cluster.request_age import request_age_nanos
@@ -12,7 +12,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 from stampede_rt_supernode.core import commands
-from stampede_rt_supernode.core.access.queries import name_of, right_to_open
+from stampede_rt_supernode.core.access.queries import right_to_open, thing_with
 from stampede_rt_supernode.core.answered import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.callers import check_host_caller
 from stampede_rt_supernode.core.channels.commands import OpenChannel
@@ -103,7 +103,7 @@ class DirectoryCalls:
         *,
         as_of_index: int,
         unchanged: Callable[[Tables, Op], S | None],
-        check: Callable[[Op], object],
+        check: Callable[[Op], Awaitable[object]],
     ) -> S:
         """Submit an operation that opens a thing, see `submit`.
 
@@ -124,7 +124,7 @@ class DirectoryCalls:
         opened = await self.read(context, find)
         if opened is not None:
             return opened
-        check(operation)
+        await check(operation)
         return await self.submit(context, operation, kind, op_id, as_of_index)
 
     async def confirm(self, context: Context) -> None:
@@ -151,22 +151,33 @@ class DirectoryCalls:
             check_access(verb, kind, operation.name)
         return verb is not None
 
-    def check_thing(self, verb: AccessVerb, kind: AccessKind, thing_id: bytes) -> None:
-        """As `check_access`, for the thing with that id.
+    async def check_thing(self, context: Context, verb: AccessVerb, kind: AccessKind, thing_id: bytes) -> None:
+        """As `check_access`, for the thing with that id. For a mailbox, checks that the caller owns its peer instead.
 
-        Ignores a missing thing, for which the operation itself has an error.
+        Ignores a missing thing, for which the operation itself has an error. A thing that this replica does not know
+        yet counts as missing only after a confirmed read, because the operation may find it. Raises PermissionDenied,
+        and Unavailable with reason NO_QUORUM.
         """
-        name = self._replica.read(lambda directory: name_of(directory.tables, kind, thing_id))
-        if name is not None:
-            check_access(verb, kind, name)
+        found: str | PeerRecord | None = await self._known(
+            context, lambda directory: thing_with(directory.tables, kind, thing_id)
+        )
+        if isinstance(found, PeerRecord):
+            check_owner(found, owner_name())
+        elif found is not None:
+            check_access(verb, kind, found)
+
+    async def _known(self, context: Context, question: Callable[[Directory], T | None]) -> T | None:
+        """The answer of this replica, or if it is None, that of a confirmed read."""
+        found = self._replica.read(question)
+        return await self.read(context, question) if found is None else found
 
     def holder_of(self, name: str) -> PeerRecord | None:
         """The live peer of that name, as this replica knows it; None if it knows none."""
         return self._replica.read(lambda directory: directory.tables.peers.live_named(name))
 
-    def check_peer(self, peer_id: bytes) -> None:
-        """Raises PermissionDenied if another caller registered that peer."""
-        peer = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer_id))
+    async def check_peer(self, context: Context, peer_id: bytes) -> None:
+        """Raises PermissionDenied if another caller registered that peer, and Unavailable with reason NO_QUORUM."""
+        peer = await self._known(context, lambda directory: directory.tables.peers.by_id.get(peer_id))
         if peer is not None:
             check_owner(peer, owner_name())
 

@@ -38,13 +38,14 @@ from stampede_rt_supernode.core.channels.transitions import open_unchanged
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregistered, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
-from stampede_rt_supernode.core.queries import ChannelPage, HostPage, channel_page, channels_of, host_page
+from stampede_rt_supernode.core.queries import HostPage, channel_page, channels_of, host_page
 from stampede_rt_supernode.core.queues.queries import queues_of
 from stampede_rt_supernode.core.records import ID_BYTES, ChannelRecord, HostRecord, QueueRecord
 from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.listing import Looked, list_shown
 from stampede_rt_supernode.servicers.own_cluster import OwnCluster
 from stampede_rt_supernode.servicers.shown import shown_to_caller
 from stampede_rt_supernode.servicers.submission import Submission
@@ -112,6 +113,10 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             created_by=caller_name(),
             created_max=creation_limit(Quota.CHANNELS),
         )
+
+        async def check(operation: OpenChannel) -> None:
+            self._calls.check_opening(AccessKind.CHANNEL, operation)
+
         opened = await self._calls.open(
             context,
             operation,
@@ -119,7 +124,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             request.request_id,
             as_of_index=as_of,
             unchanged=open_unchanged,
-            check=lambda one: self._calls.check_opening(AccessKind.CHANNEL, one),
+            check=check,
         )
         return pb.OpenChannelResponse(
             channel=channel_record(opened.channel), host=host_record(opened.host), created=opened.created
@@ -142,33 +147,38 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def ListChannels(self, request: pb.ListChannelsRequest, context: Context) -> pb.ListChannelsResponse:
-        after = page_tokens.read_name(request.page_token)
+        def look(directory: Directory, after: str, most: int) -> Looked[tuple[ChannelRecord, HostRecord], str]:
+            page = channel_page(directory.tables, request.name_glob, after, most)
+            hosts = directory.tables.hosts
+            return Looked([(one.name, (one, hosts[one.host_id])) for one in page.channels], page.last_name)
 
-        def find(directory: Directory) -> tuple[ChannelPage, int]:
-            page = channel_page(directory.tables, request.name_glob, after, request.page_size)
-            return page, directory.applied_index
-
-        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
-        is_shown = allowed_to(AccessVerb.LIST, AccessKind.CHANNEL)
-        shown = [channel for channel in page.channels if is_shown(channel.name)]
-        owners = {channel.host_id for channel in shown}
+        may_list = allowed_to(AccessVerb.LIST, AccessKind.CHANNEL)
+        page = await list_shown(
+            self._calls,
+            context,
+            look,
+            lambda found: may_list(found[0].name),
+            page_tokens.read_name(request.page_token),
+            request.page_size,
+            stale_ok=request.stale_ok,
+        )
         return pb.ListChannelsResponse(
-            channels=[channel_record(channel) for channel in shown],
-            hosts=[host_record(host) for host in page.hosts if host.host_id in owners],
-            next_page_token=page_tokens.write_name(page.last_name),
-            applied_index=index,
+            channels=[channel_record(channel) for channel, _ in page.things],
+            hosts=map(host_record, {host.host_id: host for _, host in page.things}.values()),
+            next_page_token=page_tokens.write_name(page.last),
+            applied_index=page.applied_index,
         )
 
     @errors_as_status
     async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Context) -> pb.UpdateChannelResponse:
-        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.CHANNEL, request.channel_id)
+        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, request.channel_id)
         operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec))
         updated = await self._calls.submit(context, operation, ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))
 
     @errors_as_status
     async def DeleteChannel(self, request: pb.DeleteChannelRequest, context: Context) -> pb.DeleteChannelResponse:
-        self._calls.check_thing(AccessVerb.DELETE, AccessKind.CHANNEL, request.channel_id)
+        await self._calls.check_thing(context, AccessVerb.DELETE, AccessKind.CHANNEL, request.channel_id)
         operation = DeleteChannel(channel_id=request.channel_id)
         await self._calls.submit(context, operation, ChannelDeleted, request.request_id)
         return pb.DeleteChannelResponse()
@@ -264,12 +274,11 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             include_groups=request.include_groups,
             include_queues=request.include_queues,
             include_access=request.include_access,
+            is_shown=shown_to_caller(),
         )
-        shown = shown_to_caller()
         async for batch in batches:
             yield pb.WatchResponse(
-                changes=[change_message(change) for change in batch.changes if shown(change)],
-                applied_index=batch.applied_index,
+                changes=[change_message(change) for change in batch.changes], applied_index=batch.applied_index
             )
 
 

@@ -27,11 +27,12 @@ from stampede_rt_supernode.core.groups.commands import (
     OpenGroup,
     UpdateGroup,
 )
-from stampede_rt_supernode.core.groups.queries import GroupPage, GroupView, group_page, group_view
+from stampede_rt_supernode.core.groups.queries import GroupView, group_page, group_view
 from stampede_rt_supernode.core.groups.transitions import open_group_unchanged
 from stampede_rt_supernode.core.lookups import group_by_id, group_by_name
-from stampede_rt_supernode.core.records import ID_BYTES
+from stampede_rt_supernode.core.records import ID_BYTES, GroupRecord
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
+from stampede_rt_supernode.servicers.listing import Looked, list_shown
 
 
 class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServiceServicer):
@@ -55,9 +56,9 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
         )
         check_operation(operation)
 
-        def check(operation: OpenGroup) -> None:
+        async def check(operation: OpenGroup) -> None:
             if self._calls.check_opening(AccessKind.GROUP, operation):
-                self._check_members(request.spec.channel_ids)
+                await self._check_members(context, request.spec.channel_ids)
 
         opened = await self._calls.open(
             context,
@@ -99,8 +100,8 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
 
     @errors_as_status
     async def UpdateGroup(self, request: pb.UpdateGroupRequest, context: Context) -> pb.UpdateGroupResponse:
-        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.GROUP, request.group_id)
-        self._check_members(request.add_channel_ids)
+        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.GROUP, request.group_id)
+        await self._check_members(context, request.add_channel_ids)
         operation = UpdateGroup(
             group_id=request.group_id,
             add_channel_ids=tuple(request.add_channel_ids),
@@ -112,28 +113,35 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
 
     @errors_as_status
     async def DeleteGroup(self, request: pb.DeleteGroupRequest, context: Context) -> pb.DeleteGroupResponse:
-        self._calls.check_thing(AccessVerb.DELETE, AccessKind.GROUP, request.group_id)
+        await self._calls.check_thing(context, AccessVerb.DELETE, AccessKind.GROUP, request.group_id)
         await self._calls.submit(context, DeleteGroup(group_id=request.group_id), GroupDeleted, request.request_id)
         return pb.DeleteGroupResponse()
 
     @errors_as_status
     async def ListGroups(self, request: pb.ListGroupsRequest, context: Context) -> pb.ListGroupsResponse:
         listing = f"groups\0{request.name_glob}\0{request.channel_id.hex()}"
-        after = page_tokens.read_listing(request.page_token, listing)
 
-        def find(directory: Directory) -> tuple[GroupPage, int]:
-            page = group_page(directory.tables, request.name_glob, request.channel_id, after, request.page_size)
-            return page, directory.applied_index
+        def look(directory: Directory, after: str, most: int) -> Looked[GroupRecord, str]:
+            page = group_page(directory.tables, request.name_glob, request.channel_id, after, most)
+            return Looked([(group.name, group) for group in page.groups], page.last_name)
 
-        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
-        is_shown = allowed_to(AccessVerb.LIST, AccessKind.GROUP)
+        may_list = allowed_to(AccessVerb.LIST, AccessKind.GROUP)
+        page = await list_shown(
+            self._calls,
+            context,
+            look,
+            lambda group: may_list(group.name),
+            page_tokens.read_listing(request.page_token, listing),
+            request.page_size,
+            stale_ok=request.stale_ok,
+        )
         return pb.ListGroupsResponse(
-            groups=[group_record(group) for group in page.groups if is_shown(group.name)],
-            next_page_token=page_tokens.write_listing(listing, page.last_name),
-            applied_index=index,
+            groups=map(group_record, page.things),
+            next_page_token=page_tokens.write_listing(listing, page.last),
+            applied_index=page.applied_index,
         )
 
-    def _check_members(self, channel_ids: Iterable[bytes]) -> None:
+    async def _check_members(self, context: Context, channel_ids: Iterable[bytes]) -> None:
         """Check that the caller may read the channels, because a group tells their times."""
         for channel_id in channel_ids:
-            self._calls.check_thing(AccessVerb.READ, AccessKind.CHANNEL, channel_id)
+            await self._calls.check_thing(context, AccessVerb.READ, AccessKind.CHANNEL, channel_id)

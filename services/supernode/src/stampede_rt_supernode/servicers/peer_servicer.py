@@ -23,10 +23,12 @@ from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.lookups import peer_by_id, peer_by_name
 from stampede_rt_supernode.core.peers.checks import check_clock, check_proof
 from stampede_rt_supernode.core.peers.commands import DeregisterPeer, PeerDeregistered, PeerRegistered, RegisterPeer
-from stampede_rt_supernode.core.peers.queries import PeerPage, peer_page
+from stampede_rt_supernode.core.peers.queries import peer_page
+from stampede_rt_supernode.core.peers.table import PeerKey, key_of
 from stampede_rt_supernode.core.records import ID_BYTES, PeerRecord
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
+from stampede_rt_supernode.servicers.listing import Looked, list_shown
 from stampede_rt_supernode.servicers.shown import shown_to_caller
 from stampede_rt_supernode.servicers.watch import Watches
 
@@ -50,7 +52,9 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         if request.name:
             check_access(AccessVerb.REGISTER, AccessKind.PEER, request.name)
         if request.mailbox.HasField("dead_letter_queue_id"):
-            self._calls.check_thing(AccessVerb.SEND, AccessKind.QUEUE, request.mailbox.dead_letter_queue_id)
+            await self._calls.check_thing(
+                context, AccessVerb.SEND, AccessKind.QUEUE, request.mailbox.dead_letter_queue_id
+            )
         clock, former = _clock_told(request), self._calls.holder_of(request.name)
         entered = await self._calls.submit(context, _entering(request), PeerRegistered, request.request_id)
         if former is not None and former.boot_incarnation != request.boot_incarnation:
@@ -69,7 +73,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
     @errors_as_status
     async def RenewPeerLease(self, request: pb.RenewPeerLeaseRequest, context: Context) -> pb.RenewPeerLeaseResponse:
         """Makes no log entry."""
-        self._calls.check_peer(request.peer_id)
+        await self._calls.check_peer(context, request.peer_id)
         renewed = await self._leases.renew_peer(
             request.peer_id, request.boot_incarnation, _clock_told(request), seconds=seconds_left(context)
         )
@@ -83,7 +87,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
 
     @errors_as_status
     async def DeregisterPeer(self, request: pb.DeregisterPeerRequest, context: Context) -> pb.DeregisterPeerResponse:
-        self._calls.check_peer(request.peer_id)
+        await self._calls.check_peer(context, request.peer_id)
         operation = DeregisterPeer(peer_id=request.peer_id, boot_incarnation=request.boot_incarnation)
         await self._calls.submit(context, operation, PeerDeregistered, request.request_id)
         return pb.DeregisterPeerResponse()
@@ -114,30 +118,35 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         listing = f"peers\0{request.name_glob}\0{request.include_dead}"
         after = page_tokens.read_peer(request.page_token, listing)
 
-        def find(directory: Directory) -> tuple[PeerPage, int]:
-            page = peer_page(
-                directory.tables, request.name_glob, after, request.page_size, include_dead=request.include_dead
-            )
-            return page, directory.applied_index
+        def look(directory: Directory, after: PeerKey, most: int) -> Looked[PeerRecord, PeerKey]:
+            page = peer_page(directory.tables, request.name_glob, after, most, include_dead=request.include_dead)
+            return Looked([(key_of(peer), peer) for peer in page.peers], page.last)
 
         if request.with_clocks:
             self._leases.check_leads()
-        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
-        is_shown = allowed_to(AccessVerb.LIST, AccessKind.PEER)
+        may_list = allowed_to(AccessVerb.LIST, AccessKind.PEER)
+        page = await list_shown(
+            self._calls,
+            context,
+            look,
+            lambda peer: may_list(peer.name),
+            after,
+            request.page_size,
+            stale_ok=request.stale_ok,
+        )
         return pb.ListPeersResponse(
-            peers=[self._record(peer, request.with_clocks) for peer in page.peers if is_shown(peer.name)],
+            peers=[self._record(peer, request.with_clocks) for peer in page.things],
             next_page_token=page_tokens.write_peer(listing, page.last),
-            applied_index=index,
+            applied_index=page.applied_index,
         )
 
     @errors_as_status
     async def WatchPeers(self, request: pb.WatchPeersRequest, context: Context) -> AsyncIterator[pb.WatchPeersResponse]:
         await self._calls.confirm(context)
-        shown = shown_to_caller()
-        async for batch in self._watches.follow_peers(request.name_glob, request.after_index):
+        batches = self._watches.follow_peers(request.name_glob, request.after_index, is_shown=shown_to_caller())
+        async for batch in batches:
             yield pb.WatchPeersResponse(
-                changes=[peer_change_message(change) for change in batch.changes if shown(change)],
-                applied_index=batch.applied_index,
+                changes=[peer_change_message(change) for change in batch.changes], applied_index=batch.applied_index
             )
 
 

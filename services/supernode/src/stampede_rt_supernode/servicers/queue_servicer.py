@@ -27,11 +27,12 @@ from stampede_rt_supernode.core.queues.commands import (
     QueueUpdated,
     UpdateQueue,
 )
-from stampede_rt_supernode.core.queues.queries import QueuePage, queue_page
+from stampede_rt_supernode.core.queues.queries import Position, queue_page
 from stampede_rt_supernode.core.queues.transitions import open_queue_unchanged
 from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
+from stampede_rt_supernode.servicers.listing import Looked, list_shown
 
 
 class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServiceServicer):
@@ -56,9 +57,9 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
             created_max=creation_limit(Quota.QUEUES),
         )
 
-        def check(operation: OpenQueue) -> None:
+        async def check(operation: OpenQueue) -> None:
             if self._calls.check_opening(AccessKind.QUEUE, operation):
-                self._check_dead_letter(request.spec)
+                await self._check_dead_letter(context, request.spec)
 
         opened = await self._calls.open(
             context,
@@ -91,51 +92,57 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
 
     @errors_as_status
     async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Context) -> pb.UpdateQueueResponse:
-        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.QUEUE, request.queue_id)
-        self._check_dead_letter(request.spec)
+        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.QUEUE, request.queue_id)
+        await self._check_dead_letter(context, request.spec)
         operation = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=queue_spec_from(request.spec))
         updated = await self._calls.submit(context, operation, QueueUpdated, request.request_id)
         return pb.UpdateQueueResponse(queue=queue_record(updated.queue))
 
     @errors_as_status
     async def DeleteQueue(self, request: pb.DeleteQueueRequest, context: Context) -> pb.DeleteQueueResponse:
-        self._calls.check_thing(AccessVerb.DELETE, AccessKind.QUEUE, request.queue_id)
+        await self._calls.check_thing(context, AccessVerb.DELETE, AccessKind.QUEUE, request.queue_id)
         await self._calls.submit(context, DeleteQueue(queue_id=request.queue_id), QueueDeleted, request.request_id)
         return pb.DeleteQueueResponse()
 
     @errors_as_status
     async def ListQueues(self, request: pb.ListQueuesRequest, context: Context) -> pb.ListQueuesResponse:
         listing = f"queues\0{request.name_glob}\0{request.include_mailboxes}"
-        after = page_tokens.read_position(request.page_token, listing)
 
-        def find(directory: Directory) -> tuple[QueuePage, int]:
-            page = queue_page(
-                directory.tables, request.name_glob, after, request.page_size, mailboxes=request.include_mailboxes
-            )
-            return page, directory.applied_index
+        def look(directory: Directory, after: Position, most: int) -> Looked[tuple[QueueRecord, HostRecord], Position]:
+            tables = directory.tables
+            page = queue_page(tables, request.name_glob, after, most, mailboxes=request.include_mailboxes)
+            found = zip(page.positions, page.queues, strict=True)
+            return Looked([(at, (queue, tables.hosts[queue.host_id])) for at, queue in found], page.last)
 
-        page, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         of_queues, of_peers = (allowed_to(AccessVerb.LIST, kind) for kind in (AccessKind.QUEUE, AccessKind.PEER))
-        shown = [
-            queue
-            for queue in page.queues
-            if (of_queues(queue.name) if queue.mailbox_peer_id is None else of_peers(queue.mailbox_peer_name))
-        ]
-        owners = {queue.host_id for queue in shown}
+
+        def is_shown(found: tuple[QueueRecord, HostRecord]) -> bool:
+            queue, _ = found
+            return of_queues(queue.name) if queue.mailbox_peer_id is None else of_peers(queue.mailbox_peer_name)
+
+        page = await list_shown(
+            self._calls,
+            context,
+            look,
+            is_shown,
+            page_tokens.read_position(request.page_token, listing),
+            request.page_size,
+            stale_ok=request.stale_ok,
+        )
         return pb.ListQueuesResponse(
-            queues=[queue_record(queue) for queue in shown],
-            hosts=[host_record(host) for host in page.hosts if host.host_id in owners],
+            queues=[queue_record(queue) for queue, _ in page.things],
+            hosts=map(host_record, {host.host_id: host for _, host in page.things}.values()),
             next_page_token=page_tokens.write_position(listing, page.last),
-            applied_index=index,
+            applied_index=page.applied_index,
         )
 
-    def _check_dead_letter(self, spec: QueueSpec) -> None:
+    async def _check_dead_letter(self, context: Context, spec: QueueSpec) -> None:
         """Check that the caller may send to the dead-letter queue.
 
         Later the host sends there, and rules of access do not judge hosts.
         """
         if spec.HasField("dead_letter_queue_id"):
-            self._calls.check_thing(AccessVerb.SEND, AccessKind.QUEUE, spec.dead_letter_queue_id)
+            await self._calls.check_thing(context, AccessVerb.SEND, AccessKind.QUEUE, spec.dead_letter_queue_id)
 
 
 def _check_known(queue: QueueRecord) -> None:

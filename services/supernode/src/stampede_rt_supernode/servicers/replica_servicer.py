@@ -45,7 +45,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     @errors_as_status
     async def AddReplica(self, request: pb.AddReplicaRequest, context: Context) -> pb.AddReplicaResponse:
         channel_id = channel_id_of(request.subject)
-        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel_id)
+        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel_id)
         operation = AddReplica(
             channel_id=channel_id,
             epoch=request.epoch,
@@ -60,7 +60,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     @errors_as_status
     async def RemoveReplica(self, request: pb.RemoveReplicaRequest, context: Context) -> pb.RemoveReplicaResponse:
         channel_id = channel_id_of(request.subject)
-        self._calls.check_thing(AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel_id)
+        await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, channel_id)
         operation = RemoveReplica(channel_id=channel_id, host_id=request.host_id)
         await self._calls.submit(context, operation, ReplicaRemoved, request.request_id)
         return pb.RemoveReplicaResponse()

@@ -37,6 +37,8 @@ WATCHES_PER_TURN = 8
 """The most watches that are woken in one turn of the event loop."""
 SIGN_OF_LIFE_SECONDS = 5.0
 
+IsShown = Callable[[DirectoryChange], bool]
+
 
 @dataclass(frozen=True, slots=True)
 class WatchBatch:
@@ -73,14 +75,25 @@ class Watches:
         include_groups: bool = False,
         include_queues: bool = False,
         include_access: bool = False,
+        is_shown: IsShown = lambda change: True,
     ) -> AsyncIterator[WatchBatch]:
-        """Changes of channels, and of other things as requested; see `_follow`."""
-        wanted = _filter(glob, include_hosts, include_groups, include_queues, include_access)
-        return self._follow(lambda directory: directory.tables.changes, wanted, after_index)
+        """Changes of channels, and of other things as requested; see `_follow`.
 
-    def follow_peers(self, glob: str, after_index: int) -> AsyncIterator[WatchBatch]:
-        """Changes of peers, of nameless ones only without a pattern; see `_follow`."""
-        return self._follow(lambda directory: directory.tables.peers.changes, _peer_filter(glob), after_index)
+        A change that `is_shown` refuses makes no batch: a batch without changes would tell that there was one.
+        """
+        wanted = _filter(glob, include_hosts, include_groups, include_queues, include_access)
+        return self._follow(
+            lambda directory: directory.tables.changes, lambda one: wanted(one) and is_shown(one), after_index
+        )
+
+    def follow_peers(
+        self, glob: str, after_index: int, *, is_shown: IsShown = lambda change: True
+    ) -> AsyncIterator[WatchBatch]:
+        """Changes of peers, of nameless ones only without a pattern; see `follow` and `_follow`."""
+        wanted = _peer_filter(glob)
+        return self._follow(
+            lambda directory: directory.tables.peers.changes, lambda one: wanted(one) and is_shown(one), after_index
+        )
 
     async def _follow(
         self, ring_of: Callable[[Directory], ChangeRing], wanted: Callable[[DirectoryChange], bool], after_index: int

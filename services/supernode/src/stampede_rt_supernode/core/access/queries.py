@@ -12,6 +12,7 @@ from stampede_rt_supernode.core.channels.policies import agree as agree_on_polic
 from stampede_rt_supernode.core.groups.commands import OpenGroup
 from stampede_rt_supernode.core.queues.commands import OpenQueue
 from stampede_rt_supernode.core.queues.specs import agree as agree_on_spec
+from stampede_rt_supernode.core.records import PeerRecord
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.tables import Tables
 
@@ -29,8 +30,8 @@ def access_state(directory: DirectoryState) -> AccessState:
     )
 
 
-def name_of(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | None:
-    """The name by which rules know the thing with that id; None if there is no such thing."""
+def thing_with(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | PeerRecord | None:
+    """The name by which rules know the thing with that id; for a mailbox, its peer. None if there is no such thing."""
     match kind:
         case AccessKind.CHANNEL:
             channel = tables.channels.get(thing_id)
@@ -40,7 +41,9 @@ def name_of(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | None:
             return None if group is None else group.name
         case AccessKind.QUEUE:
             queue = tables.queues.by_id.get(thing_id)
-            return None if queue is None else queue.name
+            if queue is None or queue.mailbox_peer_id is None:
+                return None if queue is None else queue.name
+            return tables.peers.by_id.get(queue.mailbox_peer_id)
         case AccessKind.PEER:
             peer = tables.peers.by_id.get(thing_id)
             return None if peer is None else peer.name

@@ -8,7 +8,7 @@ from itertools import chain, islice
 
 from stampede_rt_supernode.core import queries
 from stampede_rt_supernode.core.glob import fixed_prefix, matcher
-from stampede_rt_supernode.core.records import HostRecord, QueueRecord
+from stampede_rt_supernode.core.records import QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 
 HOST_QUEUES_MAX = 1000
@@ -19,31 +19,33 @@ BEGINNING: Position = (False, "")
 
 @dataclass(frozen=True, slots=True)
 class QueuePage:
-    """Queues by name, then mailboxes by their peers' names.
+    """Queues by name, then mailboxes by their peers' names. Each has its position.
 
     The next page begins after `last`, which is None for the last page.
     """
 
     queues: tuple[QueueRecord, ...]
-    hosts: tuple[HostRecord, ...]
+    positions: tuple[Position, ...]
     last: Position | None
 
 
 def queue_page(tables: Tables, glob: str, after: Position, queues_max: int, *, mailboxes: bool) -> QueuePage:
-    """Up to `queues_max` (0: the limit) queues after `after` with matching names, and their owners, each once.
+    """Up to `queues_max` (0: the limit) queues after `after` with matching names.
 
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
     """
     matches, limit = matcher(glob), min(queues_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     found: list[QueueRecord] = []
+    positions: list[Position] = []
     last: Position | None = None
     for examined, (position, queue) in enumerate(_behind(tables, glob, after, mailboxes), start=1):
         if len(found) == limit or examined > queries.NAMES_EXAMINED_MAX:
-            return QueuePage(tuple(found), _owners(tables, found), last)
+            return QueuePage(tuple(found), tuple(positions), last)
         last = position
         if matches(position[1]):
             found.append(queue)
-    return QueuePage(tuple(found), _owners(tables, found), None)
+            positions.append(position)
+    return QueuePage(tuple(found), tuple(positions), None)
 
 
 def _behind(tables: Tables, glob: str, after: Position, mailboxes: bool) -> Iterator[tuple[Position, QueueRecord]]:
@@ -63,10 +65,6 @@ def _mailbox_of(tables: Tables, peer_name: str) -> QueueRecord:
     mailbox_id = tables.peers.by_id[tables.peers.ids[peer_name]].mailbox_queue_id
     assert mailbox_id is not None
     return tables.queues.by_id[mailbox_id]
-
-
-def _owners(tables: Tables, queues: list[QueueRecord]) -> tuple[HostRecord, ...]:
-    return tuple(tables.hosts[host_id] for host_id in dict.fromkeys(queue.host_id for queue in queues))
 
 
 def queues_of(tables: Tables, host_id: bytes) -> tuple[QueueRecord, ...]:

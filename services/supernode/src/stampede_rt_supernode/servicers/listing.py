@@ -1,0 +1,84 @@
+"""Pages of listings with only what the caller may list.
+
+The answer, and the token of the next page, depend on shown things only. So a caller cannot find the names of other
+things by small pages or by patterns.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from stampede_rt.errors import Overloaded
+from stampede_rt_runtime.rpc import Context
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.queries import PAGE_SIZE_MAX
+from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
+
+JUDGED_PER_TURN = 100
+"""The most things whose right is judged in one turn of the event loop: 0.1 ms each with a thousand rules."""
+
+Record = TypeVar("Record")
+Place = TypeVar("Place")
+
+
+@dataclass(frozen=True, slots=True)
+class Looked(Generic[Record, Place]):
+    """Matching things with their places in the order of the listing.
+
+    The search goes on behind `last`, which is None at the end of the listing.
+    """
+
+    found: Sequence[tuple[Place, Record]]
+    last: Place | None
+
+
+@dataclass(frozen=True, slots=True)
+class Listed(Generic[Record, Place]):
+    """The things on a page. The next page begins behind `last`, which is None for the last page.
+
+    All changes up to `applied_index` are in the page.
+    """
+
+    things: list[Record]
+    last: Place | None
+    applied_index: int
+
+
+async def list_shown(
+    calls: DirectoryCalls,
+    context: Context,
+    look: Callable[[Directory, Place, int], Looked[Record, Place]],
+    is_shown: Callable[[Record], bool],
+    after: Place,
+    page_size: int,
+    *,
+    stale_ok: bool,
+) -> Listed[Record, Place]:
+    """At most `page_size` (0: the limit) things behind `after` for which `is_shown` is true.
+
+    `look` gives at most so many matching things behind a place. Raises Overloaded if the caller's time ends first, and
+    the errors of `look` and of `DirectoryCalls.read`.
+    """
+    limit, place = min(page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX), after
+    until_s = time.monotonic() + seconds_left(context)
+    shown: list[tuple[Place, Record]] = []
+
+    def search(directory: Directory) -> tuple[Looked[Record, Place], int]:
+        return look(directory, place, JUDGED_PER_TURN), directory.applied_index
+
+    looked, applied_index = await calls.read(context, search, stale_ok=stale_ok)
+    while True:
+        shown += ((at, thing) for at, thing in looked.found if is_shown(thing))
+        if len(shown) > limit:
+            return Listed([thing for _, thing in shown[:limit]], shown[limit - 1][0], applied_index)
+        if looked.last is None:
+            return Listed([thing for _, thing in shown], None, applied_index)
+        if time.monotonic() > until_s:
+            raise Overloaded("the listing takes longer than its caller waits; ask with a narrower pattern (name_glob)")
+        place = looked.last
+        await asyncio.sleep(0)
+        looked, _ = await calls.read(context, search, stale_ok=True)

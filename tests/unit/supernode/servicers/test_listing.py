@@ -1,0 +1,64 @@
+"""Listings hold what their caller may list, and tell nothing of the rest."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from stampede_rt.errors import Overloaded
+from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.servicers import listing
+from stampede_rt_supernode.servicers.listing import Listed, Looked, list_shown
+
+NAMES = [f"{kind}/{number:04}" for kind in ("a", "hidden", "z") for number in range(250)]
+
+
+class Calls:
+    """The calls of a supernode, with a count of the reads."""
+
+    reads = confirmed = 0
+
+    async def read(self, context: Any, question: Any, *, stale_ok: bool = False) -> Any:
+        self.reads += 1
+        self.confirmed += not stale_ok
+        return question(SimpleNamespace(applied_index=self.reads))
+
+
+def look(_: Directory, after: str, most: int) -> Looked[str, str]:
+    behind = [name for name in NAMES if name > after]
+    return Looked([(name, name) for name in behind[:most]], behind[most - 1] if len(behind) > most else None)
+
+
+async def listed(after: str, size: int, calls: Any = None, seconds: float = 5.0) -> Listed[str, str]:
+    context: Any = SimpleNamespace(time_remaining=lambda: seconds)
+    return await list_shown(
+        calls or Calls(), context, look, lambda name: not name.startswith("hidden"), after, size, stale_ok=False
+    )
+
+
+@pytest.mark.parametrize("size", [1, 99, 250, 499, 500, 0])
+async def test_pages_of_every_size_hold_all_shown_things_once_and_their_tokens_name_shown_things(size: int) -> None:
+    """The token held the last name that was looked at, so that pages of one told all hidden names."""
+    got: list[str] = []
+    after: str | None = ""
+    while after is not None:
+        page = await listed(after, size)
+        assert len(page.things) == min(size or 1000, 500 - len(got)), "only the last page is short"
+        got += page.things
+        assert page.last in (None, got[-1])
+        after = page.last
+    assert got == [name for name in NAMES if not name.startswith("hidden")]
+
+
+async def test_one_confirmed_read_and_one_position_hold_for_the_whole_page() -> None:
+    calls = Calls()
+    page = await listed("", 0, calls)
+    assert (calls.confirmed, page.applied_index) == (1, 1), "the first: later changes come by a watch"
+    assert calls.reads == len(NAMES) / listing.JUDGED_PER_TURN + 0.5
+
+
+async def test_a_listing_ends_with_its_callers_time() -> None:
+    with pytest.raises(Overloaded, match="narrower pattern"):
+        await listed("", 0, seconds=0.0)
