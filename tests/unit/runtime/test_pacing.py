@@ -11,8 +11,11 @@ import grpc
 import pytest
 
 from stampede_rt_runtime.pacing import STREAMS_PER_TURN, PacedContext, PacingInterceptor, TurnGate
+from stampede_rt_runtime.quotas.accounts import Account
+from stampede_rt_runtime.quotas.limits import DEFAULTS
 
 STREAMS = 200
+ONE, OTHER = Account("one", DEFAULTS), Account("other", DEFAULTS)
 
 
 class Turns:
@@ -40,8 +43,8 @@ async def test_callers_go_on_a_few_in_each_turn_in_the_order_of_their_coming() -
     gate, turns, order = TurnGate(), Turns(), list[int]()
 
     async def pass_through(number: int) -> None:
-        if not gate.admits():
-            await gate.turn()
+        if not gate.admits(ONE):
+            await gate.turn(ONE)
         turns.note()
         order.append(number)
 
@@ -54,10 +57,24 @@ async def test_callers_go_on_a_few_in_each_turn_in_the_order_of_their_coming() -
     assert len(turns.went_on) >= STREAMS / STREAMS_PER_TURN - 1
 
 
+async def test_however_many_streams_of_one_caller_wait_the_next_of_another_one_goes_on_in_the_next_turn() -> None:
+    gate, turns = TurnGate(), Turns()
+    crowd = [asyncio.ensure_future(gate.turn(ONE)) for _ in range(STREAMS) if not gate.admits(ONE)]
+    assert len(crowd) == STREAMS - STREAMS_PER_TURN
+    for _ in range(3):  # one request after the other
+        began = turns.number
+        if not gate.admits(OTHER):
+            await gate.turn(OTHER)
+        assert turns.number - began <= 2
+        await asyncio.sleep(0)
+    assert sum(one.done() for one in crowd) < STREAMS / 2
+    await turns.until(lambda: all(one.done() for one in crowd))
+
+
 async def test_a_caller_that_comes_alone_does_not_wait() -> None:
     gate = TurnGate()
     for _ in range(3):
-        assert gate.admits()
+        assert gate.admits(ONE)
         await asyncio.sleep(0)
 
 
@@ -65,8 +82,8 @@ async def test_a_caller_that_gives_up_in_line_takes_nobodys_place() -> None:
     gate = TurnGate()
 
     async def enter() -> None:
-        if not gate.admits():
-            await gate.turn()
+        if not gate.admits(ONE):
+            await gate.turn(ONE)
 
     callers = [asyncio.create_task(enter()) for _ in range(20 * STREAMS_PER_TURN)]
     await asyncio.sleep(0)
@@ -75,7 +92,7 @@ async def test_a_caller_that_gives_up_in_line_takes_nobodys_place() -> None:
     for _ in range(5):
         await asyncio.sleep(0)
     assert all(caller.done() for caller in callers)
-    assert gate.admits()
+    assert gate.admits(ONE)
 
 
 class Stream:

@@ -20,6 +20,7 @@ from stampede_rt_runtime.handlers import guarded, is_stream
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.quotas.limits import Quota
+from stampede_rt_runtime.quotas.working import CALL_NANOS
 from stampede_rt_runtime.requests import reading_late
 from stampede_rt_runtime.roles import is_for_members
 from stampede_rt_runtime.rpc import Context
@@ -106,7 +107,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
         @contextlib.asynccontextmanager
         async def slot(context: Context) -> AsyncIterator[None]:
             account, work = current_account(), current_work()
-            work.count_call()
+            work.spend(CALL_NANOS)
             try:
                 for quota in quotas:
                     account.check(quota)

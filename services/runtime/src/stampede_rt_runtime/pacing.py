@@ -1,7 +1,8 @@
-"""Lets a few streams go on in each turn of the event loop, however many of their messages have come or gone at once.
+"""Counts the work of calls for their callers, and lets a few streams go on in each turn of the event loop.
 
 gRPC hands over all completed operations of a turn together. With 1000 subscriptions 200 of them had written a message,
 and each then looked for its next one: a turn of 10 ms and more, in which the service did nothing else (decision 0123).
+A caller whose 3000 streams have all received a message delays the streams of others by one turn only (decision 0139).
 """
 
 from __future__ import annotations
@@ -9,30 +10,36 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import aclosing
 from typing import Any
 
 import grpc
 
+from stampede_rt_runtime.access.control import current_account, current_work
 from stampede_rt_runtime.handlers import behavior_of, is_stream, with_behavior
+from stampede_rt_runtime.quotas.accounts import Account, unlimited
+from stampede_rt_runtime.quotas.working import WRITE_NANOS, charged
 from stampede_rt_runtime.rpc import Context
 
 STREAMS_PER_TURN = 16
 
 
 class TurnGate:
-    """Admits STREAMS_PER_TURN callers in each turn of the event loop. The others wait in line for the next turns."""
+    """Admits STREAMS_PER_TURN streams in each turn of the event loop. The others wait for the next turns.
+
+    The waiting streams of each caller stand in a line of their own. The gate admits one of each line in rotation.
+    """
 
     def __init__(self) -> None:
         self._left = STREAMS_PER_TURN
-        self._line: deque[asyncio.Future[None]] = deque()
+        self._lines: OrderedDict[Account, deque[asyncio.Future[None]]] = OrderedDict()
         self._is_counting = False
 
-    def admits(self) -> bool:
-        """Whether the caller may go on in this turn. If not, it must await `turn`."""
-        if not self._left or self._line:
+    def admits(self, caller: Account) -> bool:
+        """Whether a stream of the caller may go on in this turn. If not, it must await `turn`."""
+        if not self._left or caller in self._lines:
             return False
         self._left -= 1
         if not self._is_counting:
@@ -40,20 +47,23 @@ class TurnGate:
             asyncio.get_running_loop().call_soon(self._begin_turn)
         return True
 
-    async def turn(self) -> None:
-        """Return in the turn in which the caller may go on."""
+    async def turn(self, caller: Account) -> None:
+        """Return in the turn in which the stream may go on."""
         place = asyncio.get_running_loop().create_future()
-        self._line.append(place)
+        self._lines.setdefault(caller, deque()).append(place)
         await place
 
     def _begin_turn(self) -> None:
         self._left = STREAMS_PER_TURN
-        while self._line and self._left:
-            place = self._line.popleft()
-            if not place.done():  # if it is, its caller has gone
+        while self._lines and self._left:
+            caller, line = self._lines.popitem(last=False)
+            place = line.popleft()
+            if line:
+                self._lines[caller] = line  # behind the other callers
+            if not place.done():  # if it is, its stream has gone
                 place.set_result(None)
                 self._left -= 1
-        self._is_counting = bool(self._line) or self._left < STREAMS_PER_TURN
+        self._is_counting = bool(self._lines) or self._left < STREAMS_PER_TURN
         if self._is_counting:
             asyncio.get_running_loop().call_soon(self._begin_turn)
 
@@ -61,23 +71,25 @@ class TurnGate:
 class PacedContext:
     """The context of a stream. After a message was read or written, the stream goes on when its gate admits it."""
 
-    def __init__(self, context: Context, reads: TurnGate, writes: TurnGate) -> None:
+    def __init__(self, context: Context, reads: TurnGate, writes: TurnGate, caller: Account | None = None) -> None:
+        """`caller`: None for one without quotas."""
         self._context = context
         self._reads = reads
         self._writes = writes
+        self._caller = caller or unlimited()
 
     async def read(self) -> Any:
         """The next message, or EOF. Returns when the message is there and the gate admits the stream."""
         message = await self._context.read()
-        if not self._reads.admits():
-            await self._reads.turn()
+        if not self._reads.admits(self._caller):
+            await self._reads.turn(self._caller)
         return message
 
     async def write(self, message: Any) -> None:
         """Write a message. Returns when gRPC has taken the message and the gate admits the stream."""
         await self._context.write(message)
-        if not self._writes.admits():
-            await self._writes.turn()
+        if not self._writes.admits(self._caller):
+            await self._writes.turn(self._caller)
 
     def __getattr__(self, name: str) -> Any:
         """Every other attribute of the context."""
@@ -85,7 +97,10 @@ class PacedContext:
 
 
 class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Paces the streams of a server. Streams that read do not wait for streams that write."""
+    """Charges the work of all calls to their callers, and paces streams.
+
+    Streams that read do not wait for streams that write.
+    """
 
     def __init__(self) -> None:
         self._reads, self._writes, self._ends = TurnGate(), TurnGate(), TurnGate()
@@ -97,23 +112,26 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
     ) -> Any:
         """The method's handler, with a paced context if it is a stream."""
         handler = await continuation(handler_call_details)
-        if handler is None or not is_stream(handler):
-            return handler
+        if handler is None:
+            return None
         behavior = behavior_of(handler)
+        if not is_stream(handler):
+            return with_behavior(handler, _charging(behavior))
         writing = _writing(behavior) if inspect.isasyncgenfunction(behavior) else behavior
         return with_behavior(handler, self._paced(writing))
 
     def _paced(self, behavior: Callable[..., Any]) -> Callable[..., Any]:
         async def call(request: Any, context: Context) -> Any:
-            paced = PacedContext(context, self._reads, self._writes)
-            serving: asyncio.Task[Any] = asyncio.create_task(behavior(request, paced))
+            caller = current_account()
+            paced = PacedContext(context, self._reads, self._writes, caller)
+            serving: asyncio.Task[Any] = asyncio.create_task(charged(caller, behavior(request, paced)))
             try:
                 await asyncio.wait({serving})
             except asyncio.CancelledError:  # the caller has gone, maybe with many streams: they end a few at a time
-                if not self._ends.admits():
+                if not self._ends.admits(caller):
                     # a second cancellation may come here; without `serving.cancel` the stream would stay for good
                     with contextlib.suppress(asyncio.CancelledError):
-                        await self._ends.turn()
+                        await self._ends.turn(caller)
                 serving.cancel()
             try:
                 return await serving
@@ -123,13 +141,23 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
         return call
 
 
-def _writing(behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., Awaitable[None]]:
-    """A method that writes its responses to its context instead of yielding them."""
+def _charging(behavior: Callable[..., Any]) -> Callable[..., Any]:
+    async def call(request: Any, context: Context) -> Any:
+        return await charged(current_account(), behavior(request, context))
+
+    return call
+
+
+def _writing(behavior: Callable[..., AsyncIterator[Any]]) -> Callable[..., Any]:
+    """A method that writes its responses to its context, when it is the caller's turn, instead of yielding them."""
 
     async def write_all(request: Any, context: Context) -> None:
-        responses: Any = behavior(request, context)
-        async with aclosing(responses):
+        responses, work = behavior(request, context), current_work()
+        async with aclosing(responses):  # type: ignore[type-var]
             async for response in responses:
+                if work.must_wait:
+                    await work.turn()
+                work.spend(WRITE_NANOS)
                 await context.write(response)
 
     return write_all

@@ -35,6 +35,14 @@ class Loop:
             timer[1]()
         self.now = max(self.now, end)
 
+    def fire_due(self) -> int:
+        """Fire the timers that are due now, and not those that they set. Returns their number."""
+        due = [one for one in self._timers if one[0] <= self.now]
+        for timer in due:
+            self._timers.remove(timer)
+            timer[1]()
+        return len(due)
+
     @property
     def is_quiet(self) -> bool:
         return not self._timers
@@ -97,6 +105,25 @@ def test_once_the_other_one_has_gone_the_line_goes_on_without_waiting() -> None:
     assert served == list(range(20))
     assert not heavy.has_line
     assert loop.is_quiet
+
+
+def test_after_a_long_halt_a_line_goes_on_with_one_step_in_each_turn_of_the_loop() -> None:
+    loop = Loop()
+    heavy, light = loop.caller(), loop.caller()
+    loop.works(light, MS // 10)
+    loop.works(heavy, 10 * MS)
+    served: list[int] = []
+
+    def step() -> None:
+        served.append(loop.now)
+        loop.works(heavy, MS // 10)
+
+    for _ in range(100):
+        heavy.stand(step)
+    loop.now += 500 * MS  # the process had no processor, or somebody's long step
+    loop.works(light, MS // 10)
+    ticks = loop.fire_due()
+    assert len(served) <= ticks
 
 
 def test_who_comes_behind_a_line_waits_even_if_there_is_time() -> None:

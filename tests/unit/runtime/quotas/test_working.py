@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Coroutine
+from typing import Any
 
-from stampede_rt_runtime.quotas.accounts import Accounts, unlimited
+import pytest
+
+from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota, QuotaSetting, QuotaTable
-from stampede_rt_runtime.quotas.working import CallerWork, loop_turns
+from stampede_rt_runtime.quotas.turns import Turns
+from stampede_rt_runtime.quotas.working import CALL_NANOS, CallerWork, charged, loop_turns
+
+MS = 1_000_000
 
 
 async def test_much_work_of_one_caller_lets_the_work_of_another_one_pass() -> None:
@@ -18,12 +25,11 @@ async def test_much_work_of_one_caller_lets_the_work_of_another_one_pass() -> No
         for _ in range(steps):
             if one.must_wait:
                 await one.turn()
-            one.begin()
+            one.spend(CALL_NANOS)
             order.append(name)
-            one.end()
             await asyncio.sleep(0)
 
-    CallerWork(light).count_call()
+    CallerWork(light).spend(CALL_NANOS)
     tasks = [asyncio.create_task(work("heavy", CallerWork(heavy), 50)) for _ in range(20)]
     await asyncio.sleep(0)
     await work("light", CallerWork(light), 3)
@@ -36,10 +42,10 @@ async def test_much_work_of_one_caller_lets_the_work_of_another_one_pass() -> No
 async def test_a_caller_that_leaves_its_line_does_not_hold_up_those_behind_it() -> None:
     accounts = Accounts({**DEFAULTS, Quota.CPU_PERCENT: 50}, turns=loop_turns())
     heavy, light = accounts.of("heavy"), accounts.of("light")
-    CallerWork(light).count_call()
-    CallerWork(heavy).count_call()
-    CallerWork(heavy).count_call()
-    CallerWork(light).count_call()
+    CallerWork(light).spend(CALL_NANOS)
+    CallerWork(heavy).spend(CALL_NANOS)
+    CallerWork(heavy).spend(CALL_NANOS)
+    CallerWork(light).spend(CALL_NANOS)
     waiting = [asyncio.create_task(CallerWork(heavy).turn()) for _ in range(3)]
     await asyncio.sleep(0)
     waiting[0].cancel()
@@ -49,9 +55,7 @@ async def test_a_caller_that_leaves_its_line_does_not_hold_up_those_behind_it() 
 
 async def test_what_nobody_is_bound_by_never_waits() -> None:
     work = CallerWork(unlimited())
-    work.begin()
-    work.end()
-    work.count_call()
+    work.spend(CALL_NANOS)
     assert not work.must_wait
 
 
@@ -59,11 +63,91 @@ async def test_a_change_of_the_share_is_heeded_at_once() -> None:
     accounts = Accounts(turns=loop_turns())
     heavy, light = accounts.of("heavy"), accounts.of("light")
     accounts.tell(QuotaTable([QuotaSetting("heavy", Quota.CPU_PERCENT, 2**62)]))
-    CallerWork(light).count_call()
+    CallerWork(light).spend(CALL_NANOS)
     for _ in range(20):
-        CallerWork(heavy).count_call()
+        CallerWork(heavy).spend(CALL_NANOS)
     assert not CallerWork(heavy).must_wait
     accounts.tell(QuotaTable())
     for _ in range(20):
-        CallerWork(heavy).count_call()
+        CallerWork(heavy).spend(CALL_NANOS)
     assert CallerWork(heavy).must_wait
+
+
+class Clock:
+    """The time of the loop, which only work passes."""
+
+    def __init__(self) -> None:
+        self.now = 10**9
+        self.account = Account("one", DEFAULTS, turns=Turns(lambda: self.now, lambda delay_s, call: None))
+
+    def works(self, nanos: int) -> None:
+        self.now += nanos
+
+    def charged(self, work: Coroutine[Any, Any, Any]) -> Coroutine[Any, Any, Any]:
+        return charged(self.account, work)
+
+    def used_ms(self) -> int:
+        """In the present second."""
+        self.now = (self.now // 10**9 + 1) * 10**9
+        assert self.account.turn is not None
+        return self.account.turn.used_percent() * 10
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    one = Clock()
+    monkeypatch.setattr("time.monotonic_ns", lambda: one.now)
+    return one
+
+
+async def test_every_step_of_a_charged_call_counts_for_its_caller_and_no_wait_does(clock: Clock) -> None:
+    async def work() -> str:
+        for _ in range(3):
+            clock.works(100 * MS)
+            await asyncio.sleep(0)
+        return "done"
+
+    task = asyncio.create_task(clock.charged(work()))
+    while not task.done():
+        clock.works(10 * MS)  # the steps of others
+        await asyncio.sleep(0)
+    assert task.result() == "done"
+    assert clock.used_ms() == 300
+
+
+async def test_a_charged_call_gets_its_cancellation_and_its_clean_up_counts(clock: Clock) -> None:
+    async def work() -> None:
+        try:
+            await asyncio.Event().wait()
+        finally:
+            clock.works(50 * MS)
+
+    task = asyncio.create_task(clock.charged(work()))
+    await asyncio.sleep(0)
+    task.cancel()
+    await asyncio.wait({task})
+    assert task.cancelled()
+    assert clock.used_ms() == 50
+
+
+async def test_a_charged_call_raises_its_error_and_may_go_on_after_one(clock: Clock) -> None:
+    async def work() -> None:
+        try:
+            async with asyncio.timeout(0):
+                await asyncio.Event().wait()
+        except TimeoutError:
+            clock.works(10 * MS)
+            await asyncio.sleep(0)
+            raise KeyError("no") from None
+
+    with pytest.raises(KeyError):
+        await clock.charged(work())
+    assert clock.used_ms() == 10
+
+
+async def test_the_work_of_a_caller_without_quotas_is_not_measured() -> None:
+    async def work() -> int:
+        await asyncio.sleep(0)
+        return 1
+
+    assert await charged(unlimited(), work()) == 1

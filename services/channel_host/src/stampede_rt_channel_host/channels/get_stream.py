@@ -37,7 +37,7 @@ from stampede_rt_channel_host.core.channel import (
 from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.limits import Quota
-from stampede_rt_runtime.quotas.working import CallerWork
+from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context
 
 CALLS_MAX = 1024  # calls under way on one stream
@@ -111,9 +111,8 @@ class GetStream:
             while (raw := await self._context.read()) is not EOF:
                 if self._work.must_wait:
                     await self._work.turn()
-                self._work.begin()
+                self._work.spend(READ_NANOS)
                 self._take(self._plans.read(raw))
-                self._work.end()
                 await self._outbox.flush()
             while self._calls:
                 self._idle.clear()

@@ -153,9 +153,8 @@ class Outbox:
 
     async def _write_one(self) -> None:
         answer = self._answers.popleft()
-        self._work.begin()
+        self._work.spend(WRITE_NANOS)
         message = next(answer.messages)
-        self._work.end(WRITE_NANOS)
         if not message.is_last:
             self._answers.append(answer)  # after the other answers
         await self._context.write(message.encoded)

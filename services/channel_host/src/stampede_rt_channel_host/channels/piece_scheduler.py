@@ -51,13 +51,10 @@ class PieceScheduler:
                 if work.must_wait:
                     await work.turn()
                 async with self._turn:
-                    work.begin()
                     try:
                         next(pieces)
                     except StopIteration as end:
                         return end.value  # type: ignore[no-any-return]
-                    finally:
-                        work.end(0)
                     await asyncio.sleep(0)
         except asyncio.CancelledError:
             self.begin(abandoning(pieces))

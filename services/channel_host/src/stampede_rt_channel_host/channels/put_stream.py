@@ -22,7 +22,7 @@ from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
-from stampede_rt_runtime.quotas.working import CallerWork
+from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
@@ -110,7 +110,7 @@ class PutStream:
     async def _take(self, came: _Came) -> None:
         if self._work.must_wait:
             await self._work.turn()
-        self._work.begin()
+        self._work.spend(READ_NANOS)
         while came.puts:
             put = came.puts.popleft()
             ack = _refuse_size(put, self._store.now()) if came.too_much else await self._put(put, came.came_s)
@@ -118,12 +118,9 @@ class PutStream:
             while len(self._acks) >= ACKS_QUEUED_MAX:
                 self._news.set()
                 self._room.clear()
-                self._work.end()
                 await self._room.wait()
-                self._work.begin()
             self._acks.append(ack)  # after the await, during which the writer may replace the list
         self._news.set()
-        self._work.end()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _put(self, put: _Put, came_s: float) -> pb.PutAck:
@@ -152,12 +149,10 @@ class PutStream:
         try:
             with self._account.waiting(run.charged_bytes):
                 self._requests.go_on()
-                self._work.end()
                 return await run.wait(hosted.puts.give_up)
         except Overloaded as error:
             return hosted.puts.refuse(run, error)
         finally:
-            self._work.begin()
             hosted.puts.withdraw(run)
 
     def _read(self, put: _Put, came_s: float) -> IncomingRun:

@@ -8,6 +8,7 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Coroutine
 from contextlib import asynccontextmanager
+from contextvars import copy_context
 from typing import Any
 
 from grpc.aio import InternalError
@@ -15,6 +16,8 @@ from grpc.aio import InternalError
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 from stampede_rt_channel_host.core.channel import batched
+from stampede_rt_runtime.access.control import current_account
+from stampede_rt_runtime.quotas.working import charged
 from stampede_rt_runtime.rpc import Context
 
 logger = logging.getLogger(__name__)
@@ -27,7 +30,10 @@ class OpenStream:
     """One open stream. Its handler runs inside `OpenStreams.serve`."""
 
     def __init__(self, task: asyncio.Task[Any]) -> None:
+        """`task` runs the handler, and is the present task."""
         self._task = task
+        self._account = current_account()
+        self._variables = copy_context()
         self.error: StampedeError | None = None
 
     def end(self, error: StampedeError) -> None:
@@ -37,11 +43,12 @@ class OpenStream:
             self._task.cancel()
 
     def spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
-        """Run `work` beside the handler. A failure of `work` ends the stream.
+        """Run `work` beside the handler, and count it for the stream's caller. A failure of `work` ends the stream.
 
-        The handler must await or cancel the returned task.
+        The handler must await or cancel the returned task. Another caller's call may spawn it, for example a put that
+        releases a get. Therefore `work` gets the context variables of the handler.
         """
-        task = asyncio.create_task(work)
+        task = asyncio.create_task(charged(self._account, work), context=self._variables)
         task.add_done_callback(self._check)
         return task
 

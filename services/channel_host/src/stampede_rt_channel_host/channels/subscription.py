@@ -173,12 +173,11 @@ class Subscription:
             return
         if self._work.must_wait:
             await self._work.turn()
-        self._work.begin()
         now = self._store.now()
         part = cursor.take(now, min(self._credit.left, MESSAGE_BYTES_MAX))
         message = None if part.is_empty else self._message_of(part, cursor, now, without_payloads=without_payloads)
-        self._work.end(0 if message is None else WRITE_NANOS)
         if message is not None:
+            self._work.spend(WRITE_NANOS)
             await self._write(message.encoded)
             self._hosted.count_delivered(message.payload_bytes)
         elif part.more:

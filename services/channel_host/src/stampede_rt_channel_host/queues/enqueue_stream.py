@@ -29,7 +29,7 @@ from stampede_rt_channel_host.queues.requests import check_queue_id
 from stampede_rt_runtime.access.control import check_not_judged, current_account
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
-from stampede_rt_runtime.quotas.working import CallerWork
+from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refusals, the
@@ -109,11 +109,10 @@ class EnqueueStream:
         if self._work.must_wait:
             await self._work.turn()
         failure = await self._failure_to_find()
-        self._work.begin()
+        self._work.spend(READ_NANOS)
         while runs:
             await self._add(await self._enqueue(runs.popleft(), came_s, failure))
         self._news.set()
-        self._work.end()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _failure_to_find(self) -> StampedeError | None:
@@ -157,19 +156,13 @@ class EnqueueStream:
         self._news.set()
         with self._account.waiting(run.charged_bytes):
             self._requests.go_on()
-            self._work.end()
-            try:
-                yield
-            finally:
-                self._work.begin()
+            yield
 
     async def _add(self, ack: channel_service_pb2.PutAck) -> None:
         while len(self._acks) >= ACKS_QUEUED_MAX:
             self._news.set()
             self._room.clear()
-            self._work.end()
             await self._room.wait()
-            self._work.begin()
         self._acks.append(ack)
 
     async def _write_acks(self) -> None:

@@ -1,7 +1,9 @@
 """Shares the time of one event loop among callers, so that one caller with much work does not delay the others. Pure.
 
 While several callers have work, each caller may use its percentage of the loop's time. If a caller has used more, its
-next steps wait in a line of their own, in order. While only one caller has work, it never waits.
+next steps wait in a line of their own, in order. Each turn of the loop wakes one step of each line at most. So a line
+never catches up at once what it could not do while the loop was busy or had no processor. While only one caller has
+work, it never waits.
 """
 
 from __future__ import annotations
@@ -71,16 +73,13 @@ class Turn:
     `percent`: the caller's share of the loop's time while others have work; 100 and more: all time that they leave.
     """
 
-    __slots__ = (
-        "_before_nanos", "_busy_until", "_line", "_second", "_step_nanos", "_turns", "_used_nanos", "percent",
-    )  # fmt: skip
+    __slots__ = ("_before_nanos", "_busy_until", "_line", "_second", "_turns", "_used_nanos", "percent")
 
     def __init__(self, turns: Turns, percent: int) -> None:
         self.percent = percent
         self._turns = turns
         self._line: deque[Callable[[], None]] = deque()
         self._busy_until = 0  # when its past work would end at its percentage of the loop's time
-        self._step_nanos = BURST_NANOS  # the approximate time of one step
         self._second = 0
         self._used_nanos = self._before_nanos = 0  # the time used in this second, and in the second before
 
@@ -106,7 +105,6 @@ class Turn:
         """Note the time that a step of the caller took."""
         now = self._turns.now()
         self._count(nanos, now)
-        self._step_nanos += (nanos - self._step_nanos) // 8
         if self._turns.works(self, now):
             self._busy_until = max(self._busy_until, now) + nanos * 100 // max(1, self.percent)
 
@@ -115,13 +113,8 @@ class Turn:
         return self._busy_until - BURST_NANOS - now
 
     def wake(self, now: int, *, contended: bool) -> None:
-        """Wake the steps in line for which there is time. Wakes at least one, unless the line must still wait."""
-        allowed = -self.held_for(now) * self.percent // 100 if contended else BURST_NANOS
-        if allowed < 0:
-            return
-        for _ in range(1 + allowed // max(1, self._step_nanos)):
-            if not self._line:
-                return
+        """Wake the next step in line, unless the line must still wait."""
+        if self._line and not (contended and self.held_for(now) > 0):
             self._line.popleft()()
 
     def used_percent(self) -> int:

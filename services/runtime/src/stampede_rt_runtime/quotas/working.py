@@ -1,14 +1,15 @@
-"""The work of a stream or call on its event loop. Each step of it runs when it is the turn of its caller."""
+"""The work of a stream or call on its event loop. It counts for its caller, and waits for the turn of its caller."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Generator
 from functools import partial
+from typing import Any, Generic, TypeVar
 
 from stampede_rt_runtime.quotas.accounts import Account
-from stampede_rt_runtime.quotas.turns import Turns
+from stampede_rt_runtime.quotas.turns import Turn, Turns
 
 READ_NANOS = 40_000
 WRITE_NANOS = 250_000
@@ -16,6 +17,8 @@ CALL_NANOS = 400_000
 """The approximate time that gRPC takes to read a message, to write a message, and for a call. The measured steps do not
 contain this time.
 """
+
+Result = TypeVar("Result")
 
 
 def loop_turns() -> Turns:
@@ -29,17 +32,12 @@ def _schedule(delay_s: float, call: Callable[[], None]) -> object:
 
 
 class CallerWork:
-    """The work of one stream or call.
+    """The work of one stream or call. Before a step with much work: `if work.must_wait: await work.turn()`."""
 
-    Before a step: `if work.must_wait: await work.turn()`. Then call `begin`, and call `end` before the step awaits
-    anything. This costs a put about half a microsecond while only its caller has work.
-    """
-
-    __slots__ = ("_began_at", "_turn")
+    __slots__ = ("_turn",)
 
     def __init__(self, account: Account) -> None:
         self._turn = account.turn
-        self._began_at = 0
 
     @property
     def must_wait(self) -> bool:
@@ -53,19 +51,45 @@ class CallerWork:
         self._turn.stand(partial(_set_unless_done, came))
         await came
 
-    def begin(self) -> None:
-        """Note that a step begins."""
-        self._began_at = time.monotonic_ns()
-
-    def end(self, more_nanos: int = READ_NANOS) -> None:
-        """Note that the step has ended or will await something. `more_nanos`: the time that gRPC takes for it."""
+    def spend(self, nanos: int) -> None:
+        """Count time that gRPC takes for the caller: READ_NANOS, WRITE_NANOS or CALL_NANOS."""
         if self._turn is not None:
-            self._turn.spend(time.monotonic_ns() - self._began_at + more_nanos)
+            self._turn.spend(nanos)
 
-    def count_call(self) -> None:
-        """Note that a call has come, and count the time that gRPC takes for it."""
-        if self._turn is not None:
-            self._turn.spend(CALL_NANOS)
+
+async def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Result:
+    """Run `work`. Each of its steps, from one wait to the next, counts for the account."""
+    return await (work if account.turn is None else _Charged(account.turn, work))
+
+
+class _Charged(Generic[Result]):
+    """Resumes a coroutine, and measures how long it runs each time. This costs about half a microsecond."""
+
+    __slots__ = ("_turn", "_work")
+
+    def __init__(self, turn: Turn, work: Coroutine[Any, Any, Result]) -> None:
+        self._turn = turn
+        self._work = work
+
+    def __await__(self) -> Generator[Any, None, Result]:
+        work, spend, now = self._work, self._turn.spend, time.monotonic_ns
+        began_at = now()
+        try:
+            awaited = work.send(None)
+            while True:  # ends with the StopIteration that carries the result
+                spend(now() - began_at)
+                try:
+                    yield awaited
+                except BaseException as error:  # a cancellation, for example: it is for the work
+                    began_at = now()
+                    awaited = work.throw(error)
+                else:
+                    began_at = now()
+                    awaited = work.send(None)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
+        finally:
+            spend(now() - began_at)
 
 
 def _set_unless_done(came: asyncio.Future[None]) -> None:
