@@ -6,22 +6,25 @@ import asyncio
 import itertools
 
 from stampede_rt.errors import StampedeError, Unavailable
-from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE, Observers
+from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE, ChangeObserver, Observers
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 
 MANY = 4 * OBSERVERS_PER_PIECE
 
 
-class Reader:
+class Reader(ChangeObserver):
     """Looks at `state` when it is woken."""
 
     def __init__(self, book: Book, number: int) -> None:
+        super().__init__()
         self._book = book
         self.number = number
         self.seen = 0
         self.error: StampedeError | None = None
 
     def wake(self) -> None:
+        if not self._book.readers_are_busy:
+            self.listen()
         self.seen = self._book.state
         self._book.woken.append(self.number)
 
@@ -34,6 +37,7 @@ class Book:
 
     def __init__(self, readers: int) -> None:
         self.state = 0
+        self.readers_are_busy = False
         self.woken: list[int] = []
         self.observers = Observers(PieceScheduler().begin)
         self.readers = [Reader(self, number) for number in range(readers)]
@@ -84,6 +88,40 @@ async def test_changes_without_end_leave_nobody_unwoken() -> None:
     assert {*book.woken} == {*range(MANY)}
     await book.turns()
     assert {reader.seen for reader in book.readers} == {book.state}
+
+
+async def test_an_observer_that_has_not_looked_yet_is_not_woken_again() -> None:
+    book = Book(MANY)
+    book.readers_are_busy = True
+    for _ in range(100):
+        book.change()
+        await book.turns()
+    assert book.woken == [*range(MANY)]
+    book.readers[3].listen()
+    book.change()
+    assert book.woken[MANY:] == [3]
+
+
+async def test_an_observer_that_listens_before_it_looks_misses_no_change() -> None:
+    book = Book(1)
+    book.readers_are_busy = True
+    book.change()
+    book.change()  # while the reader is busy
+    reader = book.readers[0]
+    reader.listen()
+    reader.seen = book.state
+    book.change()
+    assert (reader.seen, book.state) == (3, 3)
+
+
+async def test_an_observer_that_has_gone_does_not_listen_again() -> None:
+    book = Book(1)
+    book.readers_are_busy = True
+    book.change()
+    book.observers.discard(book.readers[0])
+    book.readers[0].listen()
+    book.change()
+    assert book.woken == [0]
 
 
 async def test_whoever_has_gone_is_neither_woken_nor_ended() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from stampede_rt.errors import IncarnationLost, StampedeError, Unavailable
 from stampede_rt.values.model import Policy
-from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE
+from stampede_rt_channel_host.channels.observers import OBSERVERS_PER_PIECE, ChangeObserver
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.group import ChannelTimes, GroupDefinition, TimesBoard
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
@@ -20,12 +20,14 @@ MANY, NOW = 4 * OBSERVERS_PER_PIECE, 1_000_000
 MEMBER, HOST = b"m" * 16, b"h" * 16
 
 
-class Reader:
+class Reader(ChangeObserver):
     def __init__(self) -> None:
+        super().__init__()
         self.woken = 0
         self.error: StampedeError | None = None
 
     def wake(self) -> None:
+        self.listen()
         self.woken += 1
 
     def end(self, error: StampedeError) -> None:

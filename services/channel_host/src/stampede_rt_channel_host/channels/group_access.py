@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.observers import ChannelObserver
+from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor, SubscriptionBatch
 
 
@@ -76,6 +76,6 @@ class GroupAccess(Protocol):
         """
 
     def subscribe(
-        self, begun: pb.SubscribeOpen, hosted: HostedChannel, observer: ChannelObserver
+        self, begun: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
     ) -> AbstractAsyncContextManager[Cursor]:
         """Begin a subscription. While its context is entered, `observer` hears of changes of the group."""

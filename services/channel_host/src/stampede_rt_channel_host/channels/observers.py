@@ -25,6 +25,30 @@ class ChannelObserver(Protocol):
         """The host does not serve the channel any more."""
 
 
+class ChangeObserver:
+    """Base of observers that an `Observers` wakes once. They hear of later changes after they have called `listen`."""
+
+    def __init__(self) -> None:
+        self._woken_by: list[Observers] = []
+
+    def note_woken(self, source: Observers) -> None:
+        """Note that `source` wakes this observer, and tells it of no later change before `listen`."""
+        self._woken_by.append(source)
+
+    def listen(self) -> None:
+        """Hear of all changes from now on. Call this before each look at the things that may have changed."""
+        while self._woken_by:
+            self._woken_by.pop().listen(self)
+
+    def wake(self) -> None:
+        """See `ChannelObserver`."""
+        raise NotImplementedError
+
+    def end(self, error: StampedeError) -> None:
+        """See `ChannelObserver`."""
+        raise NotImplementedError
+
+
 class Backlog(Generic[Thing]):
     """A list of things to look at, in pieces. The first piece runs in `add`, unless earlier things still wait.
 
@@ -69,44 +93,54 @@ class Backlog(Generic[Thing]):
 
 
 class Observers:
-    """The observers of one channel. If further changes come before an observer is woken, the observer is woken once for
-    all of them.
+    """The observers of one channel or group.
+
+    A change wakes the observers that listen, and only these. An observer that has been woken listens again when it next
+    looks at the channel. So the wakes of busy observers cost as little as the messages that they send.
     """
 
     def __init__(self, begin: Callable[[Pieces[None]], None] = run_to_end) -> None:
         """`begin`: see `Backlog`."""
-        self._observers: dict[ChannelObserver, None] = {}
-        self._to_wake: Backlog[ChannelObserver] = Backlog(_wake, begin)
+        self._observers: dict[ChangeObserver, None] = {}
+        self._listening: dict[ChangeObserver, None] = {}
+        self._to_wake: Backlog[ChangeObserver] = Backlog(self._wake, begin)
 
     def __len__(self) -> int:
         return len(self._observers)
 
-    def add(self, observer: ChannelObserver) -> None:
-        """Tell `observer` of all changes from now on. Idempotent."""
-        self._observers[observer] = None
+    def add(self, observer: ChangeObserver) -> None:
+        """Tell `observer` of the next change. Idempotent."""
+        self._observers[observer] = self._listening[observer] = None
 
-    def discard(self, observer: ChannelObserver) -> None:
+    def listen(self, observer: ChangeObserver) -> None:
+        """Tell `observer` of the next change, unless it was discarded."""
+        if observer in self._observers:
+            self._listening[observer] = None
+
+    def discard(self, observer: ChangeObserver) -> None:
         """Tell `observer` of no more changes. Idempotent."""
         self._observers.pop(observer, None)
+        self._listening.pop(observer, None)
         self._to_wake.drop(observer)
 
     def wake(self) -> None:
-        """Wake all observers, in pieces. The first piece runs in this call, unless an earlier wake still goes on."""
-        if self._observers:
-            self._to_wake.add(self._observers)
+        """Wake the listening observers, in pieces. The first piece runs now, unless an earlier wake still goes on."""
+        if self._listening:
+            listening, self._listening = self._listening, {}
+            self._to_wake.add(listening)
+
+    def _wake(self, observer: ChangeObserver) -> None:
+        observer.note_woken(self)
+        observer.wake()
 
     def ending(self, error: StampedeError) -> Pieces[None]:
         """Call `end` of the present observers with `error`, in pieces."""
         return self._ending([*self._observers], error)
 
-    def _ending(self, observers: Sequence[ChannelObserver], error: StampedeError) -> Pieces[None]:
+    def _ending(self, observers: Sequence[ChangeObserver], error: StampedeError) -> Pieces[None]:
         for at, part in enumerate(batched(observers, OBSERVERS_PER_PIECE)):
             if at:
                 yield
             for observer in part:
                 if observer in self._observers:  # if not, it has left meanwhile
                     observer.end(error)
-
-
-def _wake(observer: ChannelObserver) -> None:
-    observer.wake()

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.channels.credit import Credit, requests_of
 from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, EncodedMessage
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
+from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest, parse, saved_to
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -79,12 +80,13 @@ class _Newest:
         return pb.SubscriptionProgress(next_seq=self._cursor.next_seq, skipped=self._cursor.skipped)
 
 
-class Subscription:
-    """Serves one subscription. Observes its channel or group as a `ChannelObserver`, on the event loop."""
+class Subscription(ChangeObserver):
+    """Serves one subscription. Observes its channel and its group, on the event loop."""
 
     def __init__(
         self, hosted: HostedChannel, store: ChannelStore, groups: GroupAccess, context: Context, stream: OpenStream
     ) -> None:
+        super().__init__()
         self._hosted = hosted
         self._store = store
         self._groups = groups
@@ -173,6 +175,7 @@ class Subscription:
             return
         if self._work.must_wait:
             await self._work.turn()
+        self.listen()
         now = self._store.now()
         part = cursor.take(now, min(self._credit.left, MESSAGE_BYTES_MAX))
         message = None if part.is_empty else self._message_of(part, cursor, now, without_payloads=without_payloads)

@@ -188,6 +188,7 @@ class CutEvents:
         max_wait = begun.max_wait_nanos if begun.HasField("max_wait_nanos") else MAX_WAIT_NANOS_DEFAULT
         decider = EventDecider(self._cut, max_wait, begun.lateness_nanos) if begun.decides else None
         while not self._is_over(decider):
+            await self._writer.turn()
             self._follow(group)
             boundary = self._decided(group, decider) if decider is not None else self._handed(group)
             wanted = self._credit.left > 0 or bool(self._boundaries)
@@ -243,6 +244,7 @@ class CutEvents:
         follower = followed.follower
         follower.begin(cut)
         while follower.under_way:
+            await self._writer.turn()
             step = follower.take(self._groups.channels.now(), MESSAGE_BYTES_MAX)
             if not step.is_last and not step.late and not step.slices:
                 await asyncio.sleep(0)  # there is much to look at: let others run first

@@ -99,6 +99,7 @@ class MatchStream:
         # the first response without a match tells the reader that the stream follows every member
         counted: tuple[int, int] | None = None
         while counted is None or not self._credit.is_over:
+            await self._writer.turn()
             if arrangement != group.arrangement:
                 arrangement = group.arrangement
                 group.check_incarnation(incarnation)

@@ -15,7 +15,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupAsk
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.observers import ChannelObserver
+from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
 from stampede_rt_channel_host.channels.waiting_gets import WAITING_GETS_MAX
 from stampede_rt_channel_host.core.channel import (
@@ -107,7 +107,7 @@ class GroupReads:
 
     @asynccontextmanager
     async def subscribe(
-        self, begun: pb.SubscribeOpen, hosted: HostedChannel, observer: ChannelObserver
+        self, begun: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
     ) -> AsyncIterator[Cursor]:
         """See `GroupAccess`. Raises Unavailable if other hosts do not tell their cuts."""
         group = await self._groups.find(begun.group_id)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 
 from stampede_rt.errors import StampedeError
+from stampede_rt_channel_host.channels.observers import ChangeObserver
 
 
-class Waiter:
-    """A `ChannelObserver` on which a coroutine waits. Register it at each source of news."""
+class Waiter(ChangeObserver):
+    """An observer on which a coroutine waits. Register it at each source of news."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._news = asyncio.Event()
         self._error: StampedeError | None = None
 
@@ -31,6 +33,7 @@ class Waiter:
         except TimeoutError:
             return False
         self._news.clear()
+        self.listen()
         if self._error is not None:
             raise self._error
         return True

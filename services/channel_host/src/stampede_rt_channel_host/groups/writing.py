@@ -1,4 +1,4 @@
-"""The writing side of a stream of events: a time limit for each write, and the time of the next sign of life."""
+"""The writing side of a stream of events: the turns of its caller, a time limit for each write, and signs of life."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import asyncio
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_channel_host.channels.subscription import WRITE_SECONDS_MAX
+from stampede_rt_runtime.access.control import current_work
+from stampede_rt_runtime.quotas.working import WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
 SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
@@ -17,6 +19,7 @@ class EventWriter:
     def __init__(self, context: Context, what: str) -> None:
         self._context = context
         self._what = what
+        self._work = current_work()
         self._written_s = _now_s()
 
     @property
@@ -24,8 +27,14 @@ class EventWriter:
         """The seconds until a sign of life is due; 0 or less: it is due now. Every write postpones it."""
         return self._written_s + SIGN_OF_LIFE_SECONDS - _now_s()
 
+    async def turn(self) -> None:
+        """Return when it is the caller's turn. Call this before the work for the next message."""
+        if self._work.must_wait:
+            await self._work.turn()
+
     async def write(self, message: bytes) -> None:
         """Write a message. Waits while the reader takes nothing. Raises Overloaded after WRITE_SECONDS_MAX."""
+        self._work.spend(WRITE_NANOS)
         try:
             async with asyncio.timeout(WRITE_SECONDS_MAX):
                 await self._context.write(message)

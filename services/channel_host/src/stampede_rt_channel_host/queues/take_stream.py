@@ -24,7 +24,9 @@ from stampede_rt_channel_host.queues.requests import (
     settlements_of,
     taker_of,
 )
+from stampede_rt_runtime.access.control import current_work
 from stampede_rt_runtime.access.rules import AccessVerb
+from stampede_rt_runtime.quotas.working import READ_NANOS, WRITE_NANOS
 from stampede_rt_runtime.rpc import Context
 
 SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract promises a message every 5 s
@@ -49,6 +51,7 @@ class TakeStream:
         self._news = asyncio.Event()  # there is something to write, or the caller has closed its side
         self._silent_at_s = 0.0  # loop time at which a sign of life is due; only a write postpones it
         self._room = asyncio.Event()  # the writer has taken the results
+        self._work = current_work()
 
     def deliver(self, batch: Batch) -> None:
         """Send a batch. The queue gives this stream the next batch only after `HostedQueue.sent`."""
@@ -100,6 +103,9 @@ class TakeStream:
             writer.cancel()
 
     async def _take(self, hosted: HostedQueue, taker: TakerState, request: pb.TakeRequest) -> None:
+        if self._work.must_wait:
+            await self._work.turn()
+        self._work.spend(READ_NANOS)
         settlements = settlements_of(request.settlements)
         if settlements:
             results = hosted.settle(taker.taker_id, settlements)
@@ -127,6 +133,8 @@ class TakeStream:
         await self._write(hosted, take_response(None, (), 0, incarnation=hosted.queue.incarnation))
         while not self._is_over(taker):
             if await self._wait_for_news():
+                if self._work.must_wait:
+                    await self._work.turn()
                 await self._write_news(hosted, taker)
             elif not self._closed:
                 await self._write(hosted, b"")
@@ -164,6 +172,7 @@ class TakeStream:
         return True
 
     async def _write(self, hosted: HostedQueue, message: bytes) -> None:
+        self._work.spend(WRITE_NANOS)
         try:
             async with asyncio.timeout(WRITE_SECONDS_MAX):
                 await self._context.write(message)

@@ -80,7 +80,7 @@ class _Charged(Generic[Result]):
                 spend(now() - began_at)
                 try:
                     yield awaited
-                except BaseException as error:  # a cancellation, for example: it is for the work
+                except BaseException as error:  # noqa: BLE001  (such as a cancellation: it is for the work)
                     began_at = now()
                     awaited = work.throw(error)
                 else:

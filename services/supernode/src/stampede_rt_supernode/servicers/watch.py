@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from stampede_rt.errors import Unavailable, WatchRestart
+from stampede_rt_runtime.access.control import current_work
 from stampede_rt_supernode.core.change_ring import ChangePage, ChangeRing
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.glob import matcher
@@ -106,9 +107,11 @@ class Watches:
         """
         position, index, life = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
         yield WatchBatch((), index)
-        alive = _SignOfLife(self._sign_of_life_seconds)
+        alive, work = _SignOfLife(self._sign_of_life_seconds), current_work()
         with self._bell.listening() as rung:
             while True:
+                if work.must_wait:
+                    await work.turn()
                 rung.clear()  # before the read of the ring, so that the bell announces every change after that read
                 page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, life))  # type: ignore[misc]
                 position = page.position
