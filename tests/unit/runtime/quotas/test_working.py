@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import inspect
 from collections.abc import Coroutine
 from typing import Any
 
@@ -84,6 +85,7 @@ class Clock:
         self.now += nanos
 
     def charged(self, work: Coroutine[Any, Any, Any]) -> Coroutine[Any, Any, Any]:
+        """The work of the clock's one caller."""
         return charged(self.account, work)
 
     def used_ms(self) -> int:
@@ -128,6 +130,17 @@ async def test_a_charged_call_gets_its_cancellation_and_its_clean_up_counts(cloc
     await asyncio.wait({task})
     assert task.cancelled()
     assert clock.used_ms() == 50
+
+
+async def test_a_charged_task_that_is_cancelled_before_it_begins_leaves_no_coroutine_behind(clock: Clock) -> None:
+    async def work() -> None:
+        await asyncio.Event().wait()
+
+    inner = work()
+    task = asyncio.create_task(clock.charged(inner))
+    task.cancel()
+    await asyncio.wait({task})
+    assert inspect.getcoroutinestate(inner) == inspect.CORO_CLOSED
 
 
 async def test_a_charged_call_raises_its_error_and_may_go_on_after_one(clock: Clock) -> None:
