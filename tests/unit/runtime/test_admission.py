@@ -135,7 +135,7 @@ async def test_a_certificate_of_another_cluster_is_let_in_nowhere(
         async with dial(server.address, secret=None, tls=reader) as channel:
             with pytest.raises(grpc.aio.AioRpcError) as caught:
                 await health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest(), timeout=5)
-    assert "the certificate is one of cluster other, and this is local" in (caught.value.details() or "")
+    assert "is one of cluster other, but this service is of cluster local" in (caught.value.details() or "")
 
 
 @pytest.mark.parametrize(("secret", "what"), [(None, "brought no secret"), (WRONG, "a secret that differs")])

@@ -61,7 +61,7 @@ async def test_when_watches_fill_a_port_members_enter_leases_are_renewed_and_cal
         for call in (*watches, member):
             call.cancel()
     assert isinstance(error, Overloaded)
-    assert "2 streams are open at this port already" in error.message
+    assert "2 streams are open at this port, as many as it serves" in error.message
 
 
 async def test_a_stream_that_ends_makes_room_for_another_one() -> None:

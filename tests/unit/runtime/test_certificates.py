@@ -116,7 +116,7 @@ def test_a_second_init_does_not_replace_the_authority(tmp_path: Path, capsys: py
         (["init", "x", "--days", "0"], 2, "allowed: 1 to 36500"),
         (["issue", "--dir", "nowhere", "--name", "n", "--role", "client"], 1, "no authority in nowhere; make one with"),
         (["issue", "--dir", "certs", "--name", "n", "--role", "host", "--address", "h.lab:7"], 1, "without a port"),
-        (["issue", "--dir", "certs", "--name", "n", "--role", "host", "--address", "a b"], 1, "is no name or IP"),
+        (["issue", "--dir", "certs", "--name", "n", "--role", "host", "--address", "a b"], 1, "is not the name or IP"),
         (["show", "ca.key"], 1, "holds no certificate"),
     ],
 )
@@ -176,7 +176,7 @@ def test_nothing_is_renewed_if_one_of_the_files_cannot_be(tmp_path: Path, capsys
     for wrong, why in (
         (others / "client-cam.pem", "is of cluster far, but the authority is of cluster lab"),
         (ours / "ca.pem", "is not the certificate of a part of a cluster"),
-        (ours / "ca.key", "it holds no certificate in PEM form"),
+        (ours / "ca.key", "the file holds no certificate in PEM form"),
         (ours / "absent.pem", "cannot be used: No such file"),
     ):
         assert stampede(["certs", "renew", "--dir", str(ours), str(ours / "client-cam.pem"), str(wrong)]) == 1
@@ -203,7 +203,7 @@ def test_a_service_does_not_start_with_a_certificate_that_nobody_would_accept(
     with pytest.raises(PermissionDenied, match="has expired; issue it anew"):
         load_tls(late, Role.HOST)
     good = made.issue(Role.HOST, "h1")
-    with pytest.raises(PermissionDenied, match="is one of host h1 of cluster local, and this is a supernode"):
+    with pytest.raises(PermissionDenied, match="is one of host h1 of cluster local, but this service is a supernode"):
         load_tls(good, Role.SUPERNODE)
     foreign = ClusterCertificates(tmp_path / "foreign")
     with pytest.raises(PermissionDenied, match="is not of an authority in"):

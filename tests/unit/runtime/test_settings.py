@@ -151,7 +151,7 @@ def test_an_unknown_key_at_the_top_is_refused_with_the_table_where_it_may_belong
     file.write_text('lisen = "x:1"\n')
     message = refusal("--config", str(file))
     assert message.startswith(f"{file}: there is no setting lisen; did you mean listen?")
-    assert "belongs into its table" in message
+    assert "put the settings of another service into its table" in message
 
 
 def test_a_misspelt_table_is_refused(tmp_path: Path) -> None:

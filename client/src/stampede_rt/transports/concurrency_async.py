@@ -25,7 +25,9 @@ monotonic_nanos = time.monotonic_ns
 
 
 class Mutex:
-    """Does nothing. The blocking client has a lock here, around code that never waits. Tasks of one loop need none."""
+    """Does nothing. The blocking client has a lock here, around code that never waits. Tasks of one loop need no lock
+    for such code.
+    """
 
     def __enter__(self) -> None:
         return None
@@ -88,14 +90,14 @@ run_concurrently = run_all
 
 
 class KeyedLock:
-    """One lock for each key. If several callers look for the same thing, only the first looks, and the others wait."""
+    """One lock for each key. If several callers need the same binding, only the first asks for it; the others wait."""
 
     def __init__(self) -> None:
         self._locks: WeakValueDictionary[Hashable, asyncio.Lock] = WeakValueDictionary()
 
     @asynccontextmanager
     async def hold(self, key: Hashable, timeout_s: float) -> AsyncIterator[None]:
-        """Hold the lock of `key` during the block. If it is not free after `timeout_s`, go on without it."""
+        """Hold the lock of `key` during the block. If it is not free after `timeout_s`, the block runs without it."""
         lock, held = self._locks.setdefault(key, asyncio.Lock()), True
         try:
             async with asyncio.timeout(timeout_s):
@@ -133,7 +135,7 @@ class EventLoopCheck:
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def check(self) -> None:
-        """Raise WrongEventLoop on another event loop. Does nothing where no loop runs."""
+        """Raise WrongEventLoop on another event loop. Does nothing if the calling thread runs no loop."""
         try:
             running = asyncio.get_running_loop()
         except RuntimeError:

@@ -30,7 +30,7 @@ thread_id = threading.get_ident
 
 
 class KeyedLock:
-    """Locks nothing, because each thread has its own connections and looks for its channels itself."""
+    """Locks nothing, because each thread finds and caches its own bindings."""
 
     @contextmanager
     def hold(self, key: Hashable, timeout_s: float) -> Iterator[None]:
@@ -44,7 +44,7 @@ def live_thread_ids() -> set[int | None]:
 
 
 class Signal:
-    """A flag that callers can wait for. After it wakes, a caller checks again whether its condition holds."""
+    """A flag that callers can wait for. After each wait a caller must check whether its own condition holds."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
@@ -108,19 +108,18 @@ class BackgroundTask:
 
 
 def within_limit(operation: Callable[[], object], limit_s: float = END_LIMIT_S) -> bool:
-    """Run an operation that takes gRPC's locks on its own thread, and wait for it for at most `limit_s`.
+    """Run `operation` on a new thread, and wait for at most `limit_s` seconds until it has ended.
 
-    Returns whether the operation has ended.
-
-    If a signal handler raises an exception inside gRPC's code, a lock of gRPC may stay locked for ever. Does nothing
-    while the interpreter ends: a thread that starts then never runs, and its start would wait for it for ever.
+    Returns whether it has ended. Use this for operations that take locks of gRPC: if a signal handler has raised an
+    exception inside gRPC's code, such a lock may stay locked for ever. While the interpreter ends, this function only
+    returns False, because Python no longer runs new threads, and `Thread.start` would wait for ever.
     """
     if sys.is_finalizing():
         return False
     thread = threading.Thread(target=operation, name="stampede ends a call", daemon=True)
     try:
         thread.start()
-    except RuntimeError:  # the interpreter is ending, and starts no more threads
+    except RuntimeError:  # the interpreter is ending, and starts no new threads
         return False
     thread.join(limit_s)
     return not thread.is_alive()
@@ -158,7 +157,7 @@ _dropped = _Dropped()
 
 
 def _after_fork() -> None:
-    """Begin anew in a forked child: without the parent's thread, and without the objects that it was to close."""
+    """In a forked child, forget the thread and the noted operations, because they belong to the parent."""
     global _dropped
     _dropped = _Dropped()
 
@@ -167,14 +166,17 @@ os.register_at_fork(after_in_child=_after_fork)
 
 
 def when_dropped(owner: object, operation: Callable[[], object]) -> None:
-    """Run `operation` on a thread of the library once no code references `owner`. `operation` must not reference it."""
+    """Run `operation` on a thread of the library once no code references `owner`.
+
+    `operation` itself must not reference `owner`.
+    """
     _dropped.start()
     finalizer = weakref.finalize(owner, _dropped.operations.put, operation)
     finalizer.atexit = False
 
 
 def run_later(operation: Callable[[], object]) -> None:
-    """Run `operation` on a thread of the library. Returns at once, whatever locks the caller holds."""
+    """Run `operation` on the thread that `when_dropped` has started. Does not wait, also if the caller holds locks."""
     _dropped.operations.put(operation)
 
 
@@ -186,7 +188,7 @@ class EventLoopCheck:
 
 
 class BackgroundStart:
-    """A handle that starts in the background. In the blocking client it has started when its method returns."""
+    """A handle that has started when the program gets it. The handle of the asyncio client starts in the background."""
 
 
 def check_callback(function: object) -> None:

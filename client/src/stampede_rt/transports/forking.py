@@ -13,8 +13,8 @@ from weakref import WeakSet
 from stampede_rt.errors import ForkedProcess
 
 _WAY_OUT = (
-    'start it with multiprocessing.get_context("spawn") (DataLoader: multiprocessing_context="spawn"), to which '
-    "channels, groups and queues can be passed as they are, or connect nowhere before the fork"
+    'start it with multiprocessing.get_context("spawn") (DataLoader: multiprocessing_context="spawn"), and pass it '
+    "channels, groups and queues as they are; or connect only after the fork"
 )
 
 _forks = 0  # forks between the process that loaded this module and this one
@@ -44,7 +44,7 @@ def opened(connections: object) -> None:
 
 
 def closed(connections: object) -> None:
-    """Note that the object `connections` has closed its gRPC connections."""
+    """Note that the object `connections` has closed all its gRPC connections."""
     _open.discard(connections)
 
 

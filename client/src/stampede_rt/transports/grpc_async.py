@@ -80,7 +80,7 @@ class ServerEndpoint(Stubs):
         except asyncio.CancelledError as error:
             if is_cancelled():
                 raise
-            raise closed(self.target) from error  # somebody closed the connection; nobody cancelled this task
+            raise closed(self.target) from error  # the connection was closed, and this task was not cancelled
 
     def stream(self, method: Callable[..., Any], request: Any) -> ServerStream[Any]:
         """Open a stream of responses to one request."""
@@ -113,7 +113,7 @@ class ServerEndpoint(Stubs):
         on_response: Callable[[channel_pb.PutResponse], Awaitable[None]],
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> PutDuplex:
-        """Open a stream whose puts do not wait for their acks. The stream passes each ack to `on_response`."""
+        """Open a stream whose puts do not wait for their acks. The stream passes each response to `on_response`."""
         return PutDuplex(self._begin(self._put), self.target, self._tasks, on_response, on_end)
 
     def _begin(self, method: Callable[..., Any], *request: Any) -> Any:
@@ -214,7 +214,8 @@ class GetExchange(_Exchange):
     async def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
         """Give `request` a call id, send it, and return all responses.
 
-        If the task is cancelled, cancels the call at the host.
+        Waits for at most `timeout_s` seconds; None: without limit. Raises StampedeError, DeadlineExceeded after
+        `timeout_s`. If the get ends early, also because the task is cancelled, the host is told to cancel it.
         """
         if self.broken:
             raise closed(self._target)
@@ -258,7 +259,7 @@ class PutExchange(_Exchange):
         super().__init__(call, target, tasks)
 
     async def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
-        """Send the run in `request`, and return its ack."""
+        """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`."""
         if self.broken:
             raise closed(self._target)
         future: asyncio.Future[channel_pb.PutAck] = asyncio.get_running_loop().create_future()
@@ -288,7 +289,7 @@ class PutExchange(_Exchange):
 
 
 class PutDuplex(_Exchange):
-    """Puts on one open stream. It passes each ack to `on_response` when the ack comes."""
+    """Puts on one open stream. It passes each response to `on_response`, and calls `on_end` once at the end."""
 
     def __init__(
         self,

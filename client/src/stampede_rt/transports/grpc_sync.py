@@ -95,8 +95,8 @@ class ServerEndpoint(Stubs):
     def open_bidi_by(self, method: Callable[..., Any], requests: SimpleQueue[Any]) -> Any:
         """Begin the call of a stream of `requests`.
 
-        gRPC's sending thread waits for requests without a limit. It ends when it reads None from `requests`. This
-        function adds None at the end of the call.
+        gRPC's sending thread waits for requests without a limit. It ends when it reads None from `requests`. The end of
+        the call puts None there.
         """
         call = self.begin(method, iter(requests.get, None))
         if not call.add_callback(partial(requests.put, None)):
@@ -126,7 +126,7 @@ class ServerEndpoint(Stubs):
     def duplex(
         self, on_response: Callable[[channel_pb.PutResponse], None], on_end: Callable[[StampedeError], None]
     ) -> PutDuplex:
-        """Open a stream whose puts do not wait for their acks. The stream passes each ack to `on_response`."""
+        """Open a stream whose puts do not wait for their acks. The stream passes each response to `on_response`."""
         return PutDuplex(self, self._put, on_response, on_end)
 
     def close(self) -> None:
@@ -220,7 +220,11 @@ class GetExchange(_Lockstep):
     """Gets on one open stream, one at a time."""
 
     def get(self, request: channel_pb.GetRequest, timeout_s: float | None) -> list[channel_pb.GetResponse]:
-        """Give `request` a call id, send it, and return all responses."""
+        """Give `request` a call id, send it, and return all responses.
+
+        Blocks for at most `timeout_s` seconds; None: without limit. Raises StampedeError, DeadlineExceeded after
+        `timeout_s`.
+        """
         self._next_id += 1
         request.call_id = self._next_id
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
@@ -244,7 +248,7 @@ class PutExchange(_Lockstep):
     """Puts on one open stream, one at a time."""
 
     def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
-        """Send the run in `request`, and return its ack."""
+        """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`."""
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
             self._requests.put(request)
             acks: Sequence[channel_pb.PutAck] = self._next(limit).acks
@@ -255,7 +259,7 @@ class PutExchange(_Lockstep):
 
 
 class PutDuplex(_Exchange):
-    """Puts on one open stream. A thread passes each ack to `on_response` when the ack comes."""
+    """Puts on one open stream. A thread passes each response to `on_response`, and calls `on_end` once at the end."""
 
     def __init__(
         self,

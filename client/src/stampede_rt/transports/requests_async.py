@@ -15,9 +15,9 @@ class Requests:
     """Writes the requests of one call in their order, in its own task, until the call ends.
 
     If a task is cancelled while it writes, grpc.aio ends the call. If the call ends during its opening, a write waits
-    for ever. Therefore only one task writes, and nobody cancels this task. `send` only adds a request to a list, so it
-    does not block and cannot be cancelled. This class does not report the end of the call; the reader of the responses
-    learns of it.
+    for ever. Therefore only one task writes, and only the end of the call cancels it. `send` only adds a request to a
+    list, so it does not block and cannot be cancelled. This class does not report the end of the call; the reader of
+    the responses learns of it.
     """
 
     def __init__(self, call: Any, tasks: set[asyncio.Task[None]]) -> None:

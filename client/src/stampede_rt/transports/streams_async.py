@@ -14,7 +14,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_async import when_dropped
-from stampede_rt.transports.grpc_options import SAID_MAX, SILENCE_S_MAX
+from stampede_rt.transports.grpc_options import SILENCE_S_MAX, WAITING_REQUESTS_MAX
 from stampede_rt.transports.requests_async import Requests
 
 Response = TypeVar("Response")
@@ -96,9 +96,9 @@ class BidiStream(ServerStream[Response]):
     async def send(self, request: Any) -> None:
         """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
 
-        Raises Unavailable if SAID_MAX requests wait because the server takes none of them.
+        Raises Unavailable if WAITING_REQUESTS_MAX requests wait because the server takes none of them.
         """
-        if len(self._requests) >= SAID_MAX:
+        if len(self._requests) >= WAITING_REQUESTS_MAX:
             self._call.cancel()
             raise Unavailable(f"{self._target} takes no requests; it may be stopped")
         self._requests.send(request)

@@ -1,4 +1,4 @@
-"""Streams of responses for programs with threads. The names are those of `streams_async`; nothing is awaited."""
+"""Streams of responses in the blocking client, with the names of `streams_async`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stampede_rt.errors import Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import run_later, when_dropped, within_limit
-from stampede_rt.transports.grpc_options import SAID_MAX, SILENCE_S_MAX
+from stampede_rt.transports.grpc_options import SILENCE_S_MAX, WAITING_REQUESTS_MAX
 from stampede_rt.transports.watchdog import Watchdog
 
 Response = TypeVar("Response")
@@ -59,12 +59,12 @@ class ServerStream(Generic[Response]):
                 raise silent(self._target) from None
             if not self._cancelled:
                 raise from_rpc_error(error, self._target) from error
-        except GeneratorExit:  # the reader left. Python may delete the iterator anywhere, also at the interpreter's end
+        except GeneratorExit:  # the reader has left. Python may delete the iterator on any thread, while locks are held
             self._cancelled = True
             if self._forks == forking.forks():
                 run_later(self._call.cancel)
             raise
-        except BaseException:  # an interrupt ends this call; a later step of the reader begins a new one
+        except BaseException:  # an interrupt ends this call. If the reader goes on, it opens a new stream
             self._end_call()
             raise
         if not self._cancelled:
@@ -90,9 +90,9 @@ class BidiStream(ServerStream[Response]):
     def send(self, request: Any) -> None:
         """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
 
-        Raises Unavailable if SAID_MAX requests wait because the server takes none of them.
+        Raises Unavailable if WAITING_REQUESTS_MAX requests wait because the server takes none of them.
         """
-        if self._requests.qsize() >= SAID_MAX:
+        if self._requests.qsize() >= WAITING_REQUESTS_MAX:
             self._call.cancel()
             raise Unavailable(f"{self._target} takes no requests; it may be stopped")
         self._requests.put(request)

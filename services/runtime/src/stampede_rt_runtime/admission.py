@@ -19,12 +19,12 @@ from stampede_rt_runtime.identity import Identity, identity_among
 from stampede_rt_runtime.roles import is_for_members, why_refused
 from stampede_rt_runtime.rpc import Context
 
-CERTIFICATES_KEPT_MAX = 4096  # whose serial numbers and ends are remembered
+CERTIFICATES_KEPT_MAX = 4096  # the most certificates whose serial number and end this process remembers
 _WITHOUT_SECRET = frozenset({"/grpc.health.v1.Health/Check"})  # load balancers and container runtimes call it
 
 
 def caller_identity(context: Context) -> Identity | None:
-    """The identity in the caller's certificate; None: there is no certificate, or it has no one valid identity."""
+    """The identity in the caller's certificate; None without a certificate, or if it has not exactly one identity."""
     found = context.auth_context().get("peer_uri", ())
     return identity_among(uri.decode(errors="replace") for uri in found)
 
@@ -63,8 +63,8 @@ class AdmissionInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, un
     def _unknown(self, method: str) -> Any:
         """A handler for unknown methods, which tells only callers with a proof that the method is unknown.
 
-        It is a stream-stream handler, because that serves every kind of call on the wire. It answers before any request
-        comes.
+        It is a stream-stream handler, because such a handler serves every kind of call on the wire. It answers before
+        any request comes.
         """
 
         async def refuse(_requests: Any, context: Context) -> None:

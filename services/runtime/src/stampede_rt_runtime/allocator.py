@@ -26,7 +26,8 @@ ARENAS_MAX = 2
 TRIM_SECONDS = 1.0
 """The time between two looks at the unused memory."""
 UNUSED_BYTES_MAX = 64 * 2**20
-"""If the unused memory has grown by more than this, the process returns it to the system."""
+"""If the unused memory is greater than its least amount so far by more than this, the process returns it to the system.
+"""
 
 
 def give_back_memory() -> None:
@@ -63,5 +64,5 @@ def _trim_now_and_then(library: ctypes.CDLL) -> None:
 def _unused_bytes(library: ctypes.CDLL) -> int:
     """The resident memory outside malloc's used blocks: free blocks, code and other mappings (proc_pid_statm(5))."""
     resident_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-    told = library.mallinfo2()
-    return int(resident_bytes - told.uordblks - told.hblkhd)
+    used = library.mallinfo2()
+    return int(resident_bytes - used.uordblks - used.hblkhd)

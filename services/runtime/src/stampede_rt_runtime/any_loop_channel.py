@@ -1,4 +1,4 @@
-"""Connections for an event loop on a thread of its own.
+"""Connections that an event loop on a separate thread can use.
 
 grpc.aio sends the events of all event loops of a process through one queue, so a blocked loop blocks the others, too.
 This module uses gRPC's blocking channel instead, which has threads of its own. Any event loop can await a call.
@@ -20,8 +20,8 @@ Connect = Callable[[TlsMaterial | None], grpc.Channel]
 class AnyLoopChannel(grpc.aio.Channel):
     """Unary calls that any event loop can await. Each call uses a connection with the present certificate.
 
-    `metadata` goes with every call. There are no streams. Only one caller at a time: a renewed certificate ends the
-    calls under way on the former connection.
+    `metadata` goes with every call. There are no streams. Make one call at a time: after a renewal of the certificate,
+    a new call ends the calls under way on the former connection.
     """
 
     def __init__(self, connect: Connect, metadata: tuple[tuple[str, str], ...], reader: TlsReader | None) -> None:
@@ -60,8 +60,8 @@ class AnyLoopChannel(grpc.aio.Channel):
             request: Any, timeout: float | None = None, metadata: Sequence[tuple[str, str]] | None = None
         ) -> Any:
             method: Any = self._current().unary_unary(*args, **kwargs)
-            told = (*self._metadata, *(metadata or ())) or None
-            return await _awaited(method.future(request, timeout=timeout, metadata=told))
+            sent = (*self._metadata, *(metadata or ())) or None
+            return await _awaited(method.future(request, timeout=timeout, metadata=sent))
 
         return call
 

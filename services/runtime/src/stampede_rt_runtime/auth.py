@@ -49,7 +49,7 @@ def load_secret(path: Path | None) -> Secret | None:
 
 
 def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | None:
-    """The clients' secret in `path`; None: they have no secret of their own. `secret`: the cluster's.
+    """The clients' secret in `path`; None if `path` is None. `secret`: the secret of the cluster.
 
     Raises PermissionDenied as `load_secret` does, and if the two secrets are equal or the cluster has none.
     """
@@ -71,7 +71,7 @@ def load_client_secret(path: Path | None, secret: Secret | None) -> Secret | Non
 
 
 def make_secret_file(path: Path | None = None) -> Secret:
-    """The secret in `path` (default: the user's file), made first if there is none.
+    """The secret in `path` (default: the user's file). Makes the file first if it does not exist.
 
     The file appears whole, with mode 0600, or not at all. If several processes make it at once, one succeeds and all
     return its secret. Raises PermissionDenied if the file is empty or may be read by others, OSError if it cannot be

@@ -32,9 +32,9 @@ class ClusterInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unus
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Any:
         """The method's handler, or a handler that refuses the call."""
-        told = told_cluster(handler_call_details.invocation_metadata)
-        if told and handler_call_details.method not in _OPEN_METHODS:
-            refusal = self._judge(told)
+        named = told_cluster(handler_call_details.invocation_metadata)
+        if named and handler_call_details.method not in _OPEN_METHODS:
+            refusal = self._judge(named)
             if refusal is not None:
                 return _refusing(refusal)
         return await continuation(handler_call_details)
@@ -43,8 +43,8 @@ class ClusterInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unus
 def _refusing(refusal: StampedeError) -> Any:
     """A handler that refuses the call.
 
-    It is a stream-stream handler, because that serves every kind of call on the wire. It answers before any request
-    comes.
+    It is a stream-stream handler, because such a handler serves every kind of call on the wire. It answers before any
+    request comes.
     """
 
     async def refuse(_requests: Any, context: grpc.aio.ServicerContext[Any, Any]) -> None:

@@ -29,8 +29,7 @@ from stampede_rt_runtime.rpc import Context
 class Slots:
     """The slots of a port: `concurrent_rpcs_max` for calls of anybody, and `reserved_rpcs_max` more (see `Limits`).
 
-    At most `streams_max` of the first may be streams. The reserved slots are for methods that clients never call: Raft,
-    leases, membership, the links between hosts.
+    At most `streams_max` of the first may be streams. The reserved slots are for the methods of `is_for_members`.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -38,18 +37,20 @@ class Slots:
         self.streams = self.singles = self.reserved = 0
 
     def take(self, *, is_stream: bool, for_members: bool) -> Callable[[], None]:
-        """Take a slot. Returns a function that gives it back, once. Raises Overloaded if there is none."""
+        """Take a slot. Returns a function that gives it back; call that function once. Raises Overloaded if no slot is
+        free.
+        """
         limits = self._limits
         if for_members and self.reserved < limits.reserved_rpcs_max:
             kind = "reserved"
         elif is_stream and self.streams >= limits.streams_max:
             raise Overloaded(
-                f"{limits.streams_max} streams are open at this port already, the limit; close some "
+                f"{limits.streams_max} streams are open at this port, as many as it serves; close some "
                 "subscriptions or watches, or go to another supernode or host"
             )
         elif self.streams + self.singles >= limits.concurrent_rpcs_max:
             raise Overloaded(
-                f"{limits.concurrent_rpcs_max} calls are under way at this port already, the limit; try "
+                f"{limits.concurrent_rpcs_max} calls are under way at this port, as many as it serves; try "
                 "again in a moment"
             )
         else:
@@ -79,10 +80,10 @@ def quotas_of(method: str, *, is_stream: bool) -> tuple[Quota, ...]:
 
 
 class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unused-ignore]
-    """Admits a call if its caller's quotas have room and the port has a slot. Refuses it otherwise.
+    """Admits a call if its caller's quotas have room and the port has a free slot. Otherwise refuses the call.
 
-    The requests of the call are read and parsed after that. This interceptor must stand after those that check the
-    caller.
+    The server reads and parses the requests of the call only after that. This interceptor must stand after those that
+    check the caller.
     """
 
     def __init__(self, limits: Limits, refused: RefusedCalls) -> None:

@@ -122,7 +122,7 @@ def describe(pem: bytes) -> list[Described]:
     try:
         return [_described(one) for one in x509.load_pem_x509_certificates(pem)]
     except _UNREADABLE as error:
-        raise CertificateError("it holds no certificate in PEM form; name a .pem file") from error
+        raise CertificateError("the file holds no certificate in PEM form; name a .pem file") from error
 
 
 def serial_and_end(pem: bytes) -> tuple[str, int]:
@@ -203,7 +203,8 @@ def _general_name(address: str) -> x509.GeneralName:
         pass  # no IP address, so it is a name
     if not _HOST_NAME.fullmatch(address):
         raise CertificateError(
-            f"{address!r} is no name or IP address of a machine; allowed: such as s1.lab or 10.0.0.11, without a port"
+            f"{address!r} is not the name or IP address of a machine; give one without a port, such as s1.lab or "
+            "10.0.0.11"
         )
     return x509.DNSName(address)
 

@@ -183,10 +183,7 @@ def _renew(arguments: argparse.Namespace) -> list[str]:
 
 def _renewed(authority: Issued, file: Path, now: datetime) -> tuple[Identity, Issued]:
     """The owner of the certificate in `file`, and a new certificate for it. Raises CertificateError, OSError."""
-    try:
-        former = describe(file.read_bytes())[0]
-    except CertificateError as error:
-        raise CertificateError(f"{file}: {error}") from error
+    former = _described(file)[0]
     if former.identity is None or former.is_authority or file.suffix != ".pem":
         raise CertificateError(
             f"{file} is not the certificate of a part of a cluster; name a file NAME.pem of `stampede certs issue`"
@@ -225,13 +222,15 @@ def _own_addresses() -> tuple[str, ...]:
 
 def _show(arguments: argparse.Namespace) -> list[str]:
     now = datetime.now(UTC)
-    lines = []
-    for file in arguments.files:
-        try:
-            lines += [f"{file}: {_line(one, now)}" for one in describe(file.read_bytes())]
-        except CertificateError as error:
-            raise CertificateError(f"{file}: {error}") from error
-    return lines
+    return [f"{file}: {_line(one, now)}" for file in arguments.files for one in _described(file)]
+
+
+def _described(file: Path) -> list[Described]:
+    """The contents of the certificates in `file`. Raises CertificateError, OSError."""
+    try:
+        return describe(file.read_bytes())
+    except CertificateError as error:
+        raise CertificateError(f"{file}: {error}") from error
 
 
 def _revoke(arguments: argparse.Namespace) -> list[str]:
@@ -252,7 +251,7 @@ def _revoke(arguments: argparse.Namespace) -> list[str]:
 
 def _serial_of(text: str) -> str:
     if Path(text).exists():
-        return serial_text(describe(Path(text).read_bytes())[0].serial)
+        return serial_text(_described(Path(text))[0].serial)
     if re.fullmatch(r"[0-9a-f]{1,64}", text) is None:
         raise CertificateError(f"{text!r} is neither a file nor a serial number in hexadecimal digits (see certs show)")
     return text

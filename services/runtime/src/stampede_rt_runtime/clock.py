@@ -1,4 +1,4 @@
-"""The two clocks of a host. The code below a servicer gets their times as arguments and never reads a clock itself."""
+"""The two clocks of a machine. Servicers read them, and pass the times to the core, which reads no clock itself."""
 
 from __future__ import annotations
 

@@ -57,7 +57,10 @@ def dial_from_any_loop(
 
 
 def naming_cluster(dial: Dial, cluster_id: Callable[[], str]) -> Dial:
-    """Wraps `dial` so that each call of a channel names the cluster that `cluster_id` returns at that time, if any."""
+    """Wraps `dial` so that each call of a channel names the cluster whose id `cluster_id` returns at that time.
+
+    If the id is empty, the call names no cluster.
+    """
 
     def open_channel(target: str) -> grpc.aio.Channel:
         return _AnnotatedChannel(dial(target), lambda: cluster_metadata(cluster_id()))
@@ -79,7 +82,7 @@ def _open(target: str, options: list[Option], tls: TlsReader | None) -> grpc.aio
 class Dialer:
     """Opens a service's connections, all with the same credentials. Callable like `dial`.
 
-    `client_secret` is the one that clients may bring to this service. The service never sends it.
+    `client_secret` is the secret that clients may bring to this service. The service never sends it.
     """
 
     secret: Secret | None
@@ -95,7 +98,7 @@ class Dialer:
         return dial_from_any_loop(target, secret=self.secret, tls=self._reader())
 
     async def explain(self, target: str) -> StampedeError | None:
-        """The reason why `target` cannot be called, if it lies in the certificates. Takes 3 s at most."""
+        """The error by which the certificates prevent calls of `target`; None if there is none. Takes 3 s at most."""
         return await asyncio.to_thread(explain_refusal, target, self._reader())
 
     def _reader(self) -> TlsReader | None:

@@ -1,10 +1,10 @@
 """Runs Python's garbage collector in small portions.
 
-The last reference frees an item or record. Only objects in a reference cycle need the collector. Python starts it when
-there are many more objects than at its last run. A full channel drops an old item for each new one, so the number of
-objects hardly grows, and Python starts the collector rarely. By then all held items are newer than the last run, and
-the collector would walk over all of them in one go. Therefore the event loop starts the collector, too, and does so
-more often when more objects are created (decision 0122).
+An item or record is freed with its last reference. Only objects in a reference cycle need the collector. Python starts
+the collector when there are many more objects than at its last run. A full channel drops an old item for each new one,
+so the number of objects hardly grows, and Python starts the collector rarely. By then all held items are newer than the
+last run, and the collector would walk over all of them in one go. Therefore the event loop starts the collector, too,
+and does so more often when more objects are created (decision 0122).
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class CollectionPace:
 class GarbageCollection:
     """Collects on the event loop for the duration of the block.
 
-    Objects that exist at its beginning are never collected in the block.
+    In the block, objects that existed at its beginning are never collected.
     """
 
     def __init__(self) -> None:

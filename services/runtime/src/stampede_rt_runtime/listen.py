@@ -1,7 +1,7 @@
 """Checks whether a service may listen at an address, and whether the port is free. Runs before gRPC binds the port.
 
-gRPC binds those of a name's addresses that it can, and reports no failure of the others. If another process held a port
-on 127.0.0.1, gRPC would serve on ::1 alone. So this module tries all addresses first.
+If a name has several addresses, gRPC binds those that it can, and does not report the others. If another process held a
+port on 127.0.0.1, gRPC would serve on ::1 alone. So this module tries all addresses first.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class NotAllowed(CannotListen):
 
 
 def check_listen(text: str, *, allow_insecure_anywhere: bool) -> Address:
-    """The address, if it is loopback or allowed, and free. To resolve a name may block for a moment.
+    """The address, if it is loopback or allowed, and free. May block for a moment, to resolve a name.
 
     Raises NotAllowed or CannotListen.
     """
@@ -69,7 +69,7 @@ def _why(address: Address, error: OSError) -> str:
     if error.errno == errno.EADDRINUSE:
         return f"{address} is in use by another process; stop that one, or choose another port with --listen"
     if error.errno == errno.EACCES:
-        return f"{address} may not be listened at by this user; choose a port from 1024 up with --listen"
+        return f"this user may not listen at {address}; choose a port from 1024 up with --listen"
     if error.errno == errno.EADDRNOTAVAIL:
         return f"{address.host} is no address of this machine; choose one of its own with --listen"
     return f"{address} cannot be listened at: {error.strerror}"

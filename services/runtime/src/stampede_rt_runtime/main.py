@@ -1,4 +1,7 @@
-"""The start and end of every service process: settings in, exit code out, no traceback for a user's mistake."""
+"""Starts and ends every service process: reads the settings, runs the service, and returns the exit code.
+
+For a user's mistake it prints one line, and no traceback.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +68,11 @@ class ServiceSettings:
     )
     tls_key: Path | None = field(
         default=None,
-        metadata=setting(metavar="FILE", shared=False, help="its private key (PEM), readable by its user only"),
+        metadata=setting(
+            metavar="FILE",
+            shared=False,
+            help="the private key (PEM) of the certificate; only this service's user may read it",
+        ),
     )
     log_level: str = field(
         default="info", metadata=setting(metavar="LEVEL", choices=LEVELS, help="log messages of this level and above")
@@ -105,8 +112,9 @@ def run_service(
 ) -> int:
     """Load the settings, run `serve` to its end on a new event loop, and return the process's exit code.
 
-    `argv` is without the program's name; None: that of the process. `serve` returns an exit code; None means 0. Exit
-    code 2: the settings are unusable; 1: the service failed to start or to go on. Then one line on stderr says why.
+    `argv` is without the program's name; None: the arguments of this process. `serve` returns an exit code; None means
+    0. Exit code 2: the settings are unusable; 1: the service failed to start or to go on. In both cases one line on
+    stderr says why.
     """
     try:
         words = sys.argv[1:] if argv is None else argv
@@ -135,8 +143,9 @@ def run_service(
 
 
 def _tell_of_clients_certificates(settings: ServiceSettings, service: str) -> None:
-    """Warn about a service without certificates if the environment names a client's: the user may have meant the
-    service.
+    """Warn if the service has no certificates, but the environment names certificates for clients.
+
+    The user may have meant them for the service.
     """
     named = [f"${name}" for name in CLIENT_VARIABLES if os.environ.get(name)]
     if named and settings.tls_ca is None:

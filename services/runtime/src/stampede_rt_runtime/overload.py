@@ -31,9 +31,9 @@ class Overload:
         self._last_nanos = now
         if self._logged_nanos is not None and now - self._logged_nanos < LOG_PERIOD_NANOS:
             return None
-        untold = self.refused - self._logged
+        unlogged = self.refused - self._logged
         self._logged, self._logged_nanos = self.refused, now
-        return untold
+        return unlogged
 
     def ago_nanos(self, now: int) -> int | None:
         """The time since the last refusal, in nanoseconds; None: there was none."""
@@ -49,9 +49,9 @@ class RefusedCalls:
 
     def note(self, error: Overloaded) -> None:
         """Count a refusal. Writes a log line every 10 s at most."""
-        untold = self._overload.note(1, self._steady_nanos())
-        if untold is not None:
-            logger.warning("calls are refused", extra={"calls": untold, "why": error.message})
+        unlogged = self._overload.note(1, self._steady_nanos())
+        if unlogged is not None:
+            logger.warning("calls are refused", extra={"calls": unlogged, "why": error.message})
 
     @property
     def count(self) -> int:

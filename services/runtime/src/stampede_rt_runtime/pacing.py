@@ -1,8 +1,9 @@
 """Counts the work of calls for their callers, and lets a few streams go on in each turn of the event loop.
 
-gRPC hands over all completed operations of a turn together. With 1000 subscriptions 200 of them had written a message,
-and each then looked for its next one: a turn of 10 ms and more, in which the service did nothing else (decision 0123).
-A caller whose 3000 streams have all received a message delays the streams of others by one turn only (decision 0139).
+gRPC hands over all completed operations of a turn together. With 1000 subscriptions, 200 of them completed a write in
+one turn. Each then looked for its next message. The turn took 10 ms and more, in which the service did nothing else
+(decision 0123). A caller whose 3000 streams have all received a message delays the streams of others by one turn only
+(decision 0139).
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class TurnGate:
         return True
 
     async def turn(self, caller: Account) -> None:
-        """Return in the turn in which the stream may go on."""
+        """Wait for the turn of the event loop in which the stream may go on."""
         place = asyncio.get_running_loop().create_future()
         self._lines.setdefault(caller, deque()).append(place)
         await place

@@ -20,7 +20,7 @@ class _Connection:
 
 
 class RenewingChannel(grpc.aio.Channel):
-    """Checks the certificate files at each call. Calls under way stay on their connection, however long they last.
+    """Uses the present certificate for each new call. Calls under way stay on their connection, however long they last.
 
     The channel closes a former connection when its last call has ended. An open connection would reconnect for ever.
     """

@@ -61,7 +61,7 @@ def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | 
                 raw = await context.read()
         except TimeoutError:
             raise DeadlineExceeded(
-                f"no whole request of {method} came within {REQUEST_SECONDS_MAX:g} s; send it at once"
+                f"no whole request of {method} came within {REQUEST_SECONDS_MAX:g} s; send it when the call begins"
             ) from None
         if raw is grpc.aio.EOF:
             raise InvalidArgument(f"{method} was called without a request; send one")

@@ -78,7 +78,10 @@ def roles_for(method: str) -> frozenset[Role]:
 
 
 def is_for_members(method: str) -> bool:
-    """Whether clients never call the method: Raft, leases, membership, the links between hosts."""
+    """Whether the role `client` may not call the method.
+
+    Such methods serve Raft, leases, links between hosts, membership, rules of access and quotas.
+    """
     return bool(roles_for(method)) and Role.CLIENT not in roles_for(method)
 
 

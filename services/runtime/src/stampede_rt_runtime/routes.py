@@ -16,7 +16,7 @@ def address_towards(targets: Iterable[str]) -> str:
     """The address of this machine that the first target on another machine can call.
 
     "localhost" if all targets are on this machine. Sends nothing: connects a datagram socket and reads its own address.
-    To resolve a name may block for a moment. Raises CannotListen if there is no route.
+    May block for a moment, to resolve a name. Raises CannotListen if there is no route.
     """
     for target in targets:
         if not is_loopback(target):

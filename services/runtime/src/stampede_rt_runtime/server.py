@@ -55,7 +55,7 @@ class ServiceServer:
         judge_cluster: JudgeCluster | None = None,
     ) -> None:
         limits = limits or Limits()
-        self.access = AccessControl()  # the directory's state goes in here
+        self.access = AccessControl()  # the service gives it the directory's rules by `tell` or `draw_from`
         self.refused_calls = RefusedCalls()
         accepted = Accepted(
             secrets=secret.accepted if secret else (),
@@ -85,9 +85,9 @@ class ServiceServer:
         quota_use_service_pb2_grpc.add_QuotaUseServiceServicer_to_server(uses, self.grpc)
 
     def bind(self, listen: str, *, allow_insecure_anywhere: bool = False) -> str:
-        """Take the port at `listen`, once, and return the address with the bound port. Raises CannotListen.
+        """Take the port at `listen`, and return the address with the bound port. Call this once. Raises CannotListen.
 
-        From now on the port belongs to this process, and others may learn its address: their calls wait until `start`.
+        From now on the port belongs to this process, and others may learn its address. Their calls wait until `start`.
         """
         checked = check_listen(listen, allow_insecure_anywhere=allow_insecure_anywhere or self._tls is not None)
         try:
@@ -151,7 +151,7 @@ async def _bounded(work: Awaitable[Any]) -> None:
     try:
         await asyncio.wait_for(work, DRAIN_SECONDS)
     except TimeoutError:
-        logger.warning("streams did not end in time; they are cut", extra={"seconds": DRAIN_SECONDS})
+        logger.warning("streams did not end in time; the server ends them", extra={"seconds": DRAIN_SECONDS})
 
 
 @contextlib.contextmanager

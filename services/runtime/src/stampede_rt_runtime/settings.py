@@ -237,7 +237,7 @@ def _read_file(
         raise SettingsError(f"{path}: {service} must be a table, [{service}]")
     names = sorted(one.name for one in known)
     _check_keys(table, names, f"{path}: [{service}]", "")
-    _check_keys(top, names, f"{path}:", f"; a setting of another service belongs into its table, such as [{TABLES[0]}]")
+    _check_keys(top, names, f"{path}:", f"; put the settings of another service into its table, such as [{TABLES[0]}]")
     return {key.replace("_", "-"): (_toml_text(value), f"{path}: {key}") for key, value in (top | table).items()}
 
 

@@ -53,7 +53,7 @@ class ServiceTls:
         if name != self.identity.name:
             raise PermissionDenied(
                 f"{flag} is {name!r}, but the certificate {self.reader.files.certificate} is one of "
-                f"{self.identity}; give it {flag} {self.identity.name}, or issue it a certificate of its own"
+                f"{self.identity}; give the service {flag} {self.identity.name}, or issue a certificate for {name!r}"
             )
 
     def require_address(self, target: str) -> None:
@@ -85,7 +85,7 @@ def load_tls(files: TlsFiles, role: Role) -> ServiceTls:
     if own.identity is None or own.identity.role is not role:
         who = str(own.identity) if own.identity else f"{own.subject}, of no role"
         raise PermissionDenied(
-            f"the certificate {files.certificate} is one of {who}, and this is a {role}; "
+            f"the certificate {files.certificate} is one of {who}, but this service is a {role}; "
             f"issue it with `stampede certs issue --role {role}`"
         )
     now = datetime.now(UTC)

@@ -1,4 +1,4 @@
-"""Adds file names to errors of files: the error of an open file has no name."""
+"""Adds the file's name to errors of reads and writes. Python names the file only in errors of `open`."""
 
 from __future__ import annotations
 

@@ -58,8 +58,8 @@ def test_each_proof_gives_a_name_and_roles(
         (ONE, b"Bearer \xff", None, "a secret that differs"),
         (ONE, b"Bearer c", None, "a secret that differs"),
         (ONE, b"Bearer token-that-is-over", None, "the token is over"),
-        (CERTIFIED, b"Bearer token", None, "names no one role"),
-        (CERTIFIED, None, Certified(Identity("other", Role.HOST, "h1")), "cluster other, and this is lab"),
+        (CERTIFIED, b"Bearer token", None, "does not name exactly one role"),
+        (CERTIFIED, None, Certified(Identity("other", Role.HOST, "h1")), "this service is of cluster lab"),
     ],
 )
 def test_what_is_no_proof_is_refused_and_told_why(

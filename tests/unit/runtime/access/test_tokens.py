@@ -49,7 +49,7 @@ def test_what_is_no_token_is_refused_and_not_an_error(text: str) -> None:
 
 def test_a_token_of_another_cluster_or_key_is_refused() -> None:
     for keys, cluster in (([KEY], "d"), ([public_key(OTHER)], "c"), ([], "c")):
-        with pytest.raises(PermissionDenied, match="not one of this cluster"):
+        with pytest.raises(PermissionDenied, match="this cluster has not signed the token"):
             read_token(TOKEN, keys=keys, cluster_id=cluster)
 
 

@@ -1,6 +1,6 @@
 """The audit log: denied calls, and changes of rights. One line for each event, on the service's log.
 
-A caller that is denied again and again gets at most one line a second. The next line tells how many denials were left
+The log has at most one line a second about the denials of one caller. The next line tells how many denials were left
 out.
 """
 
@@ -42,7 +42,7 @@ class AuditLog:
             logger.warning("denied", extra=_facts(caller, address, verb, name, "denied") | {"left_out": left_out})
 
     def changed(self, caller: Caller | None, address: str, verb: str, name: str) -> None:
-        """Log a change of rules, tokens, members or owners. These changes are always logged."""
+        """Log a change of rules, quotas, credentials or members, or the takeover of a peer. Logs each such change."""
         logger.info("changed", extra=_facts(caller, address, verb, name, "done"))
 
     def _turn(self, subject: str) -> int | None:

@@ -29,7 +29,7 @@ _NAMELESS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Caller:
-    """One caller. Rules know it by `name`. Names that begin with "@" occur in no certificate or token.
+    """One caller. `name`: its name in rules. Names that begin with "@" occur in no certificate or token.
 
     `serial` identifies the certificate or token among others of the same name; empty: there is none. `ends_unix_nano`:
     the end of its validity; 0: it has no end.

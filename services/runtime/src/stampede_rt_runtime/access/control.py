@@ -79,8 +79,9 @@ class AccessControl:
             self._judging = asyncio.create_task(self._judge_again(state))
 
     async def _judge_again(self, state: AccessState) -> None:
-        """Judge the open calls again, a few rights in each turn of the loop: there may be thousands, and a thousand
-        rules.
+        """Judge the open calls again, a few rights in each turn of the loop.
+
+        There may be thousands of calls, and a thousand rules.
         """
         for number, call in enumerate(tuple(self._open), start=1):
             for judged, _ in enumerate(call.judging_again(state), start=1):
@@ -246,7 +247,7 @@ class OpenCall:
     def judging_again(self, state: AccessState) -> Iterator[None]:
         """Check the credential and the used rights against a new state, and end the call if one is lost.
 
-        Stops after each right.
+        Yields after each right, so that the caller can pause.
         """
         if self.caller.serial in state.revoked_serials:
             self.end(_revoked(self.caller))

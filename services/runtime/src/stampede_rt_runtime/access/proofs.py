@@ -45,7 +45,7 @@ def identify(accepted: Accepted, authorization: bytes | None, certificate: Certi
 
 
 def of_certificate_alone(accepted: Accepted, certificate: Certified | None) -> Caller:
-    """The caller of a method that needs no secret: the one that the certificate names, if certificates are in use."""
+    """The caller of a method that needs no secret: the owner of the certificate if the service has certificates."""
     return _certified(accepted, certificate) if accepted.cluster else ANYONE
 
 
@@ -59,13 +59,13 @@ def _brought(authorization: bytes | None) -> bytes | None:
 def _certified(accepted: Accepted, certificate: Certified | None) -> Caller:
     if certificate is None:
         raise PermissionDenied(
-            "the caller's certificate names no one role of a cluster (one URI stampede://CLUSTER/ROLE/NAME); "
-            "issue it with `stampede certs issue`"
+            "the caller's certificate does not name exactly one role of a cluster (one URI "
+            "stampede://CLUSTER/ROLE/NAME); make one with `stampede certs issue`"
         )
     if certificate.identity.cluster != accepted.cluster:
         raise PermissionDenied(
-            f"the certificate is one of cluster {certificate.identity.cluster}, and this is {accepted.cluster}; "
-            "use one of this cluster"
+            f"the certificate is one of cluster {certificate.identity.cluster}, but this service is of cluster "
+            f"{accepted.cluster}; use a certificate of cluster {accepted.cluster}"
         )
     return by_certificate(certificate)
 

@@ -96,7 +96,10 @@ def check_rule(rule: AccessRule) -> None:
 
 @dataclass(frozen=True, slots=True)
 class AccessRuling:
-    """Whether the action is allowed, and the deciding rule. `rule` None: there are no rules, or none allows it."""
+    """Whether the action is allowed, and the deciding rule.
+
+    `rule` None: there are no rules, no rule matches, or rules do not judge the caller.
+    """
 
     allowed: bool
     rule: AccessRule | None = None

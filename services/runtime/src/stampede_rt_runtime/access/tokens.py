@@ -103,7 +103,7 @@ def read_token(text: str, *, keys: Sequence[bytes], cluster_id: str) -> TokenCla
         claims = _claims(_decoded(body.removeprefix(_PREFIX)))
         if claims.cluster_id == cluster_id:
             return claims
-    raise _refused("the token is not one of this cluster, or only a part of one")
+    raise _refused("this cluster has not signed the token, or a part of the token is missing")
 
 
 def check_not_over(claims: TokenClaims, *, now_unix_nano: int) -> None:

@@ -75,7 +75,7 @@ def check_setting(setting: QuotaSetting) -> None:
     """Raises InvalidArgument for an impossible pattern or limit."""
     check_who(setting.who)
     if not 0 <= setting.limit <= LIMIT_MAX:
-        raise InvalidArgument(f"{setting.quota} is {setting.limit}; it is 0 to {LIMIT_MAX}")
+        raise InvalidArgument(f"{setting.quota} is {setting.limit}; give a limit from 0 to {LIMIT_MAX}")
 
 
 class QuotaTable:

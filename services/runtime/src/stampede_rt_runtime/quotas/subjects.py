@@ -41,7 +41,7 @@ def _address(peer: str) -> str:
 
 
 def _network(address: IPv4Address | IPv6Address) -> str:
-    """The network of an address: one machine usually has a whole /64 of IPv6 addresses, and all loopback addresses."""
+    """The text that stands for the machine of an address: a machine usually has all addresses of a /64 of IPv6."""
     if isinstance(address, IPv6Address) and address.ipv4_mapped is not None:
         address = address.ipv4_mapped
     if address.is_loopback:
