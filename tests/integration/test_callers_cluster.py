@@ -15,7 +15,7 @@ from stampede_rt._async import directory_client as async_directory
 from stampede_rt._async import discovery as async_discovery
 from stampede_rt._sync import directory_client as sync_directory
 from stampede_rt._sync import discovery as sync_discovery
-from stampede_rt.cluster.cluster_ids import may_go_over, told_cluster, wrong_cluster
+from stampede_rt.cluster.cluster_ids import may_change_to, named_cluster, wrong_cluster
 from stampede_rt.errors import StampedeError, Unavailable, WrongCluster
 from stampede_rt.status import abort
 from stampede_rt.v1 import (
@@ -44,7 +44,7 @@ class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_se
         self.members: list[str] = []
 
     def judge(self, callers: str) -> StampedeError | None:
-        if may_go_over(callers, self.cluster_id, self.former):
+        if may_change_to(callers, self.cluster_id, self.former):
             return None
         return wrong_cluster("this supernode", self.cluster_id, callers)
 
@@ -56,7 +56,7 @@ class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_se
         )
 
     async def ListHosts(self, request: Any, context: Any) -> directory_pb.ListHostsResponse:  # noqa: N802
-        self.served.append(told_cluster(context.invocation_metadata()))
+        self.served.append(named_cluster(context.invocation_metadata()))
         return directory_pb.ListHostsResponse()
 
     async def ListSupernodes(self, request: Any, context: Any) -> directory_pb.ListSupernodesResponse:  # noqa: N802
@@ -71,7 +71,7 @@ class FakeSupernode(directory_service_pb2_grpc.DirectoryServiceServicer, peer_se
         return peer_pb.ListPeersResponse()
 
     async def Watch(self, request: Any, context: Any) -> AsyncIterator[directory_pb.WatchResponse]:  # noqa: N802
-        self.served.append(told_cluster(context.invocation_metadata()))
+        self.served.append(named_cluster(context.invocation_metadata()))
         change = directory_pb2.DirectoryChange(index=1, kind=1, host=directory_pb2.HostRecord(name="h"))
         yield directory_pb.WatchResponse(applied_index=1, changes=[change])
         await asyncio.Event().wait()

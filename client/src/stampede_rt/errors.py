@@ -226,7 +226,7 @@ class ForkedProcess(StampedeError, RuntimeError):
 
 
 class WrongEventLoop(StampedeError, RuntimeError):
-    """A program used an awaited connection on another event loop than its own. Only the client raises this error."""
+    """A program used an asyncio connection on another event loop than the connection's. Only the client raises this."""
 
     reason = "WRONG_EVENT_LOOP"
 
@@ -238,7 +238,9 @@ class VersionMismatch(StampedeError):
 
 
 class WatchRestart(StampedeError):
-    """The directory no longer keeps all changes since the watch broke. List again, and begin a new watch."""
+    """The directory no longer keeps all changes since the watch broke, or has begun anew. List again, and begin a new
+    watch.
+    """
 
     reason = "WATCH_RESTART"
 

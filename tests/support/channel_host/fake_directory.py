@@ -10,7 +10,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.cluster.cluster_ids import told_cluster
+from stampede_rt.cluster.cluster_ids import named_cluster
 from stampede_rt.errors import ChannelNotFound, HostExists, LeaseExpired, StaleRegistration, StampedeError, error_for
 from stampede_rt.status import abort
 from stampede_rt.v1 import (
@@ -97,7 +97,7 @@ class FakeDirectory(
         )
 
     async def RegisterHost(self, request: pb.RegisterHostRequest, context: Any) -> pb.RegisterHostResponse:  # noqa: N802
-        self.clusters_told["RegisterHost"].append(told_cluster(context.invocation_metadata()))
+        self.clusters_told["RegisterHost"].append(named_cluster(context.invocation_metadata()))
         await self._begin("RegisterHost", context)
         for held in self.hosts.values():
             if held.name == request.name and held.alive and held.host_id != request.host_id:
@@ -129,7 +129,7 @@ class FakeDirectory(
     async def RenewHostLease(  # noqa: N802
         self, request: pb.RenewHostLeaseRequest, context: Any
     ) -> pb.RenewHostLeaseResponse:
-        self.clusters_told["RenewHostLease"].append(told_cluster(context.invocation_metadata()))
+        self.clusters_told["RenewHostLease"].append(named_cluster(context.invocation_metadata()))
         await self._begin("RenewHostLease", context)
         host = self.hosts.get(request.host_id)
         if host is None or not host.alive or host.boot_incarnation != request.boot_incarnation:

@@ -54,7 +54,7 @@ async def attempt(
     """
     locator.check()
     backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
-    told: StampedeError | None = None  # the error to raise if no time is left for another try
+    failure: StampedeError | None = None  # the error to raise if no time is left for another try
     while True:
         try:
             return await operation(await locator.find(backoff.deadline_s))
@@ -66,8 +66,8 @@ async def attempt(
             if not (error.retryable or slow):
                 raise
             locator.forget()
-            told = told if slow and told is not None else error
+            failure = failure if slow and failure is not None else error
             delay_s = backoff.next_delay_s(time.monotonic(), random.random())
             if delay_s is None:
-                raise told from (None if told is error else error)
+                raise failure from (None if failure is error else error)
         await sleep(delay_s)

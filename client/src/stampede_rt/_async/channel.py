@@ -115,6 +115,7 @@ class Channel(Reader):
         """Promise that no item earlier than `time` will come. From then on the host refuses such items.
 
         Returns the latest instant that any producer has promised so far, in nanoseconds. Blocks for at most 10 s.
+        Raises InFuture, ChannelNotFound, Unavailable.
         """
         instant = parse_instant(time)
 
@@ -159,7 +160,8 @@ class Channel(Reader):
         """Change the channel's policy while it runs, and return the policy after the change.
 
         A setting that you leave out stays as it is. With more `consumers` the channel gets new consumer places, which
-        keep all held items. With fewer, the channel removes the places whose leases end first.
+        keep all held items. With fewer, the channel removes the places whose leases end first. Blocks for at most 10 s.
+        Raises InvalidArgument, ChannelNotFound, Unavailable.
         """
         policy = parse_policy(
             max_age=max_age,

@@ -17,7 +17,7 @@ from stampede_rt.transports.concurrency_async import BackgroundTask, Mutex, Sign
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
 
-SEQS_MAX = 4096  # in one request
+SEQS_MAX = 4096  # the most seqs of one request
 RENEWALS_PER_LEASE = 3
 END_TIMEOUT_S = 1.0
 _log = logging.getLogger("stampede_rt")

@@ -130,4 +130,4 @@ class Sampler(BackgroundStart, BoundToProcess):
             self.failures += 1
             self.last_failure = error
             if should_log(self.failures):
-                _log.exception("sampling for %s: failure %d; it continues", self._name, self.failures)
+                _log.exception("sampling for %s continues after failure %d", self._name, self.failures)

@@ -53,7 +53,7 @@ def attempt(locator: Locator, operation: Callable[[Binding], Result], timeout_s:
     """
     locator.check()
     backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
-    told: StampedeError | None = None  # the error to raise if no time is left for another try
+    failure: StampedeError | None = None  # the error to raise if no time is left for another try
     while True:
         try:
             return operation(locator.find(backoff.deadline_s))
@@ -65,8 +65,8 @@ def attempt(locator: Locator, operation: Callable[[Binding], Result], timeout_s:
             if not (error.retryable or slow):
                 raise
             locator.forget()
-            told = told if slow and told is not None else error
+            failure = failure if slow and failure is not None else error
             delay_s = backoff.next_delay_s(time.monotonic(), random.random())
             if delay_s is None:
-                raise told from (None if told is error else error)
+                raise failure from (None if failure is error else error)
         sleep(delay_s)

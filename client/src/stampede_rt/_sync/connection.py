@@ -49,7 +49,7 @@ class Connection(Discovery, Reference):
     def __init__(self, session: Session, name: str, proof: str | None = None) -> None:
         super().__init__(session)
         if proof is not None and not name:
-            raise InvalidArgument('a proof belongs to a name; connect with one, as in name="planner"')
+            raise InvalidArgument('a proof belongs to a name; give a name, too, as in name="planner"')
         self.name = name
         self._presence = Presence(session, name, proof) if name else None
         self._mailbox: Mailbox | None = None
@@ -132,6 +132,7 @@ class Connection(Discovery, Reference):
         `Channel.consume`): such items leave at this age. `overlap`: for this time after an item's own time, later items
         do not end its span. `host` names the host of a new channel. If the channel exists at another live host, the
         call raises ChannelExists. If the channel does not exist and `create` is False, the call raises ChannelNotFound.
+        Blocks for at most 10 s.
 
         `codec` belongs to the handle, not to the channel. It turns the values of `put` into payloads, and payloads into
         `item.value`: "bytes" (default), "json", "numpy" (keeps shape and dtype), or an object with `content_type`,
@@ -272,7 +273,7 @@ class Connection(Discovery, Reference):
         Raises InvalidArgument if the connection has no name, see `connect`.
         """
         if self._mailbox is None:
-            raise InvalidArgument('a mailbox belongs to a name; connect with one, as in connect(name="planner")')
+            raise InvalidArgument('a mailbox belongs to a name; give a name, as in connect(name="planner")')
         return self._mailbox
 
     def send(

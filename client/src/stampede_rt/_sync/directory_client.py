@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from stampede_rt._sync.endpoints import EndpointPool, connection_closed
 from stampede_rt.cluster.binding import order_by_round_trip
-from stampede_rt.cluster.cluster_ids import ClusterSeen, cluster_among, may_go_over, wrong_cluster
+from stampede_rt.cluster.cluster_ids import ClusterSeen, cluster_among, may_change_to, wrong_cluster
 from stampede_rt.cluster.directory_call import (
     DirectoryCall,
     check_frontend,
@@ -94,7 +94,7 @@ class DirectoryClient:
             places = [record.endpoint for record in response.supernodes]
             self._targets = [place.target for place in places]
             self._elsewhere = frozenset(place.target for place in places if self._zone and place.zone != self._zone)
-            self._be_of(response.cluster_id)
+            self._set_cluster(response.cluster_id)
             self._measure()
             return
         raise self._unbound(failure)
@@ -104,12 +104,13 @@ class DirectoryClient:
         """The id of the client's cluster, which every call names. Empty as long as the client knows none."""
         return self._endpoints.metadata.cluster_id
 
-    def _be_of(self, cluster_id: str) -> None:
+    def _set_cluster(self, cluster_id: str) -> None:
+        """Name this cluster in all later calls. Does nothing if the id is empty."""
         if cluster_id not in ("", self.cluster_id):
             self._endpoints.metadata.cluster_id = cluster_id
 
     def _check_cluster(self, target: str, response: frontend_pb.BindResponse) -> None:
-        if not may_go_over(self.cluster_id, response.cluster_id, response.former_cluster_ids):
+        if not may_change_to(self.cluster_id, response.cluster_id, response.former_cluster_ids):
             raise wrong_cluster(f"the front-end {target}", response.cluster_id, self.cluster_id)
 
     def _check_others(self, cluster_id: str, target: str, others: tuple[str, ...]) -> None:
@@ -177,7 +178,7 @@ class DirectoryClient:
         targets = list(self._targets)
         pongs = run_concurrently([functools.partial(self._ping, target) for target in targets])
         answered = {target: pong for target, pong in zip(targets, pongs, strict=True) if pong is not None}
-        self._be_of(cluster_among(self.cluster_id, [pong.cluster for pong in answered.values()]))
+        self._set_cluster(cluster_among(self.cluster_id, [pong.cluster for pong in answered.values()]))
         self._strangers = {
             target for target, pong in answered.items() if pong.cluster.cluster_id not in ("", self.cluster_id)
         }
@@ -302,7 +303,7 @@ class DirectoryClient:
                 seen.append(pong.cluster)
                 if pong.cluster.cluster_id == self.cluster_id:
                     return True
-        self._be_of(cluster_among(self.cluster_id, seen))
+        self._set_cluster(cluster_among(self.cluster_id, seen))
         return any(one.cluster_id == self.cluster_id for one in seen)
 
     def call_leader(self, method: str, request: Any, timeout_s: float) -> Any:

@@ -25,7 +25,7 @@ from stampede_rt.wire.peers import peer_info
 from stampede_rt.wire.queues import queue_info
 from stampede_rt.wire.records import channel_info, channel_stats, host_info, supernode_info
 
-PAGES_MAX = 10_000  # the pages of one list
+PAGES_MAX = 10_000  # the most pages of one list
 LEADER_TIMEOUT_S = 2.5  # if the leader does not answer in this time, the client asks any supernode, without clocks
 
 

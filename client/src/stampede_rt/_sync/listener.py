@@ -138,4 +138,4 @@ class Listener(BackgroundStart, BoundToProcess):
             self.failures += 1
             self.last_failure = error
             if should_log(self.failures):
-                _log.exception("on_item of %s: failure %d; it continues", self._name, self.failures)
+                _log.exception("on_item of %s continues after failure %d of its function", self._name, self.failures)

@@ -24,7 +24,7 @@ class MailboxSender:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._numbers = ProducerNumbers()
-        self._ways: dict[str, Puts] = {}
+        self._puts_by_peer: dict[str, Puts] = {}
         self._mutex = Mutex()
 
     def send(
@@ -41,14 +41,15 @@ class MailboxSender:
         self._session.check()
         coding = Coding.parse(codec, f"the message to {peer!r}", content_type)
         item = SingleItem.parse(coding, payload, None, None, attributes, content_type, message_id)
-        return enqueued(self._way(peer).put(self._numbers, item, Wait.parse(timeout)))
+        return enqueued(self._puts_to(peer).put(self._numbers, item, Wait.parse(timeout)))
 
-    def _way(self, peer: str) -> Puts:
+    def _puts_to(self, peer: str) -> Puts:
         with self._mutex:
-            way = self._ways.pop(peer, None)
-            if way is None:
-                way = Puts(self._session, PeerLocator(self._session, peer), ServerEndpoint.enqueues)
-            self._ways[peer] = way  # the most recently used mailbox is the last in the order
-            if len(self._ways) > PEERS_MAX:
-                self._ways.pop(next(iter(self._ways)))  # the streams of this mailbox close after their last put
-        return way
+            puts = self._puts_by_peer.pop(peer, None)
+            if puts is None:
+                puts = Puts(self._session, PeerLocator(self._session, peer), ServerEndpoint.enqueues)
+            self._puts_by_peer[peer] = puts  # the most recently used mailbox is the last in the order
+            if len(self._puts_by_peer) > PEERS_MAX:
+                # The streams of the removed mailbox close after their last put.
+                self._puts_by_peer.pop(next(iter(self._puts_by_peer)))
+        return puts

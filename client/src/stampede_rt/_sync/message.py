@@ -23,7 +23,7 @@ from stampede_rt.values.queueing import parse_lease, parse_reason
 from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.queues import DeliveredMessage
 
-SETTLEMENTS_MAX = 1024  # in one request
+SETTLEMENTS_MAX = 1024  # the most settlements of one request
 _DONE_ONCE = ("give_back", "terminate")  # verdicts after which the host no longer knows the delivery
 
 
@@ -186,7 +186,7 @@ class Message(BoundToProcess):
         self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     def extend(self, lease: DurationLike = "30s") -> None:
-        """Let the lease end `lease` from now, at most one hour. Blocks for at most 10 s.
+        """Let the lease end `lease` from now. `lease` is at most one hour. Blocks for at most 10 s.
 
         Raises LeaseExpired, Unavailable, InvalidArgument.
         """

@@ -292,7 +292,7 @@ def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMe
 
 
 def dead_letter_id(session: Session, queue: Queue | str | None, of: str) -> bytes | None:
-    """Return the id of `queue`, the dead-letter queue of the queue named `of`. None for None.
+    """Return the id of `queue`, the dead-letter queue of the queue named `of`; None if `queue` is None.
 
     `queue` is a handle or a name. Raises QueueNotFound; InvalidArgument if `queue` is the queue `of` itself.
     """

@@ -67,7 +67,7 @@ def open_queue(
 
 
 def learn_queue(session: Session, record: queue_pb2.QueueRecord, host: directory_pb2.HostRecord) -> QueueInfo:
-    """Keep the owner that the directory named for a queue in the cache. Returns the description of the queue."""
+    """Put the owner of a queue, which the directory has named, into the cache. Returns the queue's description."""
     owner = Owner(
         host_id=record.host_id, epoch=record.epoch, spec_version=record.spec_version, incarnation=record.incarnation
     )
@@ -103,8 +103,8 @@ class QueueLocator:
     def _resolve(self, deadline_s: float) -> None:
         """Ask a supernode for the owner.
 
-        If the owner is lost, open the queue again with the handle's arguments. If these arguments do not allow to
-        create the queue, raise Unavailable.
+        If the owner is lost, open the queue again with the handle's arguments. If these arguments have `create` False,
+        raise Unavailable.
         """
         state = self._state
         request = queue_directory_service_pb2.ResolveQueueRequest(queue_id=state.info.queue_id)

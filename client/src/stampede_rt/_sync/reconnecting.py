@@ -22,7 +22,7 @@ class Reconnecting:
     """Opens a stream, and opens it again after each break, for at most `reconnect` (None: without a limit).
 
     The first opening fails after CALL_TIMEOUT_S, so that the caller soon learns of a wrong name. With `held` the stream
-    counts as open before, so that the first opening, too, may take as long as `reconnect`. `what` names the stream in
+    counts as already open, so that the first opening, too, may take as long as `reconnect`. `what` names the stream in
     logs.
     """
 

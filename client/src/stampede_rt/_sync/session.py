@@ -237,8 +237,8 @@ class Session:
     def _resolve(self, state: ChannelState, deadline_s: float) -> None:
         """Ask a supernode for the owner.
 
-        If the owner is lost, open the channel again with the handle's arguments. If these arguments do not allow to
-        create the channel, raise Unavailable.
+        If the owner is lost, open the channel again with the handle's arguments. If these arguments have `create`
+        False, raise Unavailable.
         """
         timeout_s = left_s(deadline_s)
         request = directory_service_pb2.ResolveChannelRequest(channel_id=state.info.channel_id)

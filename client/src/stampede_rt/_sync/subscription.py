@@ -233,7 +233,7 @@ class Subscription(BoundToProcess):
 
     def _unseen(self, items: list[Item]) -> Iterator[Item]:
         if not self._begun.HasField("group_id"):
-            yield from items  # each response has a cursor of its own
+            yield from items  # without a group, each response with items has a cursor
             return
         for item in items:
             if item.seq in self._since_cursor:

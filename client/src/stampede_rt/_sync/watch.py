@@ -23,10 +23,10 @@ from stampede_rt.values.timeline import DurationLike
 from stampede_rt.wire.peers import peer_change
 from stampede_rt.wire.records import change
 
-Told = TypeVar("Told")
+Event = TypeVar("Event")
 
 
-class DirectoryWatch(BoundToProcess, Generic[Told]):
+class DirectoryWatch(BoundToProcess, Generic[Event]):
     """A stream of changes from a supernode. After a break it continues after the last change, from any supernode."""
 
     def __init__(self, session: Session, request: Any, reconnect: DurationLike | None) -> None:
@@ -36,7 +36,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
         self._request = request
         self._stream: ServerStream[Any] | None = None
         self._responses: Any = None
-        self._ready: deque[Told] = deque()
+        self._ready: deque[Event] = deque()
         self._closed = False
         begin_if_blocking(self._open)
 
@@ -67,7 +67,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
     def __iter__(self) -> Self:
         return self
 
-    def __next__(self) -> Told:
+    def __next__(self) -> Event:
         self._session.check_process()
         while not self._ready or self._closed:
             if self._closed:
@@ -142,7 +142,7 @@ class DirectoryWatch(BoundToProcess, Generic[Told]):
         self._ready.extend(self._changes(response))
         self._request.after_index = max(self._request.after_index, response.applied_index)
 
-    def _changes(self, response: Any) -> Iterable[Told]:
+    def _changes(self, response: Any) -> Iterable[Event]:
         raise NotImplementedError
 
 

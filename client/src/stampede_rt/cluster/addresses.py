@@ -22,7 +22,7 @@ def parse_addresses(url: str) -> tuple[str, ...]:
         raise InvalidArgument(f'the address is {url!r}; give it as text, as in "localhost:7580"')
     parts = [part.strip() for part in url.removeprefix("stampede://").split(",") if part.strip()]
     if not 1 <= len(parts) <= ADDRESSES_MAX:
-        raise InvalidArgument(f'the address is {url!r}; write 1 to {ADDRESSES_MAX} of them, as in "localhost:7580"')
+        raise InvalidArgument(f'the address is {url!r}; write 1 to {ADDRESSES_MAX} addresses, as in "localhost:7580"')
     return tuple(_parse_one(part) for part in parts)
 
 

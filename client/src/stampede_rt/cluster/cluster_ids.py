@@ -31,12 +31,12 @@ def cluster_metadata(cluster_id: str) -> tuple[tuple[str, str], ...]:
     return ((METADATA_KEY, cluster_id),) if cluster_id else ()
 
 
-def told_cluster(metadata: Iterable[Any] | None) -> str:
+def named_cluster(metadata: Iterable[Any] | None) -> str:
     """Return the id of the cluster that a call names; empty if it names none."""
     return next((str(value) for key, value in metadata or () if key == METADATA_KEY), "")
 
 
-def may_go_over(own: str, to: str, to_former: Iterable[str]) -> bool:
+def may_change_to(own: str, to: str, to_former: Iterable[str]) -> bool:
     """Whether a client or service of cluster `own` may change to cluster `to`, which replaces the clusters `to_former`.
 
     `own` is empty if the client or service has met no cluster yet.
@@ -54,7 +54,7 @@ def cluster_among(own: str, seen: Iterable[ClusterSeen]) -> str:
     known = [one for one in seen if one.cluster_id]
     if own and any(one.cluster_id == own for one in known):
         return own
-    return next((one.cluster_id for one in known if may_go_over(own, *one)), own)
+    return next((one.cluster_id for one in known if may_change_to(own, *one)), own)
 
 
 def wrong_cluster(who: str, own: str, callers: str) -> WrongCluster:

@@ -34,8 +34,8 @@ def why_unserved(failures: Mapping[str, StampedeError], supernodes: int) -> Stam
         answering = f"{supernodes - len(silent)} of {supernodes} supernodes answer"
         missing = ", ".join(f"{target} {_how(error)}" for target, error in silent.items())
         return Unavailable(
-            f"the directory has no majority: {answering}, {needed} must ({missing}); start them "
-            "with their folders, `stampede doctor` looks at all of them",
+            f"the directory has no majority: {answering}, {needed} must answer ({missing}); start these with their "
+            "folders; `stampede doctor` examines all supernodes",
             reason="NO_QUORUM",
         )
     spoken = [error for target, error in failures.items() if target not in silent]

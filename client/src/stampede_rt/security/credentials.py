@@ -30,7 +30,7 @@ def read_secret(path: Path | None = None) -> str | None:
     """Return the secret that a caller sends: the first line of the file `path` (default: `secret_file()`).
 
     None if there is no such file; "" if the file is empty. Raises PermissionDenied if the file cannot be used, or if
-    other users may read it.
+    every user of the machine may read it.
     """
     values = read_secrets(path)
     return None if values is None else "".join(values[:1])
@@ -40,7 +40,7 @@ def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
     """Return all secrets in the file `path`, one on each line; None if there is no such file. Services accept each one.
 
     A file has at most two secrets, so that an operator can replace the secret of a running cluster. Raises
-    PermissionDenied if the file cannot be used, or if other users may read it.
+    PermissionDenied if the file cannot be used, or if every user of the machine may read it.
     """
     path = path or secret_file()
     try:

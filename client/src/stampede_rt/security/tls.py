@@ -104,7 +104,7 @@ class TlsReader:
             logger.info("new certificates from now on: %s", self.files.certificate)
         except (PermissionDenied, OSError) as error:
             logger.warning(
-                "the certificate files have changed, but cannot be used; the earlier contents count: %s", error
+                "the certificate files have changed, but cannot be used; the earlier contents stay in use: %s", error
             )
             self._refused = stamp
 
@@ -167,4 +167,4 @@ def check_files(files: TlsFiles) -> None:
         context.load_cert_chain(certificate, key, password=lambda: "-")
     except ssl.SSLError as error:
         what = f"the certificate {certificate} and the private key {key} cannot be used together"
-        raise PermissionDenied(f"{what} ({error.reason or error}); issue both anew") from error
+        raise PermissionDenied(f"{what} ({error.reason or error}); issue both again") from error

@@ -97,8 +97,8 @@ class NewestItems(ByChannel[Key, Item | None]):
     def __init__(self, channels: Sequence[Key], answers: Mapping[bytes, Items]) -> None:
         """`answers`: for each channel an answer that has the newest item first."""
         super().__init__(channels, {one: (items[0] if items else None) for one, items in answers.items()})
-        told = {one: items.reason for one, items in answers.items() if not items and items.reason is not None}
-        self.reasons: ByChannel[Key, Reason] = ByChannel(channels, told)
+        reasons = {one: items.reason for one, items in answers.items() if not items and items.reason is not None}
+        self.reasons: ByChannel[Key, Reason] = ByChannel(channels, reasons)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,7 +14,7 @@ OVERLAP_NANOS_MAX = 3_600_000_000_000
 its start."""
 
 OnFull = Literal["drop_oldest", "block", "reject"]
-"""What the host does with a put on a full channel or queue."""
+"""The effect of a put on a full channel or queue."""
 ChangeKind = Literal["added", "updated", "removed"]
 
 
@@ -195,7 +195,7 @@ class HostInfo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SupernodeInfo:
-    """A supernode, as the supernode sees it that answered the call."""
+    """A supernode, from the view of the supernode that answered the call."""
 
     supernode_id: str
     endpoint: str

@@ -65,7 +65,7 @@ def content_type_of(value: str | None) -> str | None:
 
 
 def duration_of(what: str, value: DurationLike | None, *, least: int) -> int | None:
-    """Return `value` in nanoseconds; None for None. Raises InvalidArgument, which names `what`.
+    """Return `value` in nanoseconds; None if it is None. Raises InvalidArgument, which names `what`.
 
     `least` is 1 if the duration must be more than 0, and 0 if it may be 0.
     """
@@ -78,7 +78,7 @@ def duration_of(what: str, value: DurationLike | None, *, least: int) -> int | N
 
 
 def count_of(what: str, value: int | None) -> int | None:
-    """Return `value`, a whole number of 1 or more; None for None. Raises InvalidArgument, which names `what`."""
+    """Return `value`, a whole number of 1 or more; None if it is None. Raises InvalidArgument, which names `what`."""
     if value is None:
         return None
     count = whole_number_of(what, value)

@@ -149,7 +149,10 @@ class DeadLetterOrigin:
 
 
 def parse_message_id(value: str | None) -> str:
-    """Return the message id; an empty text for None. Raises InvalidArgument unless it has 1 to 128 bytes in UTF-8."""
+    """Return the message id; an empty text if it is None.
+
+    Raises InvalidArgument unless it has 1 to 128 bytes in UTF-8.
+    """
     if value is None:
         return ""
     if not 0 < (text_length_bytes(value) or 0) <= MESSAGE_ID_BYTES_MAX:
@@ -158,7 +161,7 @@ def parse_message_id(value: str | None) -> str:
 
 
 def parse_reason(value: str | None) -> str:
-    """Return the text of a taker that gives a message up; an empty text for None.
+    """Return the text of a taker that gives a message up; an empty text if it is None.
 
     Raises InvalidArgument if it has more than REASON_BYTES_MAX bytes in UTF-8.
     """
@@ -200,7 +203,10 @@ def parse_queue_policy(
 
 
 def parse_lease(value: DurationLike | None) -> int | None:
-    """Return a lease in nanoseconds; None for None. Raises InvalidArgument unless it is over 0 and at most one hour."""
+    """Return a lease in nanoseconds; None if `value` is None.
+
+    Raises InvalidArgument unless the lease is more than 0 and at most one hour.
+    """
     nanos = duration_of("lease", value, least=1)
     if nanos is not None and nanos > LEASE_NANOS_MAX:
         raise InvalidArgument(f"lease is {value!r}; it is at most 1 h: extend it while you work")

@@ -70,7 +70,7 @@ def _read_duration(value: str, what: str) -> int:
 
 
 def parse_item_duration(value: DurationLike | int | None) -> int | None:
-    """Return the nanoseconds of an item's duration; None for None.
+    """Return the nanoseconds of an item's duration; None if it is None.
 
     Unlike `parse_duration`, takes an int as nanoseconds, so that a caller can write `duration=item.duration`. Raises
     InvalidArgument.

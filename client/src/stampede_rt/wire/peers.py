@@ -35,7 +35,7 @@ def clock_offset(message: peer_pb2.ClockOffset) -> ClockOffset:
 
 
 def clock_message(clock: ClockOffset | None) -> peer_pb2.ClockOffset | None:
-    """Return the message for a clock offset; None for None, so that the field stays absent."""
+    """Return the message for a clock offset; None if `clock` is None, so that the field stays absent."""
     if clock is None:
         return None
     return peer_pb2.ClockOffset(

@@ -1,4 +1,4 @@
-"""Conversion of queues, their counters and their deliveries to and from protobuf messages (`queue.proto`)."""
+"""Converts queues, their counters and their deliveries to and from protobuf messages (`queue.proto`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Conversion of bounds, intervals, positions and answers to and from protobuf (`time.proto`, `item.proto`)."""
+"""Converts bounds, intervals, positions and answers to and from protobuf (`time.proto`, `item.proto`)."""
 
 from __future__ import annotations
 

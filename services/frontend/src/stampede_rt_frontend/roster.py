@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from stampede_rt.cluster.cluster_ids import may_go_over
+from stampede_rt.cluster.cluster_ids import may_change_to
 from stampede_rt_frontend.ranking import Supernode, smooth
 
 SUPERNODES_MAX = 64  # probed at the same time; a consensus group has 3 to 7 members
@@ -154,7 +154,7 @@ class SupernodeRoster:
             return True
         if self.cluster_id and self.any_healthy():
             return False
-        if not may_go_over(self.cluster_id, answer.cluster_id, answer.former_cluster_ids):
+        if not may_change_to(self.cluster_id, answer.cluster_id, answer.former_cluster_ids):
             return False  # the cluster that this front-end serves may come back
         # This is the first cluster that answers, or it replaces the served cluster, which is gone.
         self.cluster_id, self._position = answer.cluster_id, (0, 0)

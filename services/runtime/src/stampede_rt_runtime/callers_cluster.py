@@ -7,7 +7,7 @@ from typing import Any
 
 import grpc
 
-from stampede_rt.cluster.cluster_ids import told_cluster
+from stampede_rt.cluster.cluster_ids import named_cluster
 from stampede_rt.errors import StampedeError
 from stampede_rt.status import abort
 
@@ -32,7 +32,7 @@ class ClusterInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unus
         handler_call_details: grpc.HandlerCallDetails,
     ) -> Any:
         """The method's handler, or a handler that refuses the call."""
-        named = told_cluster(handler_call_details.invocation_metadata)
+        named = named_cluster(handler_call_details.invocation_metadata)
         if named and handler_call_details.method not in _OPEN_METHODS:
             refusal = self._judge(named)
             if refusal is not None:

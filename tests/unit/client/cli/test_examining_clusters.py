@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt.cli.examining import _Answer, _cluster_of_most, _of_others, _told_apart
+from stampede_rt.cli.examining import _Answer, _cluster_of_most, _marked_if_foreign, _of_others
 from stampede_rt.cli.observations import SUPERNODE, Observation
 from stampede_rt.v1 import directory_service_pb2 as pb
 
@@ -34,7 +34,7 @@ def test_the_cluster_of_most_supernodes_is_the_one_that_is_looked_at(
     own_id = _cluster_of_most(answers)
     assert "".join(one.seen.name for one in answers if _of_others(one, own_id)) == strangers
     for one in answers:
-        told = _told_apart(one, own_id)
+        told = _marked_if_foreign(one, own_id)
         if one.seen.name in strangers:
             assert f"of another cluster, {one.response.cluster_id}, answers there" in told.seen.failure
         else:

@@ -10,8 +10,8 @@ from stampede_rt.cluster.cluster_ids import (
     ClusterSeen,
     cluster_among,
     cluster_metadata,
-    may_go_over,
-    told_cluster,
+    may_change_to,
+    named_cluster,
     wrong_cluster,
 )
 from stampede_rt.cluster.majority import why_unserved
@@ -36,7 +36,7 @@ STRANGER = WrongCluster("this supernode is of cluster y")
 def test_only_the_successor_of_a_cluster_and_one_in_memory_after_another_take_over_its_parts(
     own: str, to: str, former: tuple[str, ...], may: bool
 ) -> None:
-    assert may_go_over(own, to, former) is may
+    assert may_change_to(own, to, former) is may
 
 
 def test_a_caller_stays_with_its_cluster_as_long_as_that_one_answers() -> None:
@@ -52,8 +52,8 @@ def test_a_call_names_its_callers_cluster_once_that_is_known() -> None:
     assert metadata() == (("authorization", "Bearer s"),)
     metadata.cluster_id = "x"
     assert metadata() == (("authorization", "Bearer s"), (METADATA_KEY, "x"))
-    assert told_cluster(metadata()) == "x"
-    assert (told_cluster(None), cluster_metadata("")) == ("", ())
+    assert named_cluster(metadata()) == "x"
+    assert (named_cluster(None), cluster_metadata("")) == ("", ())
 
 
 def test_the_refusal_names_both_clusters_and_the_way_out_and_shows_no_endless_id() -> None:
@@ -68,7 +68,7 @@ def test_one_of_another_cluster_counts_like_one_that_does_not_answer() -> None:
     told = why_unserved({"a": answering, "b": answering, "c": STRANGER}, 3)
     assert told is answering
     told = why_unserved({"a": answering, "b": STRANGER, "c": STRANGER}, 3)
-    assert "1 of 3 supernodes answer, 2 must (b is of another cluster, c is of another cluster)" in told.message
+    assert "1 of 3 supernodes answer, 2 must answer (b is of another cluster, c is of another cluster)" in told.message
 
 
 def test_that_all_are_of_another_cluster_is_told_as_such() -> None:

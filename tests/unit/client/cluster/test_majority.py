@@ -26,7 +26,7 @@ def test_that_too_few_answer_is_told_as_the_loss_of_the_majority_whoever_was_ask
     ):
         said = told(dict(failures))
         assert said.startswith(
-            "NO_QUORUM: the directory has no majority: 1 of 3 supernodes answer, 2 must (a cannot be"
+            "NO_QUORUM: the directory has no majority: 1 of 3 supernodes answer, 2 must answer (a cannot be"
         )
         assert "address" not in said
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from stampede_rt.cluster.cluster_ids import may_go_over, wrong_cluster
+from stampede_rt.cluster.cluster_ids import may_change_to, wrong_cluster
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt_runtime.written import naming
 
@@ -59,7 +59,7 @@ class HomeCluster:
 
     def judge(self, callers: str) -> StampedeError | None:
         """The error for a caller of the cluster `callers`; None if the host serves such callers."""
-        if may_go_over(callers, self.cluster_id, self._former):
+        if may_change_to(callers, self.cluster_id, self._former):
             return None
         return wrong_cluster("this host", self.cluster_id, callers)
 

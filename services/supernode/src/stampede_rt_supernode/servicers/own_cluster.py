@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from stampede_rt.cluster.cluster_ids import may_go_over, wrong_cluster
+from stampede_rt.cluster.cluster_ids import may_change_to, wrong_cluster
 from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt_runtime.cluster_ids import cluster_id_of
 from stampede_rt_supernode.core.directory import Directory
@@ -33,7 +33,7 @@ class OwnCluster:
         own, held = self.id(), self._replica.read(_id_of)
         if not own or held != own:
             return Unavailable(f"cluster {own or 'here'} is just beginning; try again in a moment", reason="NO_QUORUM")
-        if may_go_over(callers, own, self._replica.read(_former_of)):
+        if may_change_to(callers, own, self._replica.read(_former_of)):
             return None
         return wrong_cluster("this supernode", own, callers)
 
