@@ -9,6 +9,8 @@ from __future__ import annotations
 import pytest
 from _pytest.mark.structures import ParameterSet
 
+from stampede_rt_channel_host.channels.request_room import CALLER_BYTES_MAX
+from stampede_rt_runtime.limits import Limits
 from tests.benchmarks.attacks.trial import Found, trial
 
 pytestmark = pytest.mark.timeout(120)
@@ -40,6 +42,15 @@ async def test_what_is_no_request_leaves_nothing_in_the_logs() -> None:
     assert (await attacked("malformed")).log_bytes < 10_000
 
 
+@pytest.mark.parametrize("name", ["unfinished-puts", *rare("unfinished-messages")])
+async def test_requests_that_nobody_finishes_take_no_more_than_their_room_and_a_small_window_for_each_stream(
+    name: str,
+) -> None:
+    found = await attacked(name)
+    windows_bytes = 1000 * Limits().request_bytes_max if name == "unfinished-messages" else CALLER_BYTES_MAX
+    assert found.most_mib < found.before_mib + windows_bytes / 2**20 + MARGIN_MIB
+
+
 @pytest.mark.parametrize(
     "name", rare("busy-puts", "large-gets", "many-subscriptions", "blocked-gets", "many-streams", "held-bytes")
 )
@@ -52,7 +63,7 @@ async def test_a_client_that_takes_all_of_a_quota_costs_others_no_call_and_no_le
     [
         "waiting-puts",
         *rare("repeated-fields", "refused-runs", "unknown-fields", "waiting-enqueues"),
-        *rare("unfinished-puts", "silent-subscriptions", "silent-takers"),
+        *rare("silent-subscriptions", "silent-takers"),
     ],
 )
 async def test_what_clients_made_a_host_hold_goes_back_to_the_system_and_costs_no_call(name: str) -> None:

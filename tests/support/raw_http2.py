@@ -6,6 +6,8 @@ import asyncio
 import struct
 from collections.abc import Mapping
 
+from stampede_rt.wire.runs import encode_varint
+
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
 DATA, HEADERS, RST_STREAM, SETTINGS, PING, GOAWAY, WINDOW_UPDATE = 0, 1, 3, 4, 6, 7, 8
 ACK, END_HEADERS = 1, 4
@@ -17,6 +19,7 @@ class RawConnection:
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.allowed_bytes: dict[int, int] = {}
+        self.sent_bytes: dict[int, int] = {}  # of each stream, by the methods that send as allowed
         self.ended: dict[int, asyncio.Event] = {}
         self.greeted = asyncio.Event()  # the server has sent its settings
         self.streams_max = 0
@@ -38,6 +41,7 @@ class RawConnection:
         """Begin a call, sending only its headers. Returns the number of the stream."""
         stream, self._next_stream = self._next_stream, self._next_stream + 2
         self.allowed_bytes[stream] = self._initial_bytes
+        self.sent_bytes[stream] = 0
         self.ended[stream] = asyncio.Event()
         fields = {
             ":method": "POST",
@@ -64,15 +68,25 @@ class RawConnection:
 
         Returns early if the server ends the stream.
         """
-        body, sent = memoryview(struct.pack("!BI", 0, message_bytes) + bytes(sent_bytes)), 0
-        while sent < len(body) and not self.ended[stream].is_set():
+        await self._send(stream, struct.pack("!BI", 0, message_bytes) + bytes(sent_bytes))
+
+    async def send_message_as_allowed(self, stream: int, message: bytes) -> None:
+        """Send a whole message, but never more than the server allows.
+
+        Returns early if the server ends the stream.
+        """
+        await self._send(stream, struct.pack("!BI", 0, len(message)) + message)
+
+    async def _send(self, stream: int, bytes_to_send: bytes) -> None:
+        body, end = memoryview(bytes_to_send), self.sent_bytes[stream] + len(bytes_to_send)
+        while (sent := self.sent_bytes[stream]) < end and not self.ended[stream].is_set():
             self._more_allowed.clear()
             room = min(16_384, self.allowed_bytes[stream] - sent, self._connection_bytes)
             if room <= 0:
                 await self._more_allowed.wait()
                 continue
-            piece = body[sent : sent + room]
-            sent, self._connection_bytes = sent + len(piece), self._connection_bytes - len(piece)
+            piece = body[len(body) - (end - sent) :][:room]
+            self.sent_bytes[stream], self._connection_bytes = sent + len(piece), self._connection_bytes - len(piece)
             self._writer.write(_frame(DATA, 0, stream, piece))
             await self._writer.drain()
 
@@ -127,5 +141,5 @@ def _literal(name: str, value: str) -> bytes:
 
 def _string(text: str) -> bytes:
     raw = text.encode()
-    assert len(raw) < 127, "longer ones need a second byte"
-    return bytes((len(raw),)) + raw
+    length = bytes((len(raw),)) if len(raw) < 127 else b"\x7f" + encode_varint(len(raw) - 127)
+    return length + raw

@@ -31,6 +31,7 @@ CASES: dict[str, Case] = {
     "idle-connections": Case(without_credential.idle_connections),
     "malformed": Case(without_credential.malformed),
     "unfinished-puts": Case(without_credential.unfinished_puts),
+    "unfinished-messages": Case(without_credential.unfinished_messages),
     "health-watches": Case(neighbours.health_watches),
     "repeated-fields": Case(memory.repeated_fields),
     "attributes": Case(memory.attributes),

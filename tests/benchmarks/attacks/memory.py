@@ -10,6 +10,7 @@ from typing import Any
 import grpc
 
 import stampede_rt as st
+from stampede_rt.transports.grpc_options import ENQUEUE_METHOD, PUT_METHOD
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2, queue_directory_service_pb2, raw_run_pb2, time_pb2
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
@@ -17,16 +18,19 @@ from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.queue_directory_service_pb2_grpc import QueueDirectoryServiceStub
 from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
+from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt.wire.runs import encode_run
 from tests.benchmarks.attacks.ground import Ground, all_of, for_ever
 
 MIB = 2**20
 NAME = "hostile"
-STREAMS, GETS, REFUSED, TWICE = 60, 64, 800, 150
+STREAMS, GETS, REFUSED, TWICE = 60, 1280, 800, 150
+UNKNOWN_BYTES = 200 * 2**10
 WAITING, WAITING_BYTES = 40, 15 * MIB
 HELD_ITEMS = 16
 ATTRIBUTED_ITEMS = 20_000
 HOUR_NANOS = 3600 * 10**9
+HELD: list[Any] = []  # calls that nobody holds are cancelled
 FIELD_999 = bytes(((999 << 3 | 2) & 127 | 128, (999 << 3 | 2) >> 7))  # bytes of a field that the contract lacks
 
 
@@ -42,7 +46,8 @@ async def put_all(ground: Ground, name: str, runs: Sequence[bytes] | Any) -> Non
     async def requests() -> AsyncIterator[bytes]:
         for number, run in enumerate(runs, start=1):
             put = raw_run_pb2.RawPutRun(first_number=number, wait_nanos=0, run=run)
-            yield raw_run_pb2.RawPutRequest(**known, puts=[put]).SerializeToString()
+            for message in messages_of(raw_run_pb2.RawPutRequest(**known, puts=[put]).SerializeToString()):
+                yield message
 
     async with ground.channel(ground.host) as channel:
         call = channel.stream_stream("/stampede_rt.v1.ChannelService/Put")
@@ -91,8 +96,7 @@ async def waiting_puts(ground: Ground, under_way: Callable[[], None]) -> None:
         await put_all(ground, NAME, [encode_run([b"first"], times=None)])
         run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
         request = pb.PutRequest(**known, puts=[pb.PutRun(first_number=1, run=run)])
-        calls = [stub(ground, ChannelServiceStub).Put(metadata=ground.metadata) for _ in range(WAITING)]
-        await _write_and_stay(calls, request, under_way)
+        await _write_and_stay(ground, PUT_METHOD, request, under_way)
 
 
 async def waiting_enqueues(ground: Ground, under_way: Callable[[], None]) -> None:
@@ -102,8 +106,7 @@ async def waiting_enqueues(ground: Ground, under_way: Callable[[], None]) -> Non
         known = await queue_known(ground)
         run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
         request = queue_pb.EnqueueRequest(**known, runs=[queue_pb.EnqueueRun(first_number=1, run=run)])
-        calls = [stub(ground, QueueServiceStub).Enqueue(metadata=ground.metadata) for _ in range(WAITING)]
-        await _write_and_stay(calls, request, under_way)
+        await _write_and_stay(ground, ENQUEUE_METHOD, request, under_way)
 
 
 async def queue_known(ground: Ground) -> dict[str, Any]:
@@ -115,10 +118,17 @@ async def queue_known(ground: Ground) -> dict[str, Any]:
     return {"queue_id": record.queue_id, "epoch": record.epoch}
 
 
-async def _write_and_stay(calls: Sequence[Any], request: Any, under_way: Callable[[], None]) -> None:
+async def _write_and_stay(ground: Ground, method: str, request: Any, under_way: Callable[[], None]) -> None:
     under_way()
-    await all_of(*(call.write(request) for call in calls))
+    await all_of(*(_write(ground, method, request.SerializeToString()) for _ in range(WAITING)))
     await for_ever()
+
+
+async def _write(ground: Ground, method: str, request: bytes) -> None:
+    call: Any = ground.channel(ground.host).stream_stream(method)(metadata=ground.metadata)
+    HELD.append(call)
+    for message in messages_of(request):
+        await call.write(message)
 
 
 async def silent_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:
@@ -160,7 +170,7 @@ async def silent_takers(ground: Ground, under_way: Callable[[], None]) -> None:
 
 
 async def unknown_fields(ground: Ground, under_way: Callable[[], None]) -> None:
-    """64 gets that wait, with 4 MiB each of fields that the contract does not have."""
+    """1280 gets that wait, with 200 KiB each of fields that the contract does not have."""
     async with ground.connect() as rt:
         await rt.channel(NAME)
         known = await ground.bound(NAME)
@@ -169,7 +179,7 @@ async def unknown_fields(ground: Ground, under_way: Callable[[], None]) -> None:
             end=time_pb2.Bound(instant_unix_nano=MAX_INSTANT),
         )
         get = pb.GetRequest(call_id=1, interval=ahead, wait_nanos=-1, **known).SerializeToString()
-        raw = get + FIELD_999 + _varint(4 * MIB) + bytes(4 * MIB)
+        raw = get + FIELD_999 + _varint(UNKNOWN_BYTES) + bytes(UNKNOWN_BYTES)
         under_way()
         calls = [
             ground.channel(ground.host).stream_stream("/stampede_rt.v1.ChannelService/Get")(metadata=ground.metadata)

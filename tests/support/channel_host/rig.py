@@ -6,11 +6,13 @@ from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from stampede_rt.transports.grpc_options import PUT_METHOD
 from stampede_rt.v1 import channel_pb2, item_pb2, time_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
+from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.server import serving
 from tests.support.channel_host.fake_directory import FakeDirectory
@@ -58,7 +60,8 @@ class Opened:
         request = pb.PutRequest(
             channel_id=self.channel_id, epoch=self.epoch if epoch is None else epoch, producer_id=producer_id, puts=runs
         )
-        call = self.rig.channels.Put(iter((request,)))
+        put = self.rig.connection.stream_stream(PUT_METHOD, response_deserializer=pb.PutResponse.FromString)
+        call = put(messages_of(request.SerializeToString()))
         return [ack async for response in call for ack in response.acks]
 
     async def get(self, **fields: Any) -> Got:

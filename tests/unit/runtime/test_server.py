@@ -170,9 +170,12 @@ async def test_a_message_beyond_the_limit_is_refused_on_the_way_in() -> None:
     assert caught.value.code() is grpc.StatusCode.RESOURCE_EXHAUSTED
 
 
-async def test_a_message_of_19_mib_passes_both_ways() -> None:
+async def test_a_message_of_19_mib_passes_both_ways_if_the_server_accepts_large_requests() -> None:
     payload = bytes(19 * 2**20)
-    async with serving(Probe().register) as server, dial(server.address, secret=None) as channel:
+    async with (
+        serving(Probe().register, limits=Limits(request_bytes_max=20 * 2**20)) as server,
+        dial(server.address, secret=None) as channel,
+    ):
         assert await channel.unary_unary("/test.Probe/Echo")(payload, timeout=20) == payload
 
 

@@ -26,6 +26,8 @@ CHECK = "/grpc.health.v1.Health/Check"
 LIST = "/stampede_rt.v1.DirectoryService/ListChannels"
 WATCH = "/stampede_rt.v1.DirectoryService/Watch"
 FOLLOW = "/stampede_rt.v1.DirectoryService/Follow"
+HOLD = "/stampede_rt.v1.DirectoryService/Hold"
+READ = "/stampede_rt.v1.DirectoryService/Read"
 SECRET = Secret(text="right", path=Path("secret"))
 NO_REQUEST = b"\xff\xff\xff"
 
@@ -41,6 +43,8 @@ class Directory(grpc.GenericRpcHandler):
             LIST: (grpc.unary_unary_rpc_method_handler, self.list),
             WATCH: (grpc.unary_stream_rpc_method_handler, self.watch),
             FOLLOW: (grpc.stream_stream_rpc_method_handler, self.follow),
+            HOLD: (grpc.stream_stream_rpc_method_handler, self.hold),
+            READ: (grpc.stream_stream_rpc_method_handler, self.read),
         }
         if details.method not in kinds:
             return None
@@ -58,6 +62,13 @@ class Directory(grpc.GenericRpcHandler):
     async def follow(self, requests: Any, context: Any) -> None:
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._echo_all(context))
+
+    async def read(self, requests: Any, context: Any) -> None:
+        while await context.read() is not grpc.aio.EOF:
+            pass
+
+    async def hold(self, requests: Any, context: Any) -> None:
+        await asyncio.Event().wait()
 
     async def _echo_all(self, context: Any) -> None:
         while (request := await context.read()) is not grpc.aio.EOF:
@@ -175,6 +186,32 @@ async def test_a_connection_has_a_limited_number_of_calls_and_a_caller_with_more
         assert await one.list("beside") == "beside"
         for call in held:
             call.cancel()
+
+
+async def test_a_caller_cannot_send_more_than_a_small_window_on_a_stream_that_nobody_reads() -> None:
+    limits = Limits()
+    async with port() as one:
+        raw = await RawConnection.open(one.address)
+        await raw.greeted.wait()
+        read, unread = await raw.call(READ), await raw.call(HOLD)
+        message = pb.ListChannelsRequest(name_glob="x" * 200_000).SerializeToString()
+        for _ in range(40):  # a fast stream must not widen the windows of the others
+            await raw.send_message_as_allowed(read, message)
+        await raw.send_as_allowed(unread, limits.request_bytes_max, limits.unread_bytes_max - 10)
+        await raw.send_message_as_allowed(read, message)
+        assert raw.allowed_bytes[unread] <= limits.unread_bytes_max
+        await raw.aclose()
+
+
+async def test_a_message_over_the_limit_is_refused_before_it_has_come() -> None:
+    async with port() as one:
+        raw = await RawConnection.open(one.address)
+        await raw.greeted.wait()
+        stream = await raw.call(FOLLOW)
+        await raw.begin_message(stream, Limits().request_bytes_max + 1, 100)
+        async with asyncio.timeout(20):
+            await raw.ended[stream].wait()
+        await raw.aclose()
 
 
 async def test_servers_of_the_directory_take_no_message_of_an_items_size() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import chain
 from queue import SimpleQueue
 from typing import Any, TypeVar
 from weakref import WeakSet, ref
@@ -27,6 +28,7 @@ from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.delivered import ItemCount
+from stampede_rt.wire.request_pieces import messages_of
 
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
@@ -98,7 +100,7 @@ class ServerEndpoint(Stubs):
         gRPC's sending thread waits for requests without a limit. It ends when it reads None from `requests`. The end of
         the call puts None there.
         """
-        call = self.begin(method, iter(requests.get, None))
+        call = self.begin(method, chain.from_iterable(map(messages_of, iter(requests.get, None))))
         if not call.add_callback(partial(requests.put, None)):
             requests.put(None)  # the call has already ended
         return call

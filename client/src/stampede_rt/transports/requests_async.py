@@ -10,6 +10,8 @@ from typing import Any
 import grpc
 import grpc.aio
 
+from stampede_rt.wire.request_pieces import messages_of
+
 
 class Requests:
     """Writes the requests of one call in their order, in its own task, until the call ends.
@@ -50,7 +52,8 @@ class Requests:
         with suppress(grpc.RpcError, asyncio.InvalidStateError, asyncio.CancelledError):
             while True:
                 while self._waiting:
-                    await self._call.write(self._waiting.popitem(last=False)[1])
+                    for message in messages_of(self._waiting.popitem(last=False)[1]):
+                        await self._call.write(message)
                 self._more.clear()
                 await self._more.wait()
 

@@ -21,16 +21,26 @@ SUBSCRIBE_MODE_ALL: SubscribeMode
 SUBSCRIBE_MODE_NEWEST: SubscribeMode
 
 class PutRequest(_message.Message):
-    __slots__ = ("channel_id", "epoch", "producer_id", "puts")
+    __slots__ = ("channel_id", "epoch", "producer_id", "puts", "piece")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
     PUTS_FIELD_NUMBER: _ClassVar[int]
+    PIECE_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     producer_id: int
     puts: _containers.RepeatedCompositeFieldContainer[PutRun]
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., puts: _Optional[_Iterable[_Union[PutRun, _Mapping]]] = ...) -> None: ...
+    piece: RequestPiece
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., puts: _Optional[_Iterable[_Union[PutRun, _Mapping]]] = ..., piece: _Optional[_Union[RequestPiece, _Mapping]] = ...) -> None: ...
+
+class RequestPiece(_message.Message):
+    __slots__ = ("request_bytes", "content")
+    REQUEST_BYTES_FIELD_NUMBER: _ClassVar[int]
+    CONTENT_FIELD_NUMBER: _ClassVar[int]
+    request_bytes: int
+    content: bytes
+    def __init__(self, request_bytes: _Optional[int] = ..., content: _Optional[bytes] = ...) -> None: ...
 
 class PutRun(_message.Message):
     __slots__ = ("first_number", "wait_nanos", "run")

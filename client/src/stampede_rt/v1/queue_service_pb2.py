@@ -27,37 +27,37 @@ from stampede_rt.v1 import item_pb2 as stampede__rt_dot_v1_dot_item__pb2
 from stampede_rt.v1 import queue_pb2 as stampede__rt_dot_v1_dot_queue__pb2
 
 
-DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\"stampede_rt/v1/queue_service.proto\x12\x0estampede_rt.v1\x1a$stampede_rt/v1/channel_service.proto\x1a\x19stampede_rt/v1/item.proto\x1a\x1astampede_rt/v1/queue.proto\"p\n\x0e\x45nqueueRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bproducer_id\x18\x03 \x01(\x06\x12(\n\x04runs\x18\x04 \x03(\x0b\x32\x1a.stampede_rt.v1.EnqueueRun\"\xb6\x01\n\nEnqueueRun\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\x17\n\nwait_nanos\x18\x02 \x01(\x12H\x00\x88\x01\x01\x12$\n\x03run\x18\x03 \x01(\x0b\x32\x17.stampede_rt.v1.ItemRun\x12\x12\n\nmessage_id\x18\x04 \x01(\t\x12\x30\n\x06origin\x18\x05 \x01(\x0b\x32 .stampede_rt.v1.DeadLetterOriginB\r\n\x0b_wait_nanos\"7\n\x0f\x45nqueueResponse\x12$\n\x04\x61\x63ks\x18\x01 \x03(\x0b\x32\x16.stampede_rt.v1.PutAck\"\x85\x01\n\x0bTakeRequest\x12&\n\x04open\x18\x01 \x01(\x0b\x32\x18.stampede_rt.v1.TakeOpen\x12\x0e\n\x06\x63redit\x18\x02 \x01(\r\x12/\n\x0bsettlements\x18\x03 \x03(\x0b\x32\x1a.stampede_rt.v1.Settlement\x12\r\n\x05\x64rain\x18\x04 \x01(\x08\"{\n\x08TakeOpen\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x10\n\x08taker_id\x18\x03 \x01(\x06\x12\x18\n\x0blease_nanos\x18\x04 \x01(\x03H\x00\x88\x01\x01\x12\x12\n\ntaker_name\x18\x05 \x01(\tB\x0e\n\x0c_lease_nanos\"\x90\x01\n\x0cTakeResponse\x12\'\n\x04runs\x18\x01 \x03(\x0b\x32\x19.stampede_rt.v1.LeasedRun\x12\x31\n\x07results\x18\x02 \x03(\x0b\x32 .stampede_rt.v1.SettlementResult\x12\x13\n\x0bincarnation\x18\x03 \x01(\x06\x12\x0f\n\x07\x64rained\x18\x04 \x01(\x08\"s\n\rSettleRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x10\n\x08taker_id\x18\x03 \x01(\x06\x12/\n\x0bsettlements\x18\x04 \x03(\x0b\x32\x1a.stampede_rt.v1.Settlement\"C\n\x0eSettleResponse\x12\x31\n\x07results\x18\x01 \x03(\x0b\x32 .stampede_rt.v1.SettlementResult\"c\n\x12ListPendingRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x19\n\x11\x61\x66ter_delivery_id\x18\x03 \x01(\x06\x12\x11\n\tpage_size\x18\x04 \x01(\r\"X\n\x13ListPendingResponse\x12\x33\n\ndeliveries\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.PendingDelivery\x12\x0c\n\x04more\x18\x02 \x01(\x08\"8\n\x15GetQueueStatusRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\"E\n\x16GetQueueStatusResponse\x12+\n\x06status\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueStatus2\xa7\x03\n\x0cQueueService\x12N\n\x07\x45nqueue\x12\x1e.stampede_rt.v1.EnqueueRequest\x1a\x1f.stampede_rt.v1.EnqueueResponse(\x01\x30\x01\x12\x45\n\x04Take\x12\x1b.stampede_rt.v1.TakeRequest\x1a\x1c.stampede_rt.v1.TakeResponse(\x01\x30\x01\x12G\n\x06Settle\x12\x1d.stampede_rt.v1.SettleRequest\x1a\x1e.stampede_rt.v1.SettleResponse\x12V\n\x0bListPending\x12\".stampede_rt.v1.ListPendingRequest\x1a#.stampede_rt.v1.ListPendingResponse\x12_\n\x0eGetQueueStatus\x12%.stampede_rt.v1.GetQueueStatusRequest\x1a&.stampede_rt.v1.GetQueueStatusResponseb\x06proto3')
+DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(b'\n\"stampede_rt/v1/queue_service.proto\x12\x0estampede_rt.v1\x1a$stampede_rt/v1/channel_service.proto\x1a\x19stampede_rt/v1/item.proto\x1a\x1astampede_rt/v1/queue.proto\"\x9d\x01\n\x0e\x45nqueueRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x13\n\x0bproducer_id\x18\x03 \x01(\x06\x12(\n\x04runs\x18\x04 \x03(\x0b\x32\x1a.stampede_rt.v1.EnqueueRun\x12+\n\x05piece\x18\x05 \x01(\x0b\x32\x1c.stampede_rt.v1.RequestPiece\"\xb6\x01\n\nEnqueueRun\x12\x14\n\x0c\x66irst_number\x18\x01 \x01(\x04\x12\x17\n\nwait_nanos\x18\x02 \x01(\x12H\x00\x88\x01\x01\x12$\n\x03run\x18\x03 \x01(\x0b\x32\x17.stampede_rt.v1.ItemRun\x12\x12\n\nmessage_id\x18\x04 \x01(\t\x12\x30\n\x06origin\x18\x05 \x01(\x0b\x32 .stampede_rt.v1.DeadLetterOriginB\r\n\x0b_wait_nanos\"7\n\x0f\x45nqueueResponse\x12$\n\x04\x61\x63ks\x18\x01 \x03(\x0b\x32\x16.stampede_rt.v1.PutAck\"\x85\x01\n\x0bTakeRequest\x12&\n\x04open\x18\x01 \x01(\x0b\x32\x18.stampede_rt.v1.TakeOpen\x12\x0e\n\x06\x63redit\x18\x02 \x01(\r\x12/\n\x0bsettlements\x18\x03 \x03(\x0b\x32\x1a.stampede_rt.v1.Settlement\x12\r\n\x05\x64rain\x18\x04 \x01(\x08\"{\n\x08TakeOpen\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x10\n\x08taker_id\x18\x03 \x01(\x06\x12\x18\n\x0blease_nanos\x18\x04 \x01(\x03H\x00\x88\x01\x01\x12\x12\n\ntaker_name\x18\x05 \x01(\tB\x0e\n\x0c_lease_nanos\"\x90\x01\n\x0cTakeResponse\x12\'\n\x04runs\x18\x01 \x03(\x0b\x32\x19.stampede_rt.v1.LeasedRun\x12\x31\n\x07results\x18\x02 \x03(\x0b\x32 .stampede_rt.v1.SettlementResult\x12\x13\n\x0bincarnation\x18\x03 \x01(\x06\x12\x0f\n\x07\x64rained\x18\x04 \x01(\x08\"s\n\rSettleRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x10\n\x08taker_id\x18\x03 \x01(\x06\x12/\n\x0bsettlements\x18\x04 \x03(\x0b\x32\x1a.stampede_rt.v1.Settlement\"C\n\x0eSettleResponse\x12\x31\n\x07results\x18\x01 \x03(\x0b\x32 .stampede_rt.v1.SettlementResult\"c\n\x12ListPendingRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\x12\x19\n\x11\x61\x66ter_delivery_id\x18\x03 \x01(\x06\x12\x11\n\tpage_size\x18\x04 \x01(\r\"X\n\x13ListPendingResponse\x12\x33\n\ndeliveries\x18\x01 \x03(\x0b\x32\x1f.stampede_rt.v1.PendingDelivery\x12\x0c\n\x04more\x18\x02 \x01(\x08\"8\n\x15GetQueueStatusRequest\x12\x10\n\x08queue_id\x18\x01 \x01(\x0c\x12\r\n\x05\x65poch\x18\x02 \x01(\x04\"E\n\x16GetQueueStatusResponse\x12+\n\x06status\x18\x01 \x01(\x0b\x32\x1b.stampede_rt.v1.QueueStatus2\xa7\x03\n\x0cQueueService\x12N\n\x07\x45nqueue\x12\x1e.stampede_rt.v1.EnqueueRequest\x1a\x1f.stampede_rt.v1.EnqueueResponse(\x01\x30\x01\x12\x45\n\x04Take\x12\x1b.stampede_rt.v1.TakeRequest\x1a\x1c.stampede_rt.v1.TakeResponse(\x01\x30\x01\x12G\n\x06Settle\x12\x1d.stampede_rt.v1.SettleRequest\x1a\x1e.stampede_rt.v1.SettleResponse\x12V\n\x0bListPending\x12\".stampede_rt.v1.ListPendingRequest\x1a#.stampede_rt.v1.ListPendingResponse\x12_\n\x0eGetQueueStatus\x12%.stampede_rt.v1.GetQueueStatusRequest\x1a&.stampede_rt.v1.GetQueueStatusResponseb\x06proto3')
 
 _globals = globals()
 _builder.BuildMessageAndEnumDescriptors(DESCRIPTOR, _globals)
 _builder.BuildTopDescriptorsAndMessages(DESCRIPTOR, 'stampede_rt.v1.queue_service_pb2', _globals)
 if not _descriptor._USE_C_DESCRIPTORS:
   DESCRIPTOR._loaded_options = None
-  _globals['_ENQUEUEREQUEST']._serialized_start=147
-  _globals['_ENQUEUEREQUEST']._serialized_end=259
-  _globals['_ENQUEUERUN']._serialized_start=262
-  _globals['_ENQUEUERUN']._serialized_end=444
-  _globals['_ENQUEUERESPONSE']._serialized_start=446
-  _globals['_ENQUEUERESPONSE']._serialized_end=501
-  _globals['_TAKEREQUEST']._serialized_start=504
-  _globals['_TAKEREQUEST']._serialized_end=637
-  _globals['_TAKEOPEN']._serialized_start=639
-  _globals['_TAKEOPEN']._serialized_end=762
-  _globals['_TAKERESPONSE']._serialized_start=765
-  _globals['_TAKERESPONSE']._serialized_end=909
-  _globals['_SETTLEREQUEST']._serialized_start=911
-  _globals['_SETTLEREQUEST']._serialized_end=1026
-  _globals['_SETTLERESPONSE']._serialized_start=1028
-  _globals['_SETTLERESPONSE']._serialized_end=1095
-  _globals['_LISTPENDINGREQUEST']._serialized_start=1097
-  _globals['_LISTPENDINGREQUEST']._serialized_end=1196
-  _globals['_LISTPENDINGRESPONSE']._serialized_start=1198
-  _globals['_LISTPENDINGRESPONSE']._serialized_end=1286
-  _globals['_GETQUEUESTATUSREQUEST']._serialized_start=1288
-  _globals['_GETQUEUESTATUSREQUEST']._serialized_end=1344
-  _globals['_GETQUEUESTATUSRESPONSE']._serialized_start=1346
-  _globals['_GETQUEUESTATUSRESPONSE']._serialized_end=1415
-  _globals['_QUEUESERVICE']._serialized_start=1418
-  _globals['_QUEUESERVICE']._serialized_end=1841
+  _globals['_ENQUEUEREQUEST']._serialized_start=148
+  _globals['_ENQUEUEREQUEST']._serialized_end=305
+  _globals['_ENQUEUERUN']._serialized_start=308
+  _globals['_ENQUEUERUN']._serialized_end=490
+  _globals['_ENQUEUERESPONSE']._serialized_start=492
+  _globals['_ENQUEUERESPONSE']._serialized_end=547
+  _globals['_TAKEREQUEST']._serialized_start=550
+  _globals['_TAKEREQUEST']._serialized_end=683
+  _globals['_TAKEOPEN']._serialized_start=685
+  _globals['_TAKEOPEN']._serialized_end=808
+  _globals['_TAKERESPONSE']._serialized_start=811
+  _globals['_TAKERESPONSE']._serialized_end=955
+  _globals['_SETTLEREQUEST']._serialized_start=957
+  _globals['_SETTLEREQUEST']._serialized_end=1072
+  _globals['_SETTLERESPONSE']._serialized_start=1074
+  _globals['_SETTLERESPONSE']._serialized_end=1141
+  _globals['_LISTPENDINGREQUEST']._serialized_start=1143
+  _globals['_LISTPENDINGREQUEST']._serialized_end=1242
+  _globals['_LISTPENDINGRESPONSE']._serialized_start=1244
+  _globals['_LISTPENDINGRESPONSE']._serialized_end=1332
+  _globals['_GETQUEUESTATUSREQUEST']._serialized_start=1334
+  _globals['_GETQUEUESTATUSREQUEST']._serialized_end=1390
+  _globals['_GETQUEUESTATUSRESPONSE']._serialized_start=1392
+  _globals['_GETQUEUESTATUSRESPONSE']._serialized_end=1461
+  _globals['_QUEUESERVICE']._serialized_start=1464
+  _globals['_QUEUESERVICE']._serialized_end=1887
 # @@protoc_insertion_point(module_scope)

@@ -10,16 +10,18 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class EnqueueRequest(_message.Message):
-    __slots__ = ("queue_id", "epoch", "producer_id", "runs")
+    __slots__ = ("queue_id", "epoch", "producer_id", "runs", "piece")
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
+    PIECE_FIELD_NUMBER: _ClassVar[int]
     queue_id: bytes
     epoch: int
     producer_id: int
     runs: _containers.RepeatedCompositeFieldContainer[EnqueueRun]
-    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[EnqueueRun, _Mapping]]] = ...) -> None: ...
+    piece: _channel_service_pb2.RequestPiece
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[EnqueueRun, _Mapping]]] = ..., piece: _Optional[_Union[_channel_service_pb2.RequestPiece, _Mapping]] = ...) -> None: ...
 
 class EnqueueRun(_message.Message):
     __slots__ = ("first_number", "wait_nanos", "run", "message_id", "origin")

@@ -9,16 +9,18 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class RawPutRequest(_message.Message):
-    __slots__ = ("channel_id", "epoch", "producer_id", "puts")
+    __slots__ = ("channel_id", "epoch", "producer_id", "puts", "piece")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
     PUTS_FIELD_NUMBER: _ClassVar[int]
+    PIECE_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     producer_id: int
     puts: _containers.RepeatedCompositeFieldContainer[RawPutRun]
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., puts: _Optional[_Iterable[_Union[RawPutRun, _Mapping]]] = ...) -> None: ...
+    piece: _channel_service_pb2.RequestPiece
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., puts: _Optional[_Iterable[_Union[RawPutRun, _Mapping]]] = ..., piece: _Optional[_Union[_channel_service_pb2.RequestPiece, _Mapping]] = ...) -> None: ...
 
 class RawPutRun(_message.Message):
     __slots__ = ("first_number", "wait_nanos", "run")
@@ -31,16 +33,18 @@ class RawPutRun(_message.Message):
     def __init__(self, first_number: _Optional[int] = ..., wait_nanos: _Optional[int] = ..., run: _Optional[bytes] = ...) -> None: ...
 
 class RawEnqueueRequest(_message.Message):
-    __slots__ = ("queue_id", "epoch", "producer_id", "runs")
+    __slots__ = ("queue_id", "epoch", "producer_id", "runs", "piece")
     QUEUE_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     PRODUCER_ID_FIELD_NUMBER: _ClassVar[int]
     RUNS_FIELD_NUMBER: _ClassVar[int]
+    PIECE_FIELD_NUMBER: _ClassVar[int]
     queue_id: bytes
     epoch: int
     producer_id: int
     runs: _containers.RepeatedCompositeFieldContainer[RawEnqueueRun]
-    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[RawEnqueueRun, _Mapping]]] = ...) -> None: ...
+    piece: _channel_service_pb2.RequestPiece
+    def __init__(self, queue_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., producer_id: _Optional[int] = ..., runs: _Optional[_Iterable[_Union[RawEnqueueRun, _Mapping]]] = ..., piece: _Optional[_Union[_channel_service_pb2.RequestPiece, _Mapping]] = ...) -> None: ...
 
 class RawEnqueueRun(_message.Message):
     __slots__ = ("first_number", "wait_nanos", "run", "message_id", "origin")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt.transports.grpc_options import MORE_CONNECTIONS
+from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX as REQUEST_MESSAGE_BYTES_MAX
 from stampede_rt_runtime.open_files import connections_max
 
 Option = tuple[str, int | str]
@@ -24,10 +25,10 @@ class Limits:
     calls with RESOURCE_EXHAUSTED. If it is refusing `refusals_max` calls already, gRPC itself refuses the next.
 
     Neither side sends a message of more than `message_bytes_max`, and no client accepts one. A server accepts messages
-    of `request_bytes_max` at most, and `calls_per_connection_max` calls on one connection. Callers open further
-    connections for further calls. The server closes a connection whose set-up takes longer than `handshake_millis_max`.
-    Each side pings the other after `keepalive_millis` of silence, and closes the connection if no answer comes within
-    `keepalive_timeout_millis`.
+    of `request_bytes_max` at most, and on each stream `unread_bytes_max` more before it reads them. It accepts
+    `calls_per_connection_max` calls on one connection. Callers open further connections for further calls. The server
+    closes a connection whose set-up takes longer than `handshake_millis_max`. Each side pings the other after
+    `keepalive_millis` of silence, and closes the connection if no answer comes within `keepalive_timeout_millis`.
 
     A server closes a connection whose peer pings more often than every `ping_interval_millis_min` while nothing else is
     sent. This value must be well below every caller's keepalive time. Otherwise an idle subscription breaks after three
@@ -35,7 +36,8 @@ class Limits:
     """
 
     message_bytes_max: int = 20 * 2**20
-    request_bytes_max: int = 20 * 2**20
+    request_bytes_max: int = REQUEST_MESSAGE_BYTES_MAX
+    unread_bytes_max: int = 2**18
     metadata_bytes_max: int = 16 * 2**10
     concurrent_rpcs_max: int = 4608
     streams_max: int = 4096
@@ -61,6 +63,9 @@ class Limits:
             ("grpc.server_handshake_timeout_ms", self.handshake_millis_max),
             ("grpc.max_allowed_incoming_connections", connections_max()),
             ("grpc.http2.min_ping_interval_without_data_ms", self.ping_interval_millis_min),
+            # With the probe, gRPC lets a fast caller send up to 64 MiB on each stream that nobody reads.
+            ("grpc.http2.bdp_probe", 0),
+            ("grpc.http2.lookahead_bytes", self.unread_bytes_max),
         ]
 
     def channel_options(self) -> list[Option]:

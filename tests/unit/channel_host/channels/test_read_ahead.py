@@ -8,7 +8,9 @@ from typing import Any
 
 from grpc.aio import EOF
 
+from stampede_rt.transports.grpc_options import PUT_METHOD
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
@@ -89,13 +91,14 @@ def large_blocks(size: int) -> int:
 async def test_a_stream_that_waits_for_its_next_put_does_not_hold_the_last_request() -> None:
     async with running_host(memory_bytes_max=2**20) as rig:
         channel = await rig.open()
-        call = rig.channels.Put()
+        call: Any = rig.connection.stream_stream(PUT_METHOD, response_deserializer=pb.PutResponse.FromString)()
         size = 3 * 2**20
         known = {"channel_id": channel.channel_id, "epoch": channel.epoch}
         request = pb.PutRequest(puts=[run_of(bytes(size))], **known)
-        await call.write(request)
+        for message in messages_of(request.SerializeToString()):
+            await call.write(message)
         ack = (await call.read()).acks[0]
         assert ack.HasField("error")
-        del request
+        del request, message
         assert large_blocks(size) == 0
         call.cancel()

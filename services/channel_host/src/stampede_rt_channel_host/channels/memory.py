@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded
+from stampede_rt_channel_host.channels.request_room import RequestRoom
 from stampede_rt_runtime.overload import Overload
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import Quota
@@ -19,7 +20,8 @@ class MemoryBudget:
 
     Each channel and queue reports its memory when it changes, and the budget adds the reports up. So a claim costs the
     same, however many channels and queues there are. The budget calls `reclaim` before it refuses a claim. `reclaim`
-    frees a bounded number of the outdated items.
+    frees a bounded number of the outdated items. `requests` is the memory of requests that are not yet complete, beside
+    `bytes_max`.
     """
 
     def __init__(
@@ -34,6 +36,7 @@ class MemoryBudget:
         self.used_bytes = 0
         self.bytes_max = bytes_max
         self.overload = Overload()
+        self.requests = RequestRoom()
         self._reclaim = reclaim
         self._steady_nanos = steady_nanos
 

@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.channels.whole_requests import WholeRequests, check_without_piece
 from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
@@ -71,7 +72,8 @@ class PutStream:
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
         self._work = CallerWork(self._account)
-        self._requests = ReadAhead(context.read, store.memory, self._account)
+        whole = WholeRequests(context.read, store.memory.requests, self._account)
+        self._requests = ReadAhead(whole.read, store.memory, self._account)
 
     async def run(self) -> None:
         """Serve until the caller has closed its side and every run is acked.
@@ -97,6 +99,7 @@ class PutStream:
         if raw is EOF:
             return None
         request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
+        check_without_piece(request)
         if request.channel_id:
             self._channel_id, self._epoch = request.channel_id, request.epoch
             self._producer_id = request.producer_id

@@ -14,6 +14,7 @@ import logging
 import random
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any
 
 import grpc
@@ -22,6 +23,7 @@ from stampede_rt.errors import StampedeError, Unavailable
 from stampede_rt.status import from_error_message, from_rpc_error
 from stampede_rt.v1 import channel_service_pb2, item_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
+from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt.wire.runs import select_items
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.core.queue import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, Departure
@@ -173,7 +175,7 @@ def _origin_of(item: Departure, source: RecordedQueue) -> item_pb2.DeadLetterOri
 async def _enqueue(connection: grpc.aio.Channel, requests: Sequence[bytes]) -> list[channel_service_pb2.PutAck]:
     enqueue: Any = connection.stream_stream(_ENQUEUE, response_deserializer=pb.EnqueueResponse.FromString)
     acks: list[channel_service_pb2.PutAck] = []
-    async for response in enqueue(iter(requests)):
+    async for response in enqueue(chain.from_iterable(map(messages_of, requests))):
         acks += response.acks
     if len(acks) != len(requests):
         raise Unavailable(f"the dead-letter queue answered {len(acks)} of {len(requests)} enqueues")

@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.acks import refused
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.channels.whole_requests import WholeRequests, check_without_piece
 from stampede_rt_channel_host.core.queue import Enqueue
 from stampede_rt_channel_host.queues.access import check_queue_access
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
@@ -60,7 +61,8 @@ class EnqueueStream:
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
         self._work = CallerWork(self._account)
-        self._requests = ReadAhead(context.read, store.memory, self._account)
+        whole = WholeRequests(context.read, store.memory.requests, self._account)
+        self._requests = ReadAhead(whole.read, store.memory, self._account)
 
     async def run(self) -> None:
         """Serve until the caller has closed its side and every run is acked.
@@ -93,6 +95,7 @@ class EnqueueStream:
         if raw is EOF:
             return None
         request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")
+        check_without_piece(request)
         if request.queue_id:
             check_queue_id(request.queue_id)
             self._queue_id, self._epoch = request.queue_id, request.epoch

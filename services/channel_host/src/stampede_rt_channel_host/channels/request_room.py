@@ -1,0 +1,68 @@
+"""The memory of a host for large requests that are not yet complete."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter, deque
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import NamedTuple
+
+INCOMPLETE_BYTES_MAX = 128 * 2**20
+CALLER_BYTES_MAX = INCOMPLETE_BYTES_MAX // 2
+
+
+class _Place(NamedTuple):
+    """A request in the line for room."""
+
+    came: asyncio.Future[None]
+    caller: str
+    wanted_bytes: int
+
+
+class RequestRoom:
+    """The memory of a host for requests that are not yet complete. One caller gets at most half of it.
+
+    Requests get room in the order in which they came. A request of a caller that has its half lets others pass.
+    """
+
+    def __init__(self, bytes_max: int = INCOMPLETE_BYTES_MAX, caller_bytes_max: int = CALLER_BYTES_MAX) -> None:
+        self.used_bytes = 0
+        self._bytes_max, self._caller_bytes_max = bytes_max, caller_bytes_max
+        self._of_callers: Counter[str] = Counter()
+        self._line: deque[_Place] = deque()
+
+    @asynccontextmanager
+    async def taken(self, caller: str, wanted_bytes: int) -> AsyncIterator[None]:
+        """Room for one request for the duration of the block. Waits for it."""
+        place = _Place(asyncio.get_running_loop().create_future(), caller, wanted_bytes)
+        self._line.append(place)
+        self._admit()
+        try:
+            await place.came
+            yield
+        finally:
+            if place.came.done() and not place.came.cancelled():
+                self._count(place, -wanted_bytes)
+            place.came.cancel()
+            self._admit()
+
+    def _admit(self) -> None:
+        """Give room to the requests in line, as far as there is some."""
+        left: deque[_Place] = deque()
+        while self._line and self.used_bytes + self._line[0].wanted_bytes <= self._bytes_max:
+            place = self._line.popleft()
+            if place.came.cancelled():
+                continue
+            if self._of_callers[place.caller] + place.wanted_bytes > self._caller_bytes_max:
+                left.append(place)
+                continue
+            self._count(place, place.wanted_bytes)
+            place.came.set_result(None)
+        self._line = left + self._line
+
+    def _count(self, place: _Place, more_bytes: int) -> None:
+        self.used_bytes += more_bytes
+        self._of_callers[place.caller] += more_bytes
+        if not self._of_callers[place.caller]:
+            del self._of_callers[place.caller]

@@ -1,0 +1,84 @@
+"""Joins the pieces of large requests.
+
+gRPC keeps each message in memory until all of it has come, and Python can set no limit for all streams together. A host
+therefore accepts only small messages. A larger request comes in pieces. The first piece tells the length of the
+request, and the host reads on when it has room for the whole request.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from grpc.aio import EOF
+
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument
+from stampede_rt.v1 import raw_run_pb2
+from stampede_rt.wire.request_pieces import PIECE_TAG, REQUEST_BYTES_MAX, Piece, piece_in
+from stampede_rt_channel_host.channels.request_room import RequestRoom
+from stampede_rt_runtime.quotas.accounts import Account
+from stampede_rt_runtime.quotas.limits import Quota
+
+PATIENCE_SECONDS = 10.0
+PATIENT_BYTES_PER_SECOND = 2**18
+
+
+class WholeRequests:
+    """Reads whole requests from a stream of puts or enqueues."""
+
+    def __init__(self, read: Callable[[], Awaitable[Any]], room: RequestRoom, account: Account) -> None:
+        self._read = read
+        self._room = room
+        self._account = account
+
+    async def read(self) -> Any:
+        """The next encoded request, or EOF.
+
+        Raises InvalidArgument, DeadlineExceeded, or Overloaded for pieces; see `RequestPiece`.
+        """
+        raw = await self._read()
+        if raw is EOF or raw[:1] != PIECE_TAG:
+            return raw
+        first = piece_in(raw)
+        del raw
+        whole_bytes = first.request_bytes
+        if not 0 < whole_bytes <= REQUEST_BYTES_MAX:
+            raise InvalidArgument(
+                f"the first piece tells a request of {whole_bytes} bytes; a request has 1 to {REQUEST_BYTES_MAX} bytes"
+            )
+        async with self._room.taken(self._account.subject, whole_bytes):
+            with self._account.using(Quota.BYTES_IN_FLIGHT, whole_bytes):
+                return await self._join(first, whole_bytes)
+
+    async def _join(self, first: Piece, whole_bytes: int) -> bytes:
+        patience_s = PATIENCE_SECONDS + whole_bytes / PATIENT_BYTES_PER_SECOND
+        contents, came_bytes = [first.content], len(first.content)
+        try:
+            async with asyncio.timeout(patience_s):
+                while came_bytes < whole_bytes:
+                    contents.append(await self._next_content())
+                    came_bytes += len(contents[-1])
+        except TimeoutError:
+            raise DeadlineExceeded(
+                f"{came_bytes} of the {whole_bytes} bytes of a request came within {patience_s:.0f} s; put smaller "
+                "items, or over a faster network"
+            ) from None
+        if came_bytes > whole_bytes:
+            raise InvalidArgument(f"the pieces have {came_bytes} bytes, and the first one told {whole_bytes}")
+        return b"".join(contents)
+
+    async def _next_content(self) -> memoryview:
+        raw = await self._read()
+        if raw is EOF:
+            raise InvalidArgument("the stream ended before the last piece of a request")
+        piece = piece_in(raw)
+        if piece.request_bytes or not piece.content:
+            raise InvalidArgument("a piece without content, or a new first piece, came inside a request")
+        return piece.content
+
+
+def check_without_piece(request: raw_run_pb2.RawPutRequest | raw_run_pb2.RawEnqueueRequest) -> None:
+    """Raises InvalidArgument for a whole request that also holds a piece of another."""
+    if request.HasField("piece"):
+        raise InvalidArgument("a request holds runs and a piece of another request; send the piece alone")

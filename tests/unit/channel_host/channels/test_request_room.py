@@ -1,0 +1,92 @@
+"""The memory of a host for requests that are not yet complete."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from stampede_rt_channel_host.channels.request_room import RequestRoom
+
+
+class Uploads:
+    """Requests that take room until they are told to end; `under_way` are those that got some, in order."""
+
+    def __init__(self, room: RequestRoom) -> None:
+        self.room = room
+        self.under_way: list[str] = []
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+
+    async def begin(self, name: str, caller: str, wanted_bytes: int) -> None:
+        self._tasks[name] = asyncio.create_task(self._take(name, caller, wanted_bytes))
+        await turns()
+
+    async def _take(self, name: str, caller: str, wanted_bytes: int) -> None:
+        async with self.room.taken(caller, wanted_bytes):
+            self.under_way.append(name)
+            await asyncio.Event().wait()
+
+    async def end(self, *names: str) -> None:
+        for name in names:
+            self._tasks.pop(name).cancel()
+        await turns()
+
+    async def end_all(self) -> None:
+        await self.end(*self._tasks)
+
+
+async def turns() -> None:
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+@asynccontextmanager
+async def uploads() -> AsyncIterator[Uploads]:
+    """Into room for 100 bytes, of which one caller gets 50."""
+    found = Uploads(RequestRoom(100, 50))
+    try:
+        yield found
+    finally:
+        await found.end_all()
+        assert found.room.used_bytes == 0
+
+
+async def test_requests_get_room_in_the_order_in_which_they_came() -> None:
+    async with uploads() as some:
+        for number, size in enumerate((40, 40, 30, 10)):
+            await some.begin(f"{number}", f"caller {number}", size)
+        assert some.under_way == ["0", "1"]  # the last one does not pass the third
+        assert some.room.used_bytes == 80
+        await some.end("0")
+        assert some.under_way == ["0", "1", "2", "3"]
+
+
+async def test_a_caller_gets_half_of_the_room_and_lets_others_pass_while_it_waits() -> None:
+    async with uploads() as some:
+        for number in range(4):
+            await some.begin(f"hostile {number}", "hostile", 25)
+        await some.begin("good", "good", 50)
+        assert some.under_way == ["hostile 0", "hostile 1", "good"]
+        await some.end("hostile 0")
+        assert some.under_way == ["hostile 0", "hostile 1", "good", "hostile 2"]
+
+
+async def test_a_request_whose_caller_goes_gives_its_room_and_its_place_in_line_to_others() -> None:
+    async with uploads() as some:
+        await some.begin("first", "a", 50)
+        await some.begin("second", "b", 50)
+        await some.begin("gone", "c", 50)
+        await some.begin("third", "d", 50)
+        await some.end("gone", "first")
+        assert some.under_way == ["first", "second", "third"]
+
+
+async def test_a_request_that_goes_in_the_moment_in_which_it_gets_room_gives_it_back() -> None:
+    async with uploads() as some:
+        await some.begin("first", "a", 50)
+        await some.begin("second", "a", 50)
+        some._tasks["first"].cancel()
+        await asyncio.sleep(0)
+        await some.end("second")
+        assert some.room.used_bytes == 0
+        some._tasks.pop("first")
