@@ -10,9 +10,11 @@ from typing import Any
 
 import grpc
 
+from stampede_rt.transports.grpc_options import ENQUEUE_METHOD
 from stampede_rt.v1 import channel_service_pb2, item_pb2, queue_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
+from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt_runtime.server import serving
 from tests.support.channel_host.fake_queue_directory import FakeQueueDirectory
 from tests.support.channel_host.in_process_host import WAIT_SECONDS_MAX, InProcessHost, started_host, until_status
@@ -53,7 +55,9 @@ class OpenedQueue:
     async def enqueue(
         self, *runs: pb.EnqueueRun, producer_id: int = 0, epoch: int | None = None
     ) -> list[channel_service_pb2.PutAck]:
-        call = self.rig.stub.Enqueue(iter((self.enqueue_request(*runs, producer_id=producer_id, epoch=epoch),)))
+        enqueue = self.rig.connection.stream_stream(ENQUEUE_METHOD, response_deserializer=pb.EnqueueResponse.FromString)
+        request = self.enqueue_request(*runs, producer_id=producer_id, epoch=epoch)
+        call = enqueue(messages_of(request.SerializeToString()))
         return [ack async for response in call for ack in response.acks]
 
     def enqueue_request(
