@@ -89,10 +89,18 @@ async def matches(calling: Calling, group: Any, per: Any, over: asyncio.Event) -
 
 
 async def cuts(calling: Calling, group: Any, over: asyncio.Event) -> None:
-    """Cut events, whose times ascend."""
+    """Cut events, whose times ascend, and which bring each item at most once."""
     made = await opened(calling, group.subscribe, "100ms")
-    times = [cut.time for cut in await stepped(calling, made, over)]
+    events = await stepped(calling, made, over)
+    times = [cut.time for cut in events]
     assert times == sorted(set(times)), "cuts do not ascend"
+    brought = [
+        (channel.name, item.incarnation, item.seq)
+        for cut in events
+        for channel in cut
+        for item in (*cut[channel], *cut.late[channel])
+    ]
+    assert len(set(brought)) == len(brought), f"{len(brought)} entries, {len(set(brought))} of them distinct"
 
 
 async def opened(calling: Calling, make: Any, *arguments: Any, **named: Any) -> Any:

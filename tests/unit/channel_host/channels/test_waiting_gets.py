@@ -19,6 +19,7 @@ from stampede_rt_channel_host.channels.time_limits import LIMITS_PER_PIECE
 from stampede_rt_channel_host.channels.waiting_gets import (
     GETS_PER_PIECE,
     RELEASES_MAX,
+    SLICES_PER_LOOK,
     WAITING_GETS_MAX,
     Outcome,
     WaitingGet,
@@ -279,6 +280,26 @@ async def test_a_put_that_releases_very_many_gets_looks_at_a_few_in_each_step_an
     assert steps >= 1000 // GETS_PER_PIECE
     blocked.channel.collect(blocked.now)
     assert not blocked.channel.look(blocked.now)[0].has_backlog, "what was kept for them is freed"
+
+
+@pytest.mark.parametrize("gets", [GETS_PER_PIECE, 4 * GETS_PER_PIECE])
+async def test_the_looks_of_one_step_find_a_bounded_number_of_slices_in_all(gets: int) -> None:
+    blocked = Blocked(max_items=1000)
+    pieces = InPieces(blocked)
+    held = 12 * SLICES_PER_LOOK
+    for second in range(held):
+        blocked.put(START + second)
+    everything = Query(interval=parse_interval(START, START + held), match=Match.START, complete=True)
+    for number in range(gets):
+        blocked.block(number, everything)
+    ended = [0]
+    blocked.put(START + held + 1)
+    ended.append(len(blocked.released))
+    while pieces.step():
+        ended.append(len(blocked.released))
+    assert max(after - before for before, after in pairwise(ended)) <= GETS_PER_PIECE // 12 + 1
+    assert blocked.released == list(range(gets))
+    assert all(len(found_times(one)) == held for one in blocked.outcomes)
 
 
 async def test_gets_that_a_change_leaves_blocked_are_released_by_the_one_behind_it() -> None:

@@ -40,6 +40,8 @@ Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] 
 
 WAITING_GETS_MAX = 20_000
 GETS_PER_PIECE = 32
+SLICES_PER_LOOK = 8
+"""To find an answer of this many slices takes about as long as one more look at a get."""
 RELEASES_MAX = 64
 """The most changes whose states the host keeps while it looks at gets.
 
@@ -118,6 +120,7 @@ class _Release:
         self.reach = reach
         self.arrivals = arrivals  # the `arrival` of the last get before the change
         self.then: PolledThen | None = None  # the state right after the change
+        self.taken: deque[WaitingGet] = deque()  # gets that `take` returned, and that nobody has looked at yet
         # for each kind of need, the sort key of the last get that `take` has looked at
         self._last_keys: list[tuple[int, int] | None] = [None] * len(reach)
 
@@ -221,11 +224,11 @@ class WaitingGets:
         Looks at all of them now, or, if they are many, in pieces, in the channel's present state.
         """
         release = _Release(self._coming.reach(now, self._cut()), self._arrivals)
-        found = release.take(self._by_need, GETS_PER_PIECE + 1)
+        found = deque(release.take(self._by_need, GETS_PER_PIECE + 1))
         if not self._releases and len(found) <= GETS_PER_PIECE:
             self._look_at(found, self._source, now)
             self._arm()
-        elif found:
+        if found:
             self._keep(_Release(release.reach, release.arrivals), now)
             self._work()
 
@@ -270,35 +273,38 @@ class WaitingGets:
         now = self._now()
         if self._releases:
             release = self._releases[0]
-            found = release.take(self._by_need, GETS_PER_PIECE)
+            found = release.taken = release.taken or deque(release.take(self._by_need, GETS_PER_PIECE))
             assert release.then is not None, "each release was stored with its state"
+            is_over = not found
             self._look_at(found, release.then, now)
-            if not found and self._releases and self._releases[0] is release:
+            if is_over and self._releases and self._releases[0] is release:
                 self._releases.popleft().close()
         else:
             due = self._by_instant.irange_key(None, (now, self._arrivals))
-            found = list(islice(due, GETS_PER_PIECE))
-            for get in found:
-                self._note_instant(get, None)
-            self._look_at(found, self._source, now)
+            self._look_at(deque(islice(due, GETS_PER_PIECE)), self._source, now)
         return bool(self._releases) or (bool(self._by_instant) and self._by_instant[0].instant <= self._now())
 
     def _drop_releases(self) -> None:
         while self._releases:
             self._releases.popleft().close()
 
-    def _look_at(self, gets: list[WaitingGet], where: Polled, now: int) -> None:
-        for get in gets:
+    def _look_at(self, gets: deque[WaitingGet], where: Polled, now: int) -> None:
+        """Look at gets until the work of one piece is done. The others stay in `gets`."""
+        left = GETS_PER_PIECE
+        while gets and left > 0:
+            get = gets.popleft()
             if get in self._waiting:  # an outcome may have cancelled other gets
-                self._look(get, where, now)
+                left -= self._look(get, where, now)
 
-    def _look(self, get: WaitingGet, where: Polled, now: int) -> None:
+    def _look(self, get: WaitingGet, where: Polled, now: int) -> int:
+        """Poll a get. Returns the work done, in looks at gets that stay blocked."""
         self.looked_at += 1
         found = first_of(where.polling(get.pending, now))
         if isinstance(found, WakeAt):
             self._put_aside(get, found)
-        else:
-            get.finish(found)
+            return 1
+        get.finish(found)
+        return GETS_PER_PIECE if isinstance(found, Unfinished) else 1 + len(found.slices) // SLICES_PER_LOOK
 
     def _put_aside(self, get: WaitingGet, wake: WakeAt) -> None:
         """Let a get wait, sorted by the needs and the instant that its last poll returned."""
@@ -345,8 +351,8 @@ class WaitingGets:
     def _give_up(self, get: WaitingGet) -> None:
         """End the wait of a get. Look at the kept changes first. If none releases the get, give the present answer."""
         for release in list(self._releases):
-            if release.then is not None and get.arrival <= release.arrivals:
-                self._look_at([get], release.then, self._now())
+            if release.then is not None and get.arrival <= release.arrivals and get in self._waiting:
+                self._look(get, release.then, self._now())
         if get in self._waiting:
             found: ReadAnswer | Unfinished[ReadAnswer] = first_of(self._source.giving_up(get.pending, self._now()))
             get.finish(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from heapq import heappop, heappush, heapreplace
 from typing import Any, Generic, TypeVar
 
@@ -29,6 +29,12 @@ class Merge(Generic[T]):
         for first in rest:
             heappush(self._heap, (self._key(first), self._added, first, rest))
             return
+
+    def emptying(self) -> Generator[None, None, None]:
+        """Free the remaining things, one list in each piece."""
+        while self._heap:
+            self._heap.pop()
+            yield
 
     @property
     def is_empty(self) -> bool:

@@ -95,6 +95,7 @@ class CutEvents:
             hearing.discard(self._waiter)
             for followed in self._followed.values():
                 followed.hosted.group_readers.discard(self)
+                self._groups.channels.scheduler.begin(followed.follower.emptying())
 
     async def _begin(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
         """Begin at the present cut, or at the cursor of the reader."""

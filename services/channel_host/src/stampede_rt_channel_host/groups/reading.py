@@ -124,6 +124,7 @@ class GroupReads:
             yield cursor
         finally:
             group.cut_observers.discard(observer)
+            self._groups.channels.scheduler.begin(cursor.emptying())
 
     def _check_served(self, hosted: HostedChannel) -> None:
         """Check after a wait that the channel is still here. Raises StaleBinding."""
@@ -142,6 +143,7 @@ class _All:
         self._incarnation = group.record.incarnation
         self._hosted = hosted
         self._cursor = cursor
+        self.emptying = cursor.emptying
 
     @property
     def saved(self) -> SavedCursor | None:
@@ -164,6 +166,7 @@ class _Newest:
         self._incarnation = group.record.incarnation
         self._hosted = hosted
         self._cursor = cursor
+        self.emptying = cursor.emptying
 
     @property
     def saved(self) -> SavedCursor | None:
@@ -182,7 +185,7 @@ class _Newest:
         return pb.SubscriptionProgress(next_seq=self._cursor.lowest_owed_seq(now), skipped=self._cursor.skipped)
 
 
-def _cursor(group: HostedGroup, hosted: HostedChannel, begun: pb.SubscribeOpen, now: int) -> Cursor:
+def _cursor(group: HostedGroup, hosted: HostedChannel, begun: pb.SubscribeOpen, now: int) -> _All | _Newest:
     where, horizon = beginning_of(begun), group.horizon()
     if is_newest(begun):
         return _Newest(group, hosted, VisibleNewest(hosted.channel, horizon, now, **where))

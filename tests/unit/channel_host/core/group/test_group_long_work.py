@@ -54,6 +54,17 @@ def late() -> tuple[ChannelCore, CutFollower]:
     return made, follower
 
 
+def test_the_late_items_of_a_reader_that_goes_during_a_step_are_freed_in_parts() -> None:
+    _, follower = late()
+    follower.begin(1_000_002)
+    while not follower._late._heap or not follower._is_searched:
+        follower.take(NOW, 1)
+    counts = [len(follower._late._heap)]
+    counts += [len(follower._late._heap) for _ in follower.emptying()]
+    assert counts == [*range(counts[0], -1, -1)]
+    assert counts[0] >= ITEMS // pieces.STEPS_PER_PIECE
+
+
 def test_many_late_items_are_looked_at_once_each_and_come_in_order_in_bounded_parts(looked: Counter) -> None:
     _, follower = late()
     looked.slices = 0

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 from stampede_rt.values.model import Reason
-from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Slice, pieces
+from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Pieces, Slice, pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, split_at
@@ -116,6 +116,10 @@ class CutFollower:
         self._range_start = _key(self.cut)
         self._looked_up_to, self._late, self._is_searched = self.next_seq, Merge(_order), False
         self._came_above = self._given_above = self._given_below = 0
+
+    def emptying(self) -> Pieces[None]:
+        """Free the late items that a step has found, in pieces. The follower must not be used any more."""
+        return self._late.emptying()
 
     def take(self, now: int, limit_bytes: int) -> Step:
         """The next part of the step: about `limit_bytes` (payload and overhead) and a bounded number of slices.

@@ -10,6 +10,7 @@ from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     DeliveredSlice,
     Gap,
+    Pieces,
     Position,
     SavedCursor,
     Slice,
@@ -82,6 +83,10 @@ class VisibleAll:
     def lowest_owed_seq(self, now: int) -> int:
         """Every item of a lower seq was sent or reported. Walks the hidden items."""
         return self._follower.lowest_owed_seq(now)
+
+    def emptying(self) -> Pieces[None]:
+        """See `CutFollower.emptying`."""
+        return self._follower.emptying()
 
     def take(self, horizon: Horizon, now: int, limit_bytes: int) -> SubscriptionBatch:
         """The next part.
@@ -157,6 +162,10 @@ class VisibleNewest:
     def skipped(self) -> int:
         """The number of the subscription's visible items that it did not give, as of the last `take`."""
         return max(0, self._meant - self.delivered)
+
+    def emptying(self) -> Pieces[None]:
+        """See `CutFollower.emptying`."""
+        return self._all.emptying()
 
     def take(self, horizon: Horizon, now: int) -> SubscriptionBatch:
         """The newest item, if it is later than the last one taken. Counts the items before it in bounded parts."""
