@@ -80,7 +80,7 @@ class MemoryChannel:
         if not all(isinstance(item, st.Item) for item in named):
             raise st.InvalidArgument("items are consumed, nothing else")
         if any(item.incarnation != self.core.incarnation for item in named):
-            raise st.IncarnationLost("another incarnation")
+            raise st.IncarnationLost("another incarnation, or another channel's items")
         consumed = self.core.consume(self._consumer_id, [item.seq for item in named], st.now())
         self._wake()
         return consumed.items

@@ -110,6 +110,16 @@ async def test_a_channel_that_counts_no_consumption_says_so(team: Team) -> None:
         await ann.consume(await put_three(ann))
 
 
+async def test_the_items_of_another_channel_are_told_as_such(team: Team) -> None:
+    (channel, *_), (other, *_) = await team.open(consumers=1), await team.open(consumers=1)
+    await other.put(b"x")
+    item = await other.newest()
+    with pytest.raises(st.IncarnationLost, match="another channel's items"):
+        await channel.consume(item)
+    with pytest.raises(st.IncarnationLost, match="another channel's"):
+        await channel.newest(after=item)
+
+
 async def test_only_items_are_consumed(team: Team) -> None:
     ann, _, _ = await team.open(consumers=1)
     with pytest.raises(st.InvalidArgument):

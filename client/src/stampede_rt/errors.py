@@ -180,10 +180,22 @@ class PermissionDenied(StampedeError):
 
 
 class Overloaded(StampedeError):
-    """The server has reached one of its bounds. Try again later."""
+    """The server has reached one of its bounds, or the caller one of its quotas. Try again later.
+
+    `retryable` is False at the quotas `channels` and `queues`: no room comes until someone deletes some of these.
+    """
 
     reason = "OVERLOADED"
     retryable = True
+
+    def __init__(self, message: str, *, reason: str | None = None, metadata: Mapping[str, str] | None = None) -> None:
+        super().__init__(message, reason=reason, metadata=metadata)
+        self.retryable = self.metadata.get("quota") not in ("channels", "queues")
+
+    @property
+    def is_over_open_streams(self) -> bool:
+        """Whether the caller has as many open streams or subscriptions as its quota allows."""
+        return self.metadata.get("quota") in ("streams", "subscriptions")
 
 
 class Unavailable(StampedeError, ConnectionError):

@@ -16,7 +16,7 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
-from stampede_rt.transports.concurrency_async import begin_if_blocking, monotonic_s, run_all
+from stampede_rt.transports.concurrency_async import StepLock, begin_if_blocking, monotonic_s, run_all
 from stampede_rt.transports.streams_async import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import Matched
@@ -63,6 +63,7 @@ class MatchSubscription(BoundToProcess):
         self._responses: Any = None
         self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each match with the bytes of credit that it cost
         self._window = CreditWindow()
+        self._steps = StepLock()  # callers that step at the same time take turns
         self._after: group_pb.MatchCursor | None = None  # where the next stream begins after a break
         # Sums of earlier streams. On each stream the host counts from 0.
         self._unmatched_before = self._dropped_before = 0
@@ -88,7 +89,8 @@ class MatchSubscription(BoundToProcess):
 
     async def __aenter__(self) -> MatchSubscription:
         self._group.session.check_process()
-        await self._open()
+        async with self._steps:
+            await self._open()
         return self
 
     async def __aexit__(
@@ -101,16 +103,17 @@ class MatchSubscription(BoundToProcess):
 
     async def __anext__(self) -> Matched[Channel]:
         self._group.session.check_process()
-        while not self._closed:
-            if not self._ready:
-                await self._open()
-            await self._grant()
-            if self._ready:
-                matched, size = self._ready.popleft()
-                self._window.take(size, monotonic_s())
-                return matched
-            await self._receive()
-        raise StopAsyncIteration
+        async with self._steps:
+            while not self._closed:
+                if not self._ready:
+                    await self._open()
+                await self._grant()
+                if self._ready:
+                    matched, size = self._ready.popleft()
+                    self._window.take(size, monotonic_s())
+                    return matched
+                await self._receive()
+            raise StopAsyncIteration
 
     def close(self) -> None:
         """End the subscription. Any thread may call it."""

@@ -13,7 +13,7 @@ from stampede_rt._async.session import Session
 from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
-from stampede_rt.transports.concurrency_async import begin_if_blocking, monotonic_s, sleep
+from stampede_rt.transports.concurrency_async import StepLock, begin_if_blocking, monotonic_s, sleep
 from stampede_rt.transports.streams_async import ServerStream
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
 from stampede_rt.values.model import Change
@@ -36,6 +36,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
         self._stream: ServerStream[Any] | None = None
         self._responses: Any = None
         self._ready: deque[Event] = deque()
+        self._steps = StepLock()  # callers that step at the same time take turns
         self._closed = False
         begin_if_blocking(self._open)
 
@@ -55,7 +56,8 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
 
     async def __aenter__(self) -> Self:
         self._session.check_process()
-        await self._open()
+        async with self._steps:
+            await self._open()
         return self
 
     async def __aexit__(
@@ -68,12 +70,13 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
 
     async def __anext__(self) -> Event:
         self._session.check_process()
-        while not self._ready or self._closed:
-            if self._closed:
-                raise StopAsyncIteration
-            await self._open()
-            await self._receive()
-        return self._ready.popleft()
+        async with self._steps:
+            while not self._ready or self._closed:
+                if self._closed:
+                    raise StopAsyncIteration
+                await self._open()
+                await self._receive()
+            return self._ready.popleft()
 
     def close(self) -> None:
         """End the watch. Any thread may call it."""

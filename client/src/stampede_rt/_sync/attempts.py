@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.errors import DeadlineExceeded, StampedeError
-from stampede_rt.pacing.retry import Backoff
+from stampede_rt.errors import DeadlineExceeded, Overloaded, StampedeError
+from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
 from stampede_rt.transports.concurrency_sync import sleep
 
 Result = TypeVar("Result")
@@ -47,9 +47,10 @@ class Locator(Protocol):
 def attempt(locator: Locator, operation: Callable[[Binding], Result], timeout_s: float | None) -> Result:
     """Run `operation` at the present host, and run it again after a retryable error and after DeadlineExceeded.
 
-    After `timeout_s` seconds `attempt` begins no further try. It does not limit the time that one try takes. None: no
-    limit. Raises the error of the last try. If that error is DeadlineExceeded, raises the error of an earlier try, if
-    there was one, because the earlier error says more.
+    After `timeout_s` seconds `attempt` begins no further try; None: no limit. At a quota of open streams it begins none
+    after OPEN_STREAMS_S, because often only the caller can close some. It does not limit the time that one try takes.
+    Raises the error of the last try. If that error is DeadlineExceeded, raises the error of an earlier try, if there
+    was one, because the earlier error says more.
     """
     locator.check()
     backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
@@ -64,6 +65,8 @@ def attempt(locator: Locator, operation: Callable[[Binding], Result], timeout_s:
             slow = isinstance(error, DeadlineExceeded)  # the host may hang; the channel may get another host
             if not (error.retryable or slow):
                 raise
+            if isinstance(error, Overloaded) and error.is_over_open_streams:
+                backoff.end_within(OPEN_STREAMS_S, time.monotonic())
             locator.forget()
             failure = failure if slow and failure is not None else error
             delay_s = backoff.next_delay_s(time.monotonic(), random.random())

@@ -9,10 +9,10 @@ from typing import Any
 from stampede_rt._sync.channel import Channel
 from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
-from stampede_rt.errors import StampedeError, Unavailable
+from stampede_rt.errors import Overloaded, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
-from stampede_rt.pacing.retry import Backoff
-from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s, sleep
+from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
+from stampede_rt.transports.concurrency_sync import StepLock, begin_if_blocking, monotonic_s, sleep
 from stampede_rt.transports.streams_sync import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import ByChannel, Cut
@@ -72,6 +72,7 @@ class CutSubscription(BoundToProcess):
         self._payloads = payloads
         self._streams: list[_HostStream] = []  # the first one is that of the deciding host
         self._opening_streams: list[_HostStream] = []  # streams that the client is opening
+        self._steps = StepLock()  # callers that step at the same time take turns
         self._cursor: group_pb.CutCursor | None = None  # where the next event begins; None before the first opening
         self._closed = False
         begin_if_blocking(self._open)
@@ -92,7 +93,8 @@ class CutSubscription(BoundToProcess):
 
     def __enter__(self) -> CutSubscription:
         self._group.session.check_process()
-        self._open()
+        with self._steps:
+            self._open()
         return self
 
     def __exit__(
@@ -105,35 +107,36 @@ class CutSubscription(BoundToProcess):
 
     def __next__(self) -> Cut[Channel]:
         self._group.session.check_process()
-        while not self._closed:
-            try:
-                self._open()
-            except StampedeError:
-                self._group.session.check()
-                raise
-            if not self._streams:  # somebody called `close` during the opening
-                self._group.session.check()
-                break
-            try:
-                parts: list[group_pb.CutPart] = []
-                boundary = self._next_boundary(parts)
-                return self._cut(boundary, parts)
-            except StopIteration:  # somebody called `close` meanwhile
-                self._hang_up()
-            except StampedeError as error:
-                self._hang_up()
-                if self._closed:
+        with self._steps:
+            while not self._closed:
+                try:
+                    self._open()
+                except StampedeError:
+                    self._group.session.check()
+                    raise
+                if not self._streams:  # somebody called `close` during the opening
+                    self._group.session.check()
                     break
-                self._group.session.check()
-                if not may_heal(error):
-                    self._closed = True
-                    raise self._group.explained(error) from None
-                self._reconnecting.broke()
-                self._group.forget_bindings()
-            except BaseException:  # an interrupt; the next step reads the interrupted event from its beginning
-                self._hang_up()
-                raise
-        raise StopIteration
+                try:
+                    parts: list[group_pb.CutPart] = []
+                    boundary = self._next_boundary(parts)
+                    return self._cut(boundary, parts)
+                except StopIteration:  # somebody called `close` meanwhile
+                    self._hang_up()
+                except StampedeError as error:
+                    self._hang_up()
+                    if self._closed:
+                        break
+                    self._group.session.check()
+                    if not may_heal(error):
+                        self._closed = True
+                        raise self._group.explained(error) from None
+                    self._reconnecting.broke()
+                    self._group.forget_bindings()
+                except BaseException:  # an interrupt; the next step reads the interrupted event from its beginning
+                    self._hang_up()
+                    raise
+            raise StopIteration
 
     def close(self) -> None:
         """End the subscription. Any thread may call it."""
@@ -167,6 +170,8 @@ class CutSubscription(BoundToProcess):
                     return
                 if not error.retryable or self._group.session.closed:
                     raise
+                if isinstance(error, Overloaded) and error.is_over_open_streams:
+                    backoff.end_within(OPEN_STREAMS_S, monotonic_s())
                 self._group.forget_bindings()
                 delay_s = backoff.next_delay_s(monotonic_s(), 0.5)
                 if delay_s is None:

@@ -17,7 +17,7 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import GroupNotFound, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, CreditWindow
-from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s, run_all
+from stampede_rt.transports.concurrency_sync import StepLock, begin_if_blocking, monotonic_s, run_all
 from stampede_rt.transports.streams_sync import BidiStream
 from stampede_rt.v1 import group_service_pb2 as group_pb
 from stampede_rt.values.grouping import Matched
@@ -64,6 +64,7 @@ class MatchSubscription(BoundToProcess):
         self._responses: Any = None
         self._ready: deque[tuple[Matched[Channel], int]] = deque()  # each match with the bytes of credit that it cost
         self._window = CreditWindow()
+        self._steps = StepLock()  # callers that step at the same time take turns
         self._after: group_pb.MatchCursor | None = None  # where the next stream begins after a break
         # Sums of earlier streams. On each stream the host counts from 0.
         self._unmatched_before = self._dropped_before = 0
@@ -89,7 +90,8 @@ class MatchSubscription(BoundToProcess):
 
     def __enter__(self) -> MatchSubscription:
         self._group.session.check_process()
-        self._open()
+        with self._steps:
+            self._open()
         return self
 
     def __exit__(
@@ -102,16 +104,17 @@ class MatchSubscription(BoundToProcess):
 
     def __next__(self) -> Matched[Channel]:
         self._group.session.check_process()
-        while not self._closed:
-            if not self._ready:
-                self._open()
-            self._grant()
-            if self._ready:
-                matched, size = self._ready.popleft()
-                self._window.take(size, monotonic_s())
-                return matched
-            self._receive()
-        raise StopIteration
+        with self._steps:
+            while not self._closed:
+                if not self._ready:
+                    self._open()
+                self._grant()
+                if self._ready:
+                    matched, size = self._ready.popleft()
+                    self._window.take(size, monotonic_s())
+                    return matched
+                self._receive()
+            raise StopIteration
 
     def close(self) -> None:
         """End the subscription. Any thread may call it."""

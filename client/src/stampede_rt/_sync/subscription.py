@@ -15,7 +15,7 @@ from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES, ONE_ITEM, CreditWindow
-from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s
+from stampede_rt.transports.concurrency_sync import StepLock, begin_if_blocking, monotonic_s
 from stampede_rt.transports.streams_sync import BidiStream
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
@@ -51,6 +51,7 @@ class Subscription(BoundToProcess):
         self._responses: Any = None
         self._decoder: ItemDecoder | None = None
         self._ready: deque[Item] = deque()
+        self._steps = StepLock()  # callers that step at the same time take turns
         newest_only = begun.mode == channel_pb.SUBSCRIBE_MODE_NEWEST
         self._window = CreditWindow(ONE_ITEM) if newest_only else CreditWindow()
         self._cursor: channel_pb.SubscriptionCursor | None = None  # where the next stream begins after a break
@@ -109,7 +110,8 @@ class Subscription(BoundToProcess):
 
     def __enter__(self) -> Subscription:
         self._session.check_process()
-        self._open()
+        with self._steps:
+            self._open()
         return self
 
     def __exit__(
@@ -122,16 +124,17 @@ class Subscription(BoundToProcess):
 
     def __next__(self) -> Item:
         self._session.check_process()
-        while not self._closed:
-            if not self._ready:
-                self._open()
-            self._grant()
-            if self._ready:
-                item = self._ready.popleft()
-                self._window.take(item.payload_length_bytes + ITEM_OVERHEAD_BYTES, monotonic_s())
-                return item
-            self._receive()
-        raise StopIteration
+        with self._steps:
+            while not self._closed:
+                if not self._ready:
+                    self._open()
+                self._grant()
+                if self._ready:
+                    item = self._ready.popleft()
+                    self._window.take(item.payload_length_bytes + ITEM_OVERHEAD_BYTES, monotonic_s())
+                    return item
+                self._receive()
+            raise StopIteration
 
     def close(self) -> None:
         """End the subscription. Any thread may call it."""

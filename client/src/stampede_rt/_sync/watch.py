@@ -14,7 +14,7 @@ from stampede_rt._sync.session import Session
 from stampede_rt.errors import StampedeError, Unavailable, WatchRestart
 from stampede_rt.handles import BoundToProcess
 from stampede_rt.pacing.retry import Backoff
-from stampede_rt.transports.concurrency_sync import begin_if_blocking, monotonic_s, sleep
+from stampede_rt.transports.concurrency_sync import StepLock, begin_if_blocking, monotonic_s, sleep
 from stampede_rt.transports.streams_sync import ServerStream
 from stampede_rt.v1 import directory_pb2, directory_service_pb2, peer_service_pb2
 from stampede_rt.values.model import Change
@@ -37,6 +37,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
         self._stream: ServerStream[Any] | None = None
         self._responses: Any = None
         self._ready: deque[Event] = deque()
+        self._steps = StepLock()  # callers that step at the same time take turns
         self._closed = False
         begin_if_blocking(self._open)
 
@@ -56,7 +57,8 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
 
     def __enter__(self) -> Self:
         self._session.check_process()
-        self._open()
+        with self._steps:
+            self._open()
         return self
 
     def __exit__(
@@ -69,12 +71,13 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
 
     def __next__(self) -> Event:
         self._session.check_process()
-        while not self._ready or self._closed:
-            if self._closed:
-                raise StopIteration
-            self._open()
-            self._receive()
-        return self._ready.popleft()
+        with self._steps:
+            while not self._ready or self._closed:
+                if self._closed:
+                    raise StopIteration
+                self._open()
+                self._receive()
+            return self._ready.popleft()
 
     def close(self) -> None:
         """End the watch. Any thread may call it."""

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 FIRST_DELAY_S = 0.02
 DELAY_S_MAX = 1.0
+OPEN_STREAMS_S = 1.0
+"""How long to try again at a quota of open streams. The server may still count streams whose connection has broken."""
 
 
 @dataclass(slots=True)
@@ -18,6 +20,10 @@ class Backoff:
 
     deadline_s: float
     _delay_s: float = FIRST_DELAY_S
+
+    def end_within(self, time_s: float, now_s: float) -> None:
+        """Begin no further try later than `time_s` seconds from now."""
+        self.deadline_s = min(self.deadline_s, now_s + time_s)
 
     def next_delay_s(self, now_s: float, jitter: float) -> float | None:
         """Return the seconds to wait before the next try, or None if no time is left. `jitter` is random, in [0, 1)."""

@@ -22,7 +22,7 @@ END_LIMIT_S = 2.0  # how long the end of a call or connection may take
 Result = TypeVar("Result")
 _log = logging.getLogger("stampede_rt")
 
-Mutex = threading.Lock
+Mutex = StepLock = threading.Lock
 sleep = time.sleep
 monotonic_s = time.monotonic
 monotonic_nanos = time.monotonic_ns

@@ -10,6 +10,7 @@ import stampede_rt as st
 from stampede_rt._async import attempts
 from stampede_rt._async.attempts import attempt
 from stampede_rt.cluster.binding import Binding
+from stampede_rt.pacing.retry import OPEN_STREAMS_S
 
 BINDING = Binding(subject_id=b"c" * 16, target="host:1", epoch=3, incarnation=7)
 
@@ -94,3 +95,28 @@ async def test_what_cannot_pass_is_raised_at_once(clock: Clock, error: Any) -> N
     with pytest.raises(type(error)):
         await attempt(place, Operation(error), 10)
     assert (place.forgotten, clock.now_s) == (0, 100)
+
+
+async def tries(quota: str, clock: Clock) -> tuple[int, float]:
+    """How often an operation is tried that meets this quota, and for how long."""
+    place, began_s = Place(), clock.now_s
+    operation = Operation(st.Overloaded("cam has 3; its quota is 3", metadata={"quota": quota}), for_ever=True)
+    with pytest.raises(st.Overloaded):
+        await attempt(place, operation, 10)
+    return place.forgotten + (place.forgotten == 0), clock.now_s - began_s
+
+
+@pytest.mark.parametrize("quota", ["channels", "queues"])
+async def test_a_quota_that_only_a_deletion_frees_is_met_once(quota: str, clock: Clock) -> None:
+    assert await tries(quota, clock) == (1, 0)
+
+
+@pytest.mark.parametrize("quota", ["streams", "subscriptions"])
+async def test_a_quota_of_open_streams_is_tried_again_for_a_moment_alone(quota: str, clock: Clock) -> None:
+    count, time_s = await tries(quota, clock)
+    assert count < 12
+    assert time_s <= OPEN_STREAMS_S + 0.02
+
+
+async def test_a_quota_that_time_frees_is_tried_again_as_long_as_the_caller_waits(clock: Clock) -> None:
+    assert (await tries("changes-per-second", clock))[1] == pytest.approx(10)

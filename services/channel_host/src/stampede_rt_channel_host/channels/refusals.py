@@ -49,8 +49,8 @@ def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
 def other_incarnation(name: str, stated: int, actual: int) -> StampedeError:
     """The seqs of a consumer do not belong to the channel's present incarnation."""
     return IncarnationLost(
-        f"the seqs come from incarnation {stated:x} of channel {name}, whose incarnation is {actual:x} now: its host "
-        "was lost with its items; read again, and consume those items",
+        f"the items are of incarnation {stated:x}, and channel {name} is incarnation {actual:x} now: they are another "
+        "channel's items, or were lost with the channel's former host; consume items that were read from this channel",
         metadata={"channel": name},
     )
 

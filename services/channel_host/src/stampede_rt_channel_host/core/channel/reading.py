@@ -60,8 +60,9 @@ class Reading:
         """Raises IncarnationLost if the position's seq belongs to another incarnation of the channel."""
         if position is not None and position.incarnation not in (0, self._incarnation):
             raise IncarnationLost(
-                f"the position comes from incarnation {position.incarnation:x}, the channel is {self._incarnation:x} "
-                "now: its host was lost with its items; start again from a time or the newest item"
+                f"the position is of incarnation {position.incarnation:x}, and the channel is incarnation "
+                f"{self._incarnation:x} now: the position is another channel's, or its items were lost with the "
+                "channel's former host; start again from a time or the newest item"
             )
 
     def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
