@@ -235,3 +235,28 @@ async def test_a_right_that_was_taken_away_cannot_be_used_before_the_call_is_jud
         control.tell(state(2, AccessRule("nobody", (), None, "*")))
         with pytest.raises(PermissionDenied, match="may not read channel open"):
             check_access(AccessVerb.READ, AccessKind.CHANNEL, "open")
+
+
+@pytest.mark.parametrize("revoked", ["ce", "a1"])
+async def test_a_call_with_a_token_ends_with_the_token_and_with_the_certificate_of_its_connection(revoked: str) -> None:
+    control = AccessControl()
+    control.tell(state(1))
+
+    async def abort(*_: Any) -> None:
+        raise PermissionDenied("aborted")
+
+    shared = Caller(kind=CallerKind.CERTIFICATE, roles=frozenset({Role.CLIENT}), name="shared", serial="ce")
+    caller = Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name="cam", serial="a1", connection=shared)
+    control.check_valid(caller)
+
+    async def call() -> None:
+        async with control.serving(caller, SimpleNamespace(peer=lambda: "here", abort=abort)):
+            await asyncio.Event().wait()
+
+    serving_call = asyncio.create_task(call())
+    await asyncio.sleep(0)
+    control.tell(replace(state(2), revoked_serials=frozenset({revoked})))
+    with pytest.raises(PermissionDenied, match="aborted"):
+        await serving_call
+    with pytest.raises(PermissionDenied, match=f"{revoked} of client"):
+        control.check_valid(caller)

@@ -69,6 +69,21 @@ def test_what_is_no_proof_is_refused_and_told_why(
         identify(accepted, brought, certificate)
 
 
+def test_a_token_is_valid_only_as_long_as_the_certificate_of_its_connection() -> None:
+    """A client went on with a revoked or expired certificate if it also brought a token."""
+    certificate = Certified(Identity("lab", Role.CLIENT, "shared"), serial="ce", ends_unix_nano=50)
+    caller = identify(CERTIFIED, b"Bearer token", certificate)
+    assert (caller.name, caller.kind, caller.first_end_unix_nano) == ("cam", CallerKind.TOKEN, 50)
+    for serial, kind in (("1", CallerKind.TOKEN), ("ce", CallerKind.CERTIFICATE)):
+        revoked = caller.revoked_among({serial})
+        assert revoked is not None
+        assert (revoked.serial, revoked.kind) == (serial, kind)
+    assert caller.revoked_among({"other"}) is None
+    assert caller.ended_by(49) is None
+    assert caller.ended_by(50) is caller.connection
+    assert identify(ONE, b"Bearer token", None).first_end_unix_nano == 0
+
+
 def test_rules_judge_clients_and_nobody_who_could_change_them_or_holds_the_data() -> None:
     assert TOKEN.is_judged
     assert not ANYONE.is_judged

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -32,7 +33,8 @@ class Caller:
     """One caller. `name`: its name in rules. Names that begin with "@" occur in no certificate or token.
 
     `serial` identifies the certificate or token among others of the same name; empty: there is none. `ends_unix_nano`:
-    the end of its validity; 0: it has no end.
+    the end of its validity; 0: it has no end. `connection`: the certificate that opened the connection, if a token came
+    with it; the caller is valid only as long as both are.
     """
 
     kind: CallerKind
@@ -40,6 +42,7 @@ class Caller:
     name: str
     serial: str = ""
     ends_unix_nano: int = 0
+    connection: Caller | None = None
 
     def __str__(self) -> str:
         if self.kind in _NAMELESS:
@@ -50,6 +53,31 @@ class Caller:
     def is_judged(self) -> bool:
         """Whether rules decide what the caller may do. Members of the cluster, and operators, may do everything."""
         return not self.roles & UNJUDGED
+
+    @property
+    def proofs(self) -> Iterator[Caller]:
+        """The caller by each of its proofs: this one, and that of the connection's certificate."""
+        yield self
+        if self.connection is not None:
+            yield self.connection
+
+    def revoked_among(self, serials: Set[str]) -> Caller | None:
+        """The caller by the first proof whose serial number is among `serials`; None: there is none."""
+        return next((one for one in self.proofs if one.serial in serials), None)
+
+    def ended_by(self, now_unix_nano: int) -> Caller | None:
+        """The caller by the first proof whose validity has ended; None: there is none."""
+        return next((one for one in self.proofs if 0 < one.ends_unix_nano <= now_unix_nano), None)
+
+    @property
+    def first_end_unix_nano(self) -> int:
+        """The end of the proof that ends first; 0: none ends."""
+        return min((one.ends_unix_nano for one in self.proofs if one.ends_unix_nano), default=0)
+
+    @property
+    def may_end(self) -> bool:
+        """Whether a proof of the caller may be revoked, or has an end."""
+        return any(one.serial or one.ends_unix_nano for one in self.proofs)
 
 
 ANYONE = Caller(kind=CallerKind.NOBODY, roles=ALL_ROLES, name="@anyone")

@@ -134,12 +134,11 @@ class AccessControl:
         A connection may last for days, and its handshake checks the end of the certificate only once. Raises
         PermissionDenied with reason UNAUTHENTICATED, or Unavailable with reason CERTIFICATE_EXPIRED.
         """
-        if caller.serial:
-            state = self.refresh()
-            if state is not None and caller.serial in state.revoked_serials:
-                raise _revoked(caller)
-        if 0 < caller.ends_unix_nano <= self._time_unix_nano():
-            raise _over(caller)
+        state = self.refresh() if caller.may_end else None
+        if state is not None and (revoked := caller.revoked_among(state.revoked_serials)):
+            raise _revoked(revoked)
+        if over := caller.ended_by(self._time_unix_nano()):
+            raise _over(over)
 
     def _known(self) -> AccessState:
         state = self.refresh()
@@ -165,7 +164,7 @@ class AccessControl:
     async def _resting_on(self, call: OpenCall) -> AsyncIterator[None]:
         """A context in which the call ends when its caller's credential or rights end."""
         caller = call.caller
-        if not (caller.is_judged or caller.serial or caller.ends_unix_nano):
+        if not (caller.is_judged or caller.may_end):
             yield
             return
         self._open.add(call)
@@ -190,9 +189,9 @@ class AccessControl:
         While calls are open, set the timer again: one timer serves all calls.
         """
         self._sweep, now = None, self._time_unix_nano()
-        over = [call for call in self._open if call.error is None and 0 < call.caller.ends_unix_nano <= now]
+        over = [call for call in self._open if call.error is None and 0 < call.ends_unix_nano <= now]
         for call in over[:CALLS_ENDED_PER_TURN]:
-            call.end(_over(call.caller))
+            call.end(_over(call.caller.ended_by(now) or call.caller))
         if len(over) > CALLS_ENDED_PER_TURN:
             self._sweep = asyncio.get_running_loop().call_soon(self._end_what_is_over)
         elif self._open:
@@ -211,6 +210,7 @@ class OpenCall:
         self.error: StampedeError | None = None
         self._control = control
         self.context = context
+        self.ends_unix_nano = caller.first_end_unix_nano
         self._is_judged = caller.is_judged
         # the rights that the call has used, with the rules that gave them
         self._granted: dict[Grant, AccessRules] = {}
@@ -249,8 +249,8 @@ class OpenCall:
 
         Yields after each right, so that the caller can pause.
         """
-        if self.caller.serial in state.revoked_serials:
-            self.end(_revoked(self.caller))
+        if revoked := self.caller.revoked_among(state.revoked_serials):
+            self.end(_revoked(revoked))
             return
         if self._forgotten is not None and self._forgotten.rules != state.rules.rules:
             self.end(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt_runtime.access.caller import ANYONE, Caller, Certified, by_certificate, by_secret
@@ -39,7 +39,8 @@ def identify(accepted: Accepted, authorization: bytes | None, certificate: Certi
     brought = _brought(authorization)
     token = _token(accepted, brought)
     if token is not None:
-        return token  # before the certificate: many clients may share that, and the token names one of them
+        # before the certificate: many clients may share that, and the token names one of them
+        return replace(token, connection=certified)
     secret = _by_secret(accepted, brought) if accepted.secrets else None
     return certified or secret or ANYONE
 
