@@ -70,3 +70,25 @@ async def test_a_stream_ends_with_its_token(cluster: LocalCluster, tmp_path: Pat
         subscription = channel.subscribe()
         with pytest.raises(PermissionDenied, match="the token of client brief has ended"):
             await anext(subscription)
+
+
+def test_a_token_is_revoked_by_its_file_or_its_serial_number_and_nothing_else_is_taken_for_one(
+    cluster: LocalCluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`token issue` printed no serial number with the token, and `token revoke` took every number for one."""
+    token = issued(cluster, tmp_path, "leaked")
+    assert run(["token", "revoke", str(tmp_path / "leaked.token"), "--url", cluster.address]) == 0
+    with pytest.raises(PermissionDenied, match="of client leaked was revoked"):
+        st.connect(cluster.address, secret=token)
+    capsys.readouterr()
+    assert run(["token", "issue", "printed", "--url", cluster.address]) == 0
+    told = capsys.readouterr()
+    serial = told.err.split()[1]
+    assert run(["token", "revoke", serial.upper(), "--url", cluster.address]) == 0
+    assert f"{serial} is revoked" in capsys.readouterr().out
+    with pytest.raises(PermissionDenied, match="of client printed was revoked"):
+        st.connect(cluster.address, secret=told.out.strip())
+    (tmp_path / "other").write_text("no.token")
+    for text in ("abc", "f" * 40, str(tmp_path / "other"), str(tmp_path / "missing")):
+        assert run(["token", "revoke", text, "--url", cluster.address]) == 1
+        assert "is neither the file of a token nor the serial number of one" in capsys.readouterr().err

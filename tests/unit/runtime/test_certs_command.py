@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_runtime.certs_command import main
+from stampede_rt_runtime.certificates import CertificateError
+from stampede_rt_runtime.certs_command import main, serial_of
 
 
 @pytest.mark.parametrize("name", ["client-anna.pem", "client-anna.key"])
@@ -23,3 +24,14 @@ def test_a_pipe_in_the_place_of_a_file_is_not_replaced(
     assert f"{out / name} is no regular file" in capsys.readouterr().err
     assert [path.name for path in out.iterdir()] == [name]
     assert (out / name).is_fifo()
+
+
+@pytest.mark.parametrize("text", ["0786C71636B2", "07:86:C7:16:36:B2", "786c71636b2"])
+def test_a_serial_number_is_known_as_other_programs_print_it(text: str) -> None:
+    assert serial_of(text) == "786c71636b2"
+
+
+@pytest.mark.parametrize("text", ["", "0", "xyz", "1" * 65])
+def test_what_is_no_serial_number_is_refused(text: str) -> None:
+    with pytest.raises(CertificateError, match="neither a file nor a serial number"):
+        serial_of(text)

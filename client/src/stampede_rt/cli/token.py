@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import base64
+import json
 import os
+import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +18,7 @@ from stampede_rt.values.timeline import format_instant, parse_duration
 
 ROLES = ("client", "operator")
 TTL_DEFAULT = "1h"
+SERIAL_DIGITS = 16
 
 
 def add_verbs(subparsers: Any) -> None:
@@ -34,7 +39,11 @@ def add_verbs(subparsers: Any) -> None:
     revoke = add_verb(
         verbs, "revoke", "revoke a token for good: all services refuse it from then on", run_revoke, output=False
     )
-    revoke.add_argument("serial", metavar="SERIAL", help="the token's serial number, which `token issue` printed")
+    revoke.add_argument(
+        "token",
+        metavar="SERIAL|FILE",
+        help="the token's serial number, which `token issue` printed, or the token's file",
+    )
     issue.add_argument("--out", type=Path, metavar="FILE", help="write the token to FILE, which only you can read")
 
 
@@ -50,6 +59,7 @@ def run_issue(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         if arguments.output == "table":
             print(made.token)  # without other text, so that a script can take it
+            print(f"serial {made.serial} (for `stampede token revoke`), valid until {until}", file=sys.stderr)
         else:
             print_facts({**facts, "token": made.token}, arguments.output)
         return 0
@@ -64,10 +74,34 @@ def run_revoke(arguments: argparse.Namespace) -> int:
     """Revoke a token."""
     from stampede_rt.administration.running_cluster import reached
 
+    serial = _serial_of(arguments.token)
     with reached(arguments.url, None) as cluster:
-        print_behind(cluster.parts_behind(cluster.revoke(arguments.serial)))
-    print(f"{arguments.serial} is revoked: its open streams have ended, and services refuse it from now on.")
+        print_behind(cluster.parts_behind(cluster.revoke(serial)))
+    print(f"{serial} is revoked: its open streams end, and services refuse it from now on.")
     return 0
+
+
+def _serial_of(text: str) -> str:
+    """The serial number of a token, which `text` is or whose file it names. Raises StampedeError."""
+    try:
+        return _serial_in(Path(text).read_text()) if Path(text).is_file() else _checked(text)
+    except (OSError, ValueError, KeyError, TypeError):
+        raise StampedeError(
+            f"{text!r} is neither the file of a token nor the serial number of one, which has {SERIAL_DIGITS} "
+            "hexadecimal digits; revoke certificates with `stampede certs revoke`"
+        ) from None
+
+
+def _serial_in(token: str) -> str:
+    """The serial number in the second part of a token. Raises ValueError, KeyError or TypeError."""
+    body = token.strip().split(".")[1:2]
+    return _checked(json.loads(base64.urlsafe_b64decode(body[0] + "==" if body else ""))["serial"])
+
+
+def _checked(serial: str) -> str:
+    if re.fullmatch(rf"[0-9a-f]{{{SERIAL_DIGITS}}}", serial.lower()) is None:
+        raise ValueError(serial)
+    return serial.lower()
 
 
 def _write(path: Path, token: str) -> None:

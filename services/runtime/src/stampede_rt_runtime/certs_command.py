@@ -240,21 +240,24 @@ def _revoke(arguments: argparse.Namespace) -> list[str]:
     """
     from stampede_rt.administration.running_cluster import reached  # not at the top: the other verbs need no gRPC
 
-    serials = [_serial_of(text) for text in arguments.credentials]
+    serials = [serial_of(text) for text in arguments.credentials]
     with reached(arguments.url, None) as cluster:
         if not serials:
-            return list(cluster.revoked_serials()) or ["no certificate is revoked"]
+            return list(cluster.revoked_serials()) or ["no certificate or token is revoked"]
         behind = cluster.parts_behind(max([cluster.revoke(serial) for serial in serials]))
     done = [f"{one} is revoked: the streams of its bearers end, and the services refuse it" for one in serials]
     return done + [f"not in force yet at {name}: {why}" for name, why in behind.items()]
 
 
-def _serial_of(text: str) -> str:
-    if Path(text).exists():
+def serial_of(text: str) -> str:
+    """The serial number of a certificate, whose file or number `text` is. Raises CertificateError, OSError."""
+    if Path(text).is_file():
         return serial_text(_described(Path(text))[0].serial)
-    if re.fullmatch(r"[0-9a-f]{1,64}", text) is None:
+    # openssl prints capitals and a leading zero, and other programs print colons
+    serial = text.replace(":", "").lower().lstrip("0")
+    if re.fullmatch(r"[0-9a-f]{1,64}", serial) is None:
         raise CertificateError(f"{text!r} is neither a file nor a serial number in hexadecimal digits (see certs show)")
-    return text
+    return serial
 
 
 def _line(one: Described, now: datetime) -> str:

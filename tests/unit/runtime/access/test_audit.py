@@ -68,3 +68,5 @@ def test_changes_are_always_told(caplog: pytest.LogCaptureFixture) -> None:
     for number in range(3):
         log.changed(CAM, "ipv4:10.0.0.3:5", "add rule", str(number))
     assert [vars(one)["thing"] for one in caplog.records] == ["0", "1", "2"]
+    log.changed(CAM, "ipv4:10.0.0.3:5", "remove rule", "missing", done=False)
+    assert [vars(one)["result"] for one in caplog.records] == ["done", "done", "done", "unchanged"]

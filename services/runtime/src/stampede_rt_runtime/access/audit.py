@@ -41,9 +41,12 @@ class AuditLog:
         if left_out is not None:
             logger.warning("denied", extra=_facts(caller, address, verb, name, "denied") | {"left_out": left_out})
 
-    def changed(self, caller: Caller | None, address: str, verb: str, name: str) -> None:
-        """Log a change of rules, quotas, credentials or members, or the takeover of a peer. Logs each such change."""
-        logger.info("changed", extra=_facts(caller, address, verb, name, "done"))
+    def changed(self, caller: Caller | None, address: str, verb: str, name: str, *, done: bool = True) -> None:
+        """Log a change of rules, quotas, credentials or members, or the takeover of a peer. Logs each such change.
+
+        `done` False: everything was so already.
+        """
+        logger.info("changed", extra=_facts(caller, address, verb, name, "done" if done else "unchanged"))
 
     def _turn(self, subject: str) -> int | None:
         """The number of denials left out since the last line; None: it is too early for the next line."""

@@ -277,9 +277,9 @@ class OpenCall:
         self._control.audit.denied(self.caller, self.context.peer(), verb, f"{kind} {name}")
         return error
 
-    def changed(self, what: str, name: str) -> None:
+    def changed(self, what: str, name: str, *, done: bool) -> None:
         """Write a change by the call to the audit log."""
-        self._control.audit.changed(self.caller, self.context.peer(), what, name)
+        self._control.audit.changed(self.caller, self.context.peer(), what, name, done=done)
 
 
 _CURRENT: ContextVar[OpenCall | None] = ContextVar("call", default=None)
@@ -350,11 +350,11 @@ def check_not_judged(what: str) -> None:
         raise PermissionDenied(f"{caller} may not {what}, which is for members of the cluster; leave it to them")
 
 
-def audit_change(what: str, name: str) -> None:
-    """Write a change by the present call to the audit log."""
+def audit_change(what: str, name: str, *, done: bool = True) -> None:
+    """Write a change by the present call to the audit log. `done` False: everything was so already."""
     call = _CURRENT.get()
     if call is not None:
-        call.changed(what, name)
+        call.changed(what, name, done=done)
 
 
 def caller_name() -> str:

@@ -95,7 +95,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         if not request.dry_run:
             done = await self._calls.submit(context, operation, commands.AccessRuleAdded, request.request_id)
             added, version = done.added, done.version
-            audit_change("add rule", str(operation.rule))
+            audit_change("add rule", str(operation.rule), done=added)
         return pb.AddAccessRuleResponse(
             added=added, rules=len(change.after.rules), effects=change.effects, version=version
         )
@@ -111,7 +111,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         if not request.dry_run:
             done = await self._calls.submit(context, operation, commands.AccessRuleRemoved, request.request_id)
             removed, version = done.removed, done.version
-            audit_change("remove rule", str(operation.rule))
+            audit_change("remove rule", str(operation.rule), done=removed)
         return pb.RemoveAccessRuleResponse(
             removed=removed, rules=len(change.after.rules), effects=change.effects, version=version
         )
@@ -157,7 +157,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     ) -> pb.RevokeCredentialResponse:
         operation = commands.RevokeCredential(serial=request.serial)
         done = await self._calls.submit(context, operation, commands.CredentialRevoked, request.request_id)
-        audit_change("revoke", request.serial)
+        audit_change("revoke", request.serial, done=done.revoked)
         return pb.RevokeCredentialResponse(revoked=done.revoked, version=done.version)
 
     @errors_as_status

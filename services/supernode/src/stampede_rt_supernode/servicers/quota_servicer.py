@@ -24,14 +24,14 @@ class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
     async def SetQuotas(self, request: pb.SetQuotasRequest, context: Context) -> pb.SetQuotasResponse:
         operation = SetQuotas(settings=tuple(map(setting_from, request.settings)))
         done = await self._calls.submit(context, operation, QuotasSet, request.request_id)
-        audit_change("set quota", ", ".join(map(str, operation.settings)))
+        audit_change("set quota", ", ".join(map(str, operation.settings)), done=bool(done.changed))
         return pb.SetQuotasResponse(changed=done.changed, version=done.version)
 
     @errors_as_status
     async def RemoveQuotas(self, request: pb.RemoveQuotasRequest, context: Context) -> pb.RemoveQuotasResponse:
         operation = RemoveQuotas(who=request.who, quotas=tuple(map(quota_from, request.kinds)))
         done = await self._calls.submit(context, operation, QuotasRemoved, request.request_id)
-        audit_change("remove quota", f"{operation.who} {' '.join(operation.quotas) or 'all'}")
+        audit_change("remove quota", f"{operation.who} {' '.join(operation.quotas) or 'all'}", done=bool(done.removed))
         return pb.RemoveQuotasResponse(removed=done.removed, version=done.version)
 
     @errors_as_status
