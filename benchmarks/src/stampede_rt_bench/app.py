@@ -80,15 +80,17 @@ def _matching(arguments: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = TerminalParser(prog="stampede bench", description="Benchmarks, beside other software for the same task.")
+    parser = TerminalParser(prog="stampede bench", description="Benchmarks of Stampede RT and of similar software.")
     kinds = parser.add_subparsers(dest="kind", metavar="NAME")
     _add_paper(kinds)
     _add_limits(kinds)
     _add_peers(kinds)
     text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"
     matching = kinds.add_parser("matching", help=text, description=text)
-    matching.add_argument("--seconds", type=_between(15, 3600), default=60, help="of each recording (default: 60)")
-    matching.add_argument("--seed", type=_between(0, 2**31), default=1, help="of the recordings (default: 1)")
+    matching.add_argument(
+        "--seconds", type=_between(15, 3600), default=60, help="the length of each recording (default: 60)"
+    )
+    matching.add_argument("--seed", type=_between(0, 2**31), default=1, help="the seed of the recordings (default: 1)")
     matching.set_defaults(run=_matching)
     return parser
 
@@ -102,7 +104,7 @@ def _add_paper(kinds: Any) -> None:
         help="the figures of the paper",
     )
     paper.add_argument(
-        "--figure", action="append", choices=FIGURES, metavar="NAME", help="this one only; may be repeated"
+        "--figure", action="append", choices=FIGURES, metavar="NAME", help="only this figure; may be repeated"
     )
     paper.add_argument(
         "--items-max",
@@ -112,17 +114,17 @@ def _add_paper(kinds: Any) -> None:
         help="the largest channel (default: 10,000,000, which takes 4 GiB and some minutes)",
     )
     paper.add_argument(
-        "--runs", type=_between(1, RUNS_MAX), default=5, metavar="N", help="how often each is taken (default: 5)"
+        "--runs", type=_between(1, RUNS_MAX), default=5, metavar="N", help="the runs for each figure (default: 5)"
     )
     paper.add_argument(
         "--frames",
         type=_between(FRAMES_MIN, FRAMES_MAX),
         default=contention.PAPER_FRAMES,
         metavar="N",
-        help=f"of each run of contention (default: {contention.PAPER_FRAMES}, as in the paper: 77 s)",
+        help=f"the frames of each run of contention (default: {contention.PAPER_FRAMES}, as in the paper: 77 s)",
     )
     paper.add_argument(
-        "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="where the charts go (default: out/bench)"
+        "--out", type=Path, default=Path("out/bench"), metavar="DIR", help="the folder for charts (default: out/bench)"
     )
     paper.set_defaults(run=_paper)
 
@@ -142,14 +144,14 @@ def _add_peers(kinds: Any) -> None:
         action="append",
         choices=SYSTEMS,
         metavar="NAME",
-        help=f"this one only; may be repeated; {', '.join(SYSTEMS)}",
+        help=f"only this system; may be repeated; {', '.join(SYSTEMS)}",
     )
     peers.add_argument(
         "--readers",
         action="append",
         type=_between(1, READERS_MAX),
         metavar="N",
-        help=f"so many readers of frames; may be repeated (default: {', '.join(map(str, READERS))})",
+        help=f"the number of readers of frames; may be repeated (default: {', '.join(map(str, READERS))})",
     )
     _add_effort(peers, Path("out/bench"))
     peers.set_defaults(run=measure_peers)
@@ -164,16 +166,16 @@ def _add_effort(parser: argparse.ArgumentParser, folder: Path) -> None:
         action="append",
         choices=dict.fromkeys([*kinds, *names]),
         metavar="NAME",
-        help=f"this one only, or all of a kind; may be repeated; {', '.join(names)}",
+        help=f"only this work, or all works of this kind; may be repeated; {', '.join(names)}",
     )
     parser.add_argument(
-        "--seconds", type=_seconds, default=5.0, metavar="S", help="of each run in steady state (default: 5)"
+        "--seconds", type=_seconds, default=5.0, metavar="S", help="the time of each run in steady state (default: 5)"
     )
     parser.add_argument(
-        "--rounds", type=_between(1, RUNS_MAX), default=5, metavar="N", help="how often each is taken (default: 5)"
+        "--rounds", type=_between(1, RUNS_MAX), default=5, metavar="N", help="the runs of each work (default: 5)"
     )
     parser.add_argument(
-        "--out", type=Path, default=folder, metavar="DIR", help=f"where the report goes (default: {folder})"
+        "--out", type=Path, default=folder, metavar="DIR", help=f"the folder for the report (default: {folder})"
     )
 
 

@@ -1,4 +1,4 @@
-"""Charts as PNG files. Colours are from the Okabe-Ito palette. No information is in the colour alone."""
+"""Draws charts as PNG files. Colours are from the Okabe-Ito palette. No information is in the colour alone."""
 
 from __future__ import annotations
 

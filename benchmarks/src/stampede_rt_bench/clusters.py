@@ -47,6 +47,6 @@ def _cluster(hosts: int, network: NamespaceNetwork | None) -> LocalCluster:
 
 @contextmanager
 def connected(*, hosts: int = 1) -> Iterator[st.Connection]:
-    """Yield a connection to such a cluster."""
+    """Yield a connection to a new cluster of one supernode and `hosts` hosts. Both end with the context."""
     with running(hosts=hosts) as address, st.connect(address) as rt:
         yield rt

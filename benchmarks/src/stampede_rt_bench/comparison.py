@@ -1,4 +1,4 @@
-"""`stampede bench limits` and `stampede bench peers`: several systems do the same work; a report compares them."""
+"""`stampede bench limits` and `stampede bench peers`: they measure systems at the same work, and compare them."""
 
 from __future__ import annotations
 

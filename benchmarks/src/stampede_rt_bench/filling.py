@@ -1,4 +1,4 @@
-"""Channels that hold many items: the pure core, as a host has it in its memory, and channels of a cluster."""
+"""Fills channels with many items: channels of the pure core, as a host has them, and channels of a cluster."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def filled_remote_channel(rt: st.Connection, items: int) -> st.Channel:
 
 
 def put_run(channel: ChannelCore, places: range) -> None:
-    """Put one run."""
+    """Put one run with the items at these places. Raises AssertionError if the channel does not accept all of them."""
     times = [time_of(place) for place in places]
     raw = encode_run([bytes(PAYLOAD_BYTES) for _ in places], times=times)
 

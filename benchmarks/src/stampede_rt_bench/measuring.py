@@ -1,4 +1,4 @@
-"""Measures a figure: the same operation many times, in several runs, with the median and the spread of the runs."""
+"""Measures a figure: does one operation many times in several runs, and gives the median and spread of the runs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ NANOS_PER_US = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class Effort:
-    """The largest size of channels, the number of runs for a figure, and the number of frames in a run of a stream."""
+    """The effort of a measurement.
+
+    `items_max`: the items of the largest channel. `runs`: the runs for each figure. `frames`: the frames of each run
+    with a stream.
+    """
 
     items_max: int
     runs: int
@@ -51,7 +55,7 @@ class Spread:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Switch off garbage collection inside: it would visit every item of a large channel during some operation."""
+    """Switch off garbage collection in the context. It would visit every item of a large channel in some operation."""
     gc.collect()
     gc.disable()
     try:

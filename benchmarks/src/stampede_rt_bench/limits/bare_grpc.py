@@ -39,16 +39,16 @@ class BareGrpc:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """It does all kinds of work for one reader."""
+        """Return the work that it cannot do: frames, because it serves one reader only."""
         return {"frames": ONE_READER}
 
     def unavailable_because(self) -> str | None:
-        """The client needs grpcio anyway."""
+        """Return None, because the client of Stampede RT needs grpcio anyway."""
         return None
 
     @contextmanager
     def served(self, room: Room) -> Iterator[Served]:
-        """The relay."""
+        """Run the relay in a new process for the duration of the context."""
         with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
             ready = Path(folder, "address")
             command = [sys.executable, "-P", "-m", "stampede_rt_bench.limits.grpc_server", str(ready)]
@@ -56,39 +56,39 @@ class BareGrpc:
                 yield Served(address=ready.read_text(), pids=[pid])
 
     def connect(self, served: Served, room: Room) -> GrpcClient:
-        """A channel."""
+        """Return a client with a new gRPC channel."""
         return GrpcClient(served.address, room)
 
 
 class GrpcClient:
-    """Open streams of one synchronous channel."""
+    """A client that uses open streams of one blocking gRPC channel."""
 
     def __init__(self, address: str, room: Room) -> None:
         self._room = room
         self._channel: Any = grpc.insecure_channel(address, options=OPTIONS)
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """A message there, a message of 24 bytes back, on one stream."""
+        """Send each payload as a message, and wait for an answer of 24 bytes, on one stream."""
         exchange = self._exchange("Ack")
         for payload in payloads:
             exchange(payload)
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """A small message there, one item back."""
+        """Send a small message, and wait for one item."""
         self.interval(turns, receiver)
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """A small message there, the items' bytes back in one."""
+        """Send a small message, and wait for the bytes of all items in one message."""
         exchange = self._exchange("Fetch")
         for items in turns:
             receiver.take_block(items, exchange(REQUEST.pack(items, self._room.item_bytes)))
 
     def publish(self, steps: Iterator[Step]) -> None:
-        """Each step's payloads, joined, as one message. gRPC's flow control bounds what is on its way."""
+        """Send the payloads of each step, joined, as one message. gRPC's flow control bounds the bytes under way."""
         self._channel.stream_unary("/bare/In")(_messages(steps))
 
     def subscribe(self, receiver: Receiver) -> None:
-        """Whole messages."""
+        """Take whole messages until the run ends."""
         out = self._channel.unary_stream("/bare/Out")(REQUEST.pack(0, 0))
         messages = iter(out)
         next(messages)

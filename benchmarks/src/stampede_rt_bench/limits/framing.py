@@ -1,10 +1,10 @@
-"""What the bare servers understand, over gRPC or sockets: a request of 12 bytes, or payload that goes on to readers."""
+"""The frames of the bare servers, over gRPC and over sockets: requests of 8 bytes, acknowledgements, and payloads."""
 
 from __future__ import annotations
 
 import struct
 
-REQUEST = struct.Struct("<II")  # items of the answer, bytes of each
+REQUEST = struct.Struct("<II")  # the number of items in the answer, and the bytes of each item
 ACK = bytes(24)
 LENGTH = struct.Struct("<I")
 QUEUE_MESSAGES_MAX = 8

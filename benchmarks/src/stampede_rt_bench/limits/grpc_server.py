@@ -1,4 +1,4 @@
-"""The relay behind bare gRPC: `python -m stampede_rt_bench.limits.grpc_server FILE`; it writes its address there."""
+"""The relay behind bare gRPC: `python -m stampede_rt_bench.limits.grpc_server FILE`. It writes its address to FILE."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from stampede_rt_bench.limits.framing import ACK, QUEUE_MESSAGES_MAX, REQUEST
 
 
 class GrpcRelay(grpc.GenericRpcHandler):
-    """Acknowledges, answers, and sends on from In to every Out."""
+    """Acknowledges messages of `Ack`, answers those of `Fetch`, and passes those of `In` on to every `Out`."""
 
     def __init__(self) -> None:
         self._outs: list[asyncio.Queue[bytes]] = []
 
     def service(self, details: Any) -> Any:
-        """The handler of a method."""
+        """Return the handler of a method."""
         method = details.method.rpartition("/")[2]
         if method == "Out":
             return grpc.unary_stream_rpc_method_handler(self._keep)
@@ -65,7 +65,7 @@ class GrpcRelay(grpc.GenericRpcHandler):
 
 
 async def main() -> None:
-    """Serve until killed."""
+    """Serve until this process is killed."""
     server = grpc.aio.server(options=OPTIONS)
     server.add_generic_rpc_handlers((GrpcRelay(),))
     port = server.add_insecure_port("127.0.0.1:0")

@@ -1,4 +1,4 @@
-"""A copy in memory. No transport that returns its own bytes can be faster."""
+"""Measures a copy in memory. No transport that copies its bytes can be faster."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The relay behind the raw sockets: `python -m stampede_rt_bench.limits.socket_server unix|tcp FILE`.
 
-It writes its address to the file. The first byte of a connection says what it is for: A acknowledges each frame, F
-answers each request with bytes, I sends on to all O. The kernel's buffers are the only queues.
+It writes its address to FILE. The first byte of a connection gives its kind. A: the relay acknowledges each frame. F:
+it answers each request with bytes. I: it passes all bytes on to the connections of kind O. The kernel's buffers are
+the only queues.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class SocketRelay:
         self._outs: list[socket.socket] = []
 
     def serve(self, connection: socket.socket) -> None:
-        """Until the other side ends."""
+        """Serve one connection until the other side closes it."""
         with suppress(ConnectionError), connection:
             kind = connection.recv(1)
             {b"A": self._acknowledge, b"F": self._answer, b"I": self._send_on, b"O": self._keep}[kind](connection)
@@ -54,12 +55,12 @@ class SocketRelay:
     def _keep(self, connection: socket.socket) -> None:
         connection.sendall(LENGTH.pack(1) + b"O")
         self._outs.append(connection)
-        connection.recv(1)  # a reader sends nothing: this is its end
+        connection.recv(1)  # returns when the reader closes the connection, because a reader sends nothing
         self._outs.remove(connection)
 
 
 def main() -> None:
-    """Serve until killed."""
+    """Serve until this process is killed."""
     family, file = sys.argv[1:]
     path = Path(file)
     if family == "unix":

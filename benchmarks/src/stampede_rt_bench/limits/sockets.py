@@ -28,21 +28,21 @@ class RawSockets:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """It does all kinds of work for one reader."""
+        """Return the work that it cannot do: frames, because it serves one reader only."""
         return {"frames": ONE_READER}
 
     @property
     def name(self) -> str:
-        """As tables show it."""
+        """The name of the system in tables."""
         return {"unix": "bare Unix socket", "tcp": "bare TCP socket"}[self.family]
 
     def unavailable_because(self) -> str | None:
-        """Python has both."""
+        """Return None, because Python has both kinds of sockets."""
         return None
 
     @contextmanager
     def served(self, room: Room) -> Iterator[Served]:
-        """The relay."""
+        """Run the relay in a new process for the duration of the context."""
         with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
             ready = Path(folder, "address")
             command = [sys.executable, "-P", "-m", "stampede_rt_bench.limits.socket_server", self.family, str(ready)]
@@ -50,7 +50,7 @@ class RawSockets:
                 yield Served(address=ready.read_text(), pids=[pid])
 
     def connect(self, served: Served, room: Room) -> SocketClient:
-        """A connection for each kind of work."""
+        """Return a client, which opens one connection for each kind of work."""
         return SocketClient(self.family, served.address, room)
 
 
@@ -62,18 +62,18 @@ class SocketClient:
         self._sockets: list[socket.socket] = []
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """A frame there, a frame of 24 bytes back."""
+        """Send each payload as a frame, and wait for an answer of 24 bytes."""
         connection = self._open(b"A")
         for payload in payloads:
             connection.sendall(LENGTH.pack(len(payload)) + payload)
             receive(connection)
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """A small frame there, one item back."""
+        """Send a small frame, and wait for one item."""
         self.interval(turns, receiver)
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """A small frame there, the items' bytes back in one."""
+        """Send a small frame, and wait for the bytes of all items in one frame."""
         connection = self._open(b"F")
         for items in turns:
             request = REQUEST.pack(items, self._room.item_bytes)
@@ -81,7 +81,7 @@ class SocketClient:
             receiver.take_block(items, receive(connection))
 
     def publish(self, steps: Iterator[Step]) -> None:
-        """Each step's payloads, joined, as one frame. The server's reading bounds what is on its way."""
+        """Send the payloads of each step, joined, as one frame. The kernel's buffers bound the bytes under way."""
         connection = self._open(b"I")
         for step in steps:
             if isinstance(step, float):
@@ -90,7 +90,7 @@ class SocketClient:
                 connection.sendall(b"".join([LENGTH.pack(sum(map(len, step))), *step]))
 
     def subscribe(self, receiver: Receiver) -> None:
-        """Whole frames."""
+        """Take whole frames until the run ends."""
         connection = self._open(b"O")
         receive(connection)
         receiver.ready()
@@ -118,7 +118,7 @@ class SocketClient:
 
 
 def receive(connection: socket.socket) -> bytes | bytearray:
-    """One frame. Raises ConnectionError at the end of the stream."""
+    """Return one frame. Raises ConnectionError at the end of the stream."""
     (length,) = LENGTH.unpack(_exactly(connection, LENGTH.size))
     return _exactly(connection, length)
 

@@ -1,6 +1,6 @@
 """Replays a recording into the C++ ApproximateTime policy of ROS message_filters, which this module builds.
 
-Debian has it as libmessage-filters-dev. It needs no ROS installation, and sends nothing.
+Debian's package libmessage-filters-dev has it. It needs no ROS installation, and sends nothing.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ LIBRARIES = ("message_filters", "roscpp", "rosconsole", "rostime", "boost_thread
 
 
 def is_installed() -> bool:
-    """Whether the headers and a compiler are there."""
+    """Whether the headers and a compiler are installed."""
     return HEADER.exists() and shutil.which(COMPILER) is not None
 
 
 @cache
 def _program() -> Path:
-    """Return the program. It is built once for each process; its folder is removed when the interpreter ends."""
+    """Build the program at the first call, and return its path. Python removes its folder when the interpreter ends."""
     folder = tempfile.TemporaryDirectory(prefix="stampede-bench-")
     program = Path(folder.name) / "approximate_time"
     flags = ["-O2", "-w", "-o", str(program), str(SOURCE), *(f"-l{library}" for library in LIBRARIES)]
@@ -43,9 +43,9 @@ _folders: list[tempfile.TemporaryDirectory[str]] = []
 
 
 def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
-    """Return the sets that its callback gets, with their times, for this recording.
+    """Return the sets that the policy gives to its callback for this recording, with their times.
 
-    The tolerance is its maximum interval.
+    `tolerance_nanos` becomes the policy's greatest interval.
     """
     streams = list(RATES_HZ)
     lines = [f"{tolerance_nanos} {QUEUE_ITEMS}"]

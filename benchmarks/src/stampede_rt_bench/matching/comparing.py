@@ -1,4 +1,4 @@
-"""The table: every scenario, our match and both synchronisers of ROS message_filters."""
+"""Makes the table of every scenario with our match and both synchronisers of ROS message_filters."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ COLUMNS = ("inputs", "synchroniser", "possible", "right", "wrong", "unmatched", 
 
 
 def compare(seconds: int, seed: int) -> Table:
-    """Replay every scenario. `seconds` is the length of each recording."""
+    """Replay every scenario, and return the table. `seconds` is the length of each recording."""
     synchronisers = {"g.match": ours.replay}
     peers = {"filters, Python": message_filters, "filters, C++": approximate_time}
     synchronisers |= {name: peer.replay for name, peer in peers.items() if peer.is_installed()}

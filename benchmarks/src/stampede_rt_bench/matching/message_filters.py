@@ -1,6 +1,6 @@
 """Replays a recording into the ApproximateTimeSynchronizer of ROS message_filters, in the system's Python.
 
-Debian has it as python3-message-filters. It needs no ROS installation, and sends nothing.
+Debian's package python3-message-filters has it. It needs no ROS installation, and sends nothing.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ QUEUE_ITEMS = 50
 PACKAGE = "python3-message-filters"
 RUN_SECONDS_MAX = 300
 
-# This script runs in the Python that has message_filters, which does not have this package. So it uses only the
-# standard library besides.
+# This script runs in the system's Python, which has message_filters but not this package. So besides message_filters it
+# uses only the standard library.
 SCRIPT = """
 import json, sys
 import rospy
@@ -55,7 +55,10 @@ def is_installed() -> bool:
 
 
 def replay(arrivals: Sequence[Arrival], tolerance_nanos: int) -> Replay:
-    """Return the sets that its callback gets, with their times, for this recording. The tolerance is its `slop`."""
+    """Return the sets that the synchroniser gives to its callback for this recording, with their times.
+
+    `tolerance_nanos` becomes the synchroniser's `slop`.
+    """
     streams = list(RATES_HZ)
     job = {
         "streams": streams,

@@ -1,4 +1,4 @@
-"""Replays a recording into our match: the core of a host, with the clock of the recording."""
+"""Replays a recording into the match of Stampede RT: the core of a host, with the clock of the recording."""
 
 from __future__ import annotations
 

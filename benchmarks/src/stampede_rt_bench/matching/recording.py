@@ -1,6 +1,6 @@
-"""Makes recordings: the items of three sensors with different rates, and their arrivals. Pure; one seed, one recording.
+"""Makes recordings: the items of three sensors with different rates, and their arrivals. Pure.
 
-All instants are int nanoseconds.
+The same seed gives the same recording. All instants are int nanoseconds.
 """
 
 from __future__ import annotations

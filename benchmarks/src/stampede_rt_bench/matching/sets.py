@@ -21,7 +21,7 @@ class FoundSet:
 class Replay:
     """All sets of one run.
 
-    `told_unmatched`: the number of reported items without a partner; None: it cannot report them.
+    `told_unmatched`: the number of reported items without a partner; None if the synchroniser cannot report them.
     """
 
     sets: Sequence[FoundSet]
@@ -32,9 +32,9 @@ class Replay:
 class Judgement:
     """`possible`: the sets of the whole recording. `right`: returned sets that are among these.
 
-    `wrong`: other returned sets. `unmatched`: reference items without a returned set. `told`: how many of these were
-    reported; None: it cannot report them. `delays_nanos`: for each set, the time from the arrival of its last item
-    until it was returned.
+    `wrong`: other returned sets. `unmatched`: reference items without a returned set. `told`: the number of these items
+    that the synchroniser reported; None if it cannot report them. `delays_nanos`: for each set, the time from the
+    arrival of its last item until the synchroniser returned the set.
     """
 
     possible: int

@@ -41,9 +41,10 @@ class Receipt(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Setting:
-    """Whether consumers read through a group, its bound (with `end` frames have durations), and when captions come.
+    """The conditions of one run.
 
-    Captions begin `captions_after_nanos` after the beginning of a frame, and are known `decoding_nanos` later.
+    `grouped`: consumers read through a group. `bound`: the bound of the group; with "end" frames have durations. A
+    caption begins `captions_after_nanos` after the beginning of a frame, and is put `decoding_nanos` later.
     """
 
     name: str
@@ -70,9 +71,9 @@ def play(
             for name, host in zip((VIDEO, CAPTIONS), rt.hosts(), strict=True)
         ]
         rt.group(GROUP, channels, reference="oldest", bound=setting.bound)
-        # After Ctrl-C this process ends them, without their messages.
-        deaf = signal.signal, (signal.SIGINT, signal.SIG_IGN)
-        consumers = [pools.enter_context(context.Pool(1, *deaf)) for _ in channels]
+        # The consumers ignore Ctrl-C, so that they print nothing. This process ends them.
+        ignoring_interrupts = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        consumers = [pools.enter_context(context.Pool(1, *ignoring_interrupts)) for _ in channels]
         for consumer, channel, namespace in zip(consumers, channels, namespaces, strict=True):
             consumer.apply(prepare, (namespace, address, channel.name, setting.grouped))
         start = time.time_ns() + LEAD_NANOS
@@ -105,7 +106,7 @@ def _produce(channels: Sequence[st.Channel], setting: Setting, start: int, end: 
 
 
 def _times(start: int, end: int, per_second: int) -> list[int]:
-    """Compute the times from the start, and do not add periods. So frames and captions agree to the nanosecond."""
+    """Return the times of all items, computed from `start`, so that frames and captions agree to the nanosecond."""
     count = (end - start) * per_second // NANOS_PER_SECOND
     return [start + number * NANOS_PER_SECOND // per_second for number in range(count)]
 

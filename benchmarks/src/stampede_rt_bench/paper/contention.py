@@ -1,4 +1,4 @@
-"""Figure 5 of the paper: how many frames consumers of one channel drop, by how many consumers there are.
+"""Figure 5 of the paper: the frames that consumers of one channel drop, by the number of consumers.
 
 A producer puts frames at 30 a second. Each consumer is a process. It gets the newest frame again and again, and waits
 if the last one that it got is the newest. Here the channel's host is a process of its own, and all processes share
@@ -27,7 +27,11 @@ WAIT_SECONDS = 0.1
 
 
 class PaperDrops(NamedTuple):
-    """What the text of the paper says: dropped by all consumers on average, and the most by one on any run."""
+    """The figures in the text of the paper.
+
+    `by_all`: the frames that all consumers dropped, on average. `most`: the most frames that one consumer dropped in a
+    run. `most_frames`: the same as a number; None if the paper does not tell it.
+    """
 
     by_all: str
     most: str
@@ -47,7 +51,7 @@ class NewestByTurns(StampedeRt):
     """Stampede RT with consumers that get the newest item, and no subscription."""
 
     def connect(self, served: Served, room: Room) -> StampedeClient:
-        """A connection."""
+        """Return a client with a new connection."""
         return NewestClient(served.address, room)
 
 
@@ -55,7 +59,7 @@ class NewestClient(StampedeClient):
     """Reads as the paper's consumers do."""
 
     def subscribe(self, receiver: Receiver) -> None:
-        """Get the newest item that is later than the last one, and block until there is one."""
+        """Get the newest item again and again, each time later than the last one. Blocks until such an item comes."""
         last = self._channel.newest()
         receiver.ready()
         while not receiver.ended():
@@ -66,7 +70,7 @@ class NewestClient(StampedeClient):
 
 
 def measure(effort: Effort, chart: Path) -> Table:
-    """The table and the chart of dropped frames."""
+    """Make the table and the chart of dropped frames."""
     columns = [
         "frames of",
         "consumers",

@@ -1,4 +1,4 @@
-"""The memory of held items besides their payload, by the size of the put runs; each size in a new process."""
+"""The memory of held items besides their payload, by the size of the put runs. Measures each size in a new process."""
 
 from __future__ import annotations
 

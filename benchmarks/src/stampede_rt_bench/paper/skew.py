@@ -43,7 +43,11 @@ SETTINGS = (
 
 
 class SkewRun(NamedTuple):
-    """For each frame its index in its caption's span and its skew; for each caption the number of frames in one get."""
+    """The result of one run.
+
+    `skews_ms`: for each frame its index in its caption's span, and its skew. `frames_together`: for each caption the
+    most frames that came in one get.
+    """
 
     skews_ms: Sequence[tuple[int, float]]
     frames_together: Sequence[int]

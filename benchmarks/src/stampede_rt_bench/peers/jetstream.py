@@ -26,50 +26,50 @@ class JetStream:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Nothing."""
+        """Return an empty mapping: the system can do every kind of work."""
         return {}
 
     def unavailable_because(self) -> str | None:
-        """Server and client are Python packages."""
+        """Return which package is missing, and how to install it; None if none is missing."""
         return why_unavailable()
 
     def served(self, room: Room) -> AbstractContextManager[Served]:
-        """A server with JetStream."""
+        """Return a context with a new server that has JetStream."""
         return nats_server("--jetstream")
 
     def connect(self, served: Served, room: Room) -> JetStreamClient:
-        """A client, which connects with each work."""
+        """Return a client, which opens a connection for each work."""
         return JetStreamClient(served.address, room)
 
 
 class JetStreamClient:
-    """One loop of asyncio for each work."""
+    """A client that runs a new event loop for each work."""
 
     def __init__(self, address: str, room: Room) -> None:
         self._address, self._room = address, room
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """`publish` waits for the acknowledgement."""
+        """Call `publish` for each payload. It waits for the acknowledgement."""
         asyncio.run(self._put(payloads))
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """A direct get of the last message."""
+        """Read the last message with a direct get."""
         asyncio.run(self._newest(turns, receiver))
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """A fetch by a new consumer that acknowledges nothing: it takes less time than a batched direct get."""
+        """Fetch with a new consumer that acknowledges nothing. This takes less time than a batched direct get."""
         asyncio.run(self._interval(turns, receiver))
 
     def publish(self, steps: Iterator[Step]) -> None:
-        """`publish_async`: at most 4000 publishes are unacknowledged, the client's default."""
+        """Call `publish_async` for each payload. At most 4000 publishes are unacknowledged, which is the default."""
         asyncio.run(self._publish(steps))
 
     def subscribe(self, receiver: Receiver) -> None:
-        """An ordered consumer, which needs no acknowledgements."""
+        """Read with an ordered consumer, which needs no acknowledgements."""
         asyncio.run(self._subscribe(receiver))
 
     def close(self) -> None:
-        """Each work closes its connection."""
+        """Do nothing, because each work closes its own connection."""
 
     @asynccontextmanager
     async def _stream(self, failures: list[Exception] | None = None) -> AsyncIterator[Any]:
@@ -149,7 +149,7 @@ def _take(message: Any, receiver: Receiver) -> None:
 
 
 def _take_raw(message: Any, receiver: Receiver) -> None:
-    """A message of a direct get: its time is a header, which is parsed as a user of the time would."""
+    """Give the receiver a message of a direct get. The time of such a message is the text of a header."""
     text = message.headers["Nats-Time-Stamp"]
     receiver.take(_nanos(datetime.fromisoformat(text[:26].rstrip("Z") + "+00:00")), message.seq, message.data)
 

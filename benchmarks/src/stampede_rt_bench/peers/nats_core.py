@@ -24,50 +24,50 @@ class NatsCore:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Whatever needs a store."""
+        """Return the kinds of work that need stored items or acknowledgements."""
         return {"put": "it acknowledges nothing", "newest": KEEPS_NOTHING, "interval": KEEPS_NOTHING}
 
     def unavailable_because(self) -> str | None:
-        """Server and client are Python packages."""
+        """Return which package is missing, and how to install it; None if none is missing."""
         return why_unavailable()
 
     def served(self, room: Room) -> AbstractContextManager[Served]:
-        """A server without JetStream."""
+        """Return a context with a new server without JetStream."""
         return nats_server()
 
     def connect(self, served: Served, room: Room) -> NatsClient:
-        """A client, which connects with each work."""
+        """Return a client, which opens a connection for each work."""
         return NatsClient(served.address)
 
 
 class NatsClient:
-    """One loop of asyncio for each work."""
+    """A client that runs a new event loop for each work."""
 
     def __init__(self, address: str) -> None:
         self._address = address
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """Not offered."""
+        """Raises NotImplementedError: the system does not offer this work."""
         raise NotImplementedError
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """Not offered."""
+        """Raises NotImplementedError: the system does not offer this work."""
         raise NotImplementedError
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """Not offered."""
+        """Raises NotImplementedError: the system does not offer this work."""
         raise NotImplementedError
 
     def publish(self, steps: Iterator[Step]) -> None:
-        """`publish` buffers up to 2 MiB, and a task of the client writes; the loop has a turn after each step."""
+        """Call `publish` for each payload. The client buffers up to 2 MiB, and writes them after each step."""
         asyncio.run(self._publish(steps))
 
     def subscribe(self, receiver: Receiver) -> None:
-        """A subscription with a callback; the client keeps at most 128 MiB for it."""
+        """Read with a subscription that calls back. The client buffers at most 128 MiB for the callback."""
         asyncio.run(self._subscribe(receiver))
 
     def close(self) -> None:
-        """Each work closes its connection."""
+        """Do nothing, because each work closes its own connection."""
 
     async def _publish(self, steps: Iterator[Step]) -> None:
         connection = await connect(self._address)

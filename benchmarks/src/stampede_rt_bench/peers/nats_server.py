@@ -36,7 +36,7 @@ def _binary() -> str | None:
 
 @contextmanager
 def nats_server(*options: str) -> Iterator[Served]:
-    """A fresh server on a free port."""
+    """Run a new server on a free port for the duration of the context."""
     binary = _binary()
     assert binary is not None
     with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
@@ -61,7 +61,7 @@ async def connect(address: str, failures: list[Exception] | None = None) -> Any:
 
 
 def raise_first(failures: list[Exception]) -> None:
-    """Raise the first failure that is no loss, because lost items are counted elsewhere."""
+    """Raise the first failure, unless it reports lost items: the benchmark counts lost items itself."""
     from nats.errors import SlowConsumerError
 
     for failure in failures:

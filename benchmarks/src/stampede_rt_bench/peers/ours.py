@@ -27,16 +27,16 @@ class StampedeRt:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Nothing."""
+        """Return an empty mapping: the system can do every kind of work."""
         return {}
 
     def unavailable_because(self) -> str | None:
-        """It is here."""
+        """Return None, because this package needs Stampede RT anyway."""
         return None
 
     @contextmanager
     def served(self, room: Room) -> Iterator[Served]:
-        """A cluster of one supernode and one host."""
+        """Run a cluster of one supernode and one host for the duration of the context. Raises ServerFailed."""
         cluster = LocalCluster(hosts=1, supernodes=1, durable=False)
         try:
             cluster.start()
@@ -50,37 +50,37 @@ class StampedeRt:
             cluster.stop()
 
     def connect(self, served: Served, room: Room) -> StampedeClient:
-        """A connection."""
+        """Return a client with a new connection."""
         return StampedeClient(served.address, room)
 
 
 class StampedeClient:
-    """Items with time and seq, through the public interface alone."""
+    """A client of the blocking public interface."""
 
     def __init__(self, address: str, room: Room) -> None:
         self._rt = st.connect(address)
         self._channel = self._rt.channel(NAME, max_items=room.items_max)
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """`put` waits for the acknowledgement."""
+        """Call `put` for each payload. It waits for the acknowledgement."""
         for payload in payloads:
             self._channel.put(payload)
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """`newest`."""
+        """Call `newest` in each turn."""
         for _ in turns:
             item = self._channel.newest()
             if item is not None:
                 receiver.take(item.time, item.seq, item.payload or b"")
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """`get` from the oldest item on."""
+        """Call `get` from the oldest item on, with a limit, in each turn."""
         for items in turns:
             for item in self._channel.get(st.OLDEST, st.NEWEST, limit=items):
                 receiver.take(item.time, item.seq, item.payload or b"")
 
     def publish(self, steps: Iterator[Step]) -> None:
-        """A producer, which bounds the unacknowledged bytes."""
+        """Put with a producer, which bounds the unacknowledged bytes."""
         with self._channel.producer() as producer:
             for step in steps:
                 if isinstance(step, float):
@@ -90,7 +90,7 @@ class StampedeClient:
                     producer.put(payload)
 
     def subscribe(self, receiver: Receiver) -> None:
-        """A subscription to every item."""
+        """Subscribe to every item."""
         subscription = self._channel.subscribe()
         threading.Thread(target=_close_at_end, args=(subscription, receiver), daemon=True).start()
         receiver.ready()

@@ -1,4 +1,4 @@
-"""Whether a server of this machine takes connections."""
+"""Checks whether a server on this machine accepts connections."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ TRY_SECONDS = 0.5
 
 
 def is_listening(port: int) -> bool:
-    """Whether something on the loopback accepts one now."""
+    """Whether a server accepts connections at `port` of the loopback now."""
     try:
         with socket.create_connection(("127.0.0.1", port), TRY_SECONDS):
             return True

@@ -1,6 +1,6 @@
 """Redis streams, through redis-py with hiredis: XADD in pipelines, XREAD with COUNT, as its docs advise.
 
-Redis keeps items in memory only, as the others do. The id of an entry is its time in milliseconds and a number.
+Redis keeps items in memory only, as the other systems do. The id of an entry is its time in milliseconds, and a number.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ class RedisStreams:
 
     @property
     def name(self) -> str:
-        """As tables show it."""
+        """The name of the system in tables."""
         return {"tcp": "Redis", "unix": "Redis, Unix socket"}[self.family]
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """Nothing."""
+        """Return an empty mapping: the system can do every kind of work."""
         return {}
 
     def unavailable_because(self) -> str | None:
-        """The server is Debian's, the client a Python package."""
+        """Return which part is missing, and how to install it; None if none is missing."""
         if shutil.which(SERVER) is None:
             return f"{SERVER} is not installed; Debian has it: apt-get install redis-server"
         if find_spec("redis") is None:
@@ -52,7 +52,7 @@ class RedisStreams:
 
     @contextmanager
     def served(self, room: Room) -> Iterator[Served]:
-        """A server that keeps nothing on disk."""
+        """Run a server that writes nothing to disk for the duration of the context."""
         with tempfile.TemporaryDirectory(prefix="stampede-bench-") as folder:
             (port,) = free_ports(1, "127.0.0.1")
             path = Path(folder, "socket")
@@ -62,7 +62,7 @@ class RedisStreams:
                 yield Served(address=str(path) if self.family == "unix" else str(port), pids=[pid])
 
     def connect(self, served: Served, room: Room) -> RedisClient:
-        """A connection."""
+        """Return a client with a new connection."""
         import redis
 
         if self.family == "unix":
@@ -71,29 +71,29 @@ class RedisStreams:
 
 
 class RedisClient:
-    """A synchronous client."""
+    """A blocking client."""
 
     def __init__(self, client: Any, room: Room) -> None:
         self._client, self._room = client, room
         client.ping()
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """XADD one by one."""
+        """Send one XADD for each payload, and wait for its answer."""
         for payload in payloads:
             self._client.xadd(STREAM, {FIELD: payload}, maxlen=self._room.items_max, approximate=True)
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """XREVRANGE of one."""
+        """Read the newest entry with XREVRANGE and a count of 1."""
         for _ in turns:
             _take(self._client.xrevrange(STREAM, count=1), receiver)
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """XRANGE with a count."""
+        """Read the oldest entries with XRANGE and a count."""
         for items in turns:
             _take(self._client.xrange(STREAM, count=items), receiver)
 
     def publish(self, steps: Iterator[Step]) -> None:
-        """XADD, the payloads of a step in one pipeline; their number bounds what is on its way."""
+        """Send the payloads of each step as XADDs in one pipeline. So at most one step is unanswered."""
         for step in steps:
             if isinstance(step, float):
                 time.sleep(step)
@@ -104,7 +104,7 @@ class RedisClient:
             pipeline.execute()
 
     def subscribe(self, receiver: Receiver) -> None:
-        """XREAD with COUNT and BLOCK, from the beginning of the empty stream on."""
+        """Read with XREAD, COUNT and BLOCK, from the beginning of the empty stream on."""
         last: bytes = b"0-0"
         receiver.ready()
         while not receiver.ended():

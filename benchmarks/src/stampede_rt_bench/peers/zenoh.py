@@ -1,4 +1,4 @@
-"""Zenoh, through eclipse-zenoh: through a router, from peer to peer, and from peer to peer in its shared memory.
+"""Zenoh, with its Python package eclipse-zenoh: through a router, between peers, and between peers in shared memory.
 
 Publishers block instead of dropping, as Zenoh's throughput examples do.
 """
@@ -31,13 +31,13 @@ NO_SERVER = "there is no server that keeps items"
 
 @dataclass(frozen=True)
 class Zenoh:
-    """One key expression."""
+    """One key of Zenoh, over one of three ways."""
 
     way: Literal["router", "peer", "shared memory"]
 
     @property
     def name(self) -> str:
-        """As tables show it."""
+        """The name of the system in tables."""
         return {
             "router": "Zenoh, router",
             "peer": "Zenoh, peer to peer",
@@ -46,17 +46,17 @@ class Zenoh:
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """No put is acknowledged; peers alone keep nothing."""
+        """Return the work that it cannot do: Zenoh acknowledges no put, and without a router nobody keeps items."""
         without = {"put": "it acknowledges no put"}
         return without if self.way == "router" else {**without, "newest": NO_SERVER, "interval": NO_SERVER}
 
     def unavailable_because(self) -> str | None:
-        """All of it is a Python package."""
+        """Return how to install Zenoh; None if it is installed. It is a Python package."""
         return None if find_spec("zenoh") else 'Zenoh is not installed; pip install "stampede-rt-bench[peers]"'
 
     @contextmanager
     def served(self, room: Room) -> Iterator[Served]:
-        """A router in a separate process; without a router, only the address at which the publisher will listen."""
+        """Run a router in a new process. Without a router, only choose the address of the publisher."""
         (port,) = free_ports(1, "127.0.0.1")
         address = f"tcp/127.0.0.1:{port}"
         if self.way != "router":
@@ -70,30 +70,30 @@ class Zenoh:
                 yield Served(address=address, pids=[pid])
 
     def connect(self, served: Served, room: Room) -> ZenohClient:
-        """A session, opened with each work."""
+        """Return a client, which opens a session for each work."""
         return ZenohClient(self.way, served.address, room)
 
 
 class ZenohClient:
-    """Without a router the publisher listens, and readers connect to it."""
+    """A client of Zenoh. Without a router the publisher listens, and readers connect to it."""
 
     def __init__(self, way: str, address: str, room: Room) -> None:
         self._way, self._address, self._room = way, address, room
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """Not offered."""
+        """Raises NotImplementedError: the system does not offer this work."""
         raise NotImplementedError
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """A get from the storage."""
+        """Read the newest item from the router's storage."""
         self._get(turns, lambda items: f"{KEY}?newest=1", receiver)
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """A get from the storage, whose replies are not merged."""
+        """Read the oldest items from the router's storage. Zenoh does not merge the replies."""
         self._get(turns, lambda items: f"{KEY}?items={items}", receiver)
 
     def publish(self, steps: Iterator[Step]) -> None:
-        """`put` of a declared publisher, once all readers are there."""
+        """Call `put` of a declared publisher for each payload, once all readers have connected."""
         import zenoh
 
         with self._open(listens=self._way != "router") as session:
@@ -110,7 +110,7 @@ class ZenohClient:
                 self._wait_until_stored(session)
 
     def subscribe(self, receiver: Receiver) -> None:
-        """A subscriber with a callback."""
+        """Read with a subscriber that calls back."""
 
         failures: list[Exception] = []
 
@@ -130,7 +130,7 @@ class ZenohClient:
             raise failures[0]
 
     def close(self) -> None:
-        """Each work closes its session."""
+        """Do nothing, because each work closes its own session."""
 
     def _open(self, *, listens: bool) -> Any:
         mode: Literal["client", "peer"] = "client" if self._way == "router" else "peer"
@@ -145,7 +145,7 @@ class ZenohClient:
                     receiver.take(_nanos(reply.ok), 0, reply.ok.payload.to_bytes())
 
     def _meet(self, session: Any, publisher: Any) -> None:
-        """Wait until all readers have come. Raises TimeoutError."""
+        """Wait until all readers have connected. Raises TimeoutError."""
         until_s = time.monotonic() + MEET_SECONDS
         readers = 0 if self._way == "router" else self._room.readers
         while not publisher.matching_status.matching or len(session.info.peers_zid()) < readers:
@@ -155,7 +155,7 @@ class ZenohClient:
         time.sleep(SETTLE_SECONDS)
 
     def _wait_until_stored(self, session: Any) -> None:
-        """Wait until the storage has the items, which takes a moment after the put. Raises TimeoutError."""
+        """Wait until the storage has items, which takes a moment after the put. Raises TimeoutError."""
         until_s = time.monotonic() + STORED_SECONDS
         while not any(True for _ in session.get(f"{KEY}?newest=1")):
             if time.monotonic() > until_s:
@@ -163,7 +163,10 @@ class ZenohClient:
         time.sleep(SETTLE_SECONDS)
 
     def _sender(self, publisher: Any) -> Callable[[bytes], None]:
-        """`put`; with shared memory a copy into a buffer of it first, for items from Zenoh's own threshold on."""
+        """Return the function that puts one payload.
+
+        With shared memory it first copies the payload into a shared buffer, if the payload reaches Zenoh's threshold.
+        """
         if self._way != "shared memory" or self._room.item_bytes < SHARED_BYTES_MIN:
             put: Callable[[bytes], None] = publisher.put
             return put

@@ -1,7 +1,7 @@
 """A Zenoh router: `python -m stampede_rt_bench.peers.zenoh_router ADDRESS [ITEMS]`.
 
-The Python package has the router's library, not the program `zenohd` nor its storages. With ITEMS the router keeps that
-many items, as Zenoh's own example `z_storage.py` does, and answers gets with them.
+The Python package has the library of the router, but neither the program `zenohd` nor its storages. With ITEMS this
+router keeps that many items, as Zenoh's own example `z_storage.py` does, and answers gets with them.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from stampede_rt_bench.peers.zenoh_sessions import KEY, open_session
 
 
 class ZenohStorage:
-    """The last items, as they came."""
+    """Keeps the last items in the order in which they came."""
 
     def __init__(self, items_max: int) -> None:
         self._samples: deque[Any] = deque(maxlen=items_max)
 
     def keep(self, sample: Any) -> None:
-        """The newest item."""
+        """Keep an item. Drops the oldest item if there are too many."""
         self._samples.append(sample)
 
     def answer(self, query: Any) -> None:
-        """With `newest`, the newest item, else the oldest: as many as the parameter `items` says."""
+        """Answer a get: with its parameter `newest` the newest item, else the oldest items, as many as `items` says."""
         items = int(query.parameters.get("items", "1"))
         held = len(self._samples)
         if query.parameters.get("newest") is not None:
@@ -37,7 +37,7 @@ class ZenohStorage:
 
 
 def main() -> None:
-    """Route until killed."""
+    """Route until this process is killed."""
     address, *items = sys.argv[1:]
     session = open_session("router", address, listens=True)
     if items:

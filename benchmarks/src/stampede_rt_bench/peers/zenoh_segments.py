@@ -11,7 +11,7 @@ FOLDER, PATTERN = Path("/dev/shm"), "*.zenoh"
 
 @contextmanager
 def segments_removed(folder: Path = FOLDER) -> Iterator[None]:
-    """At the end, remove the segments that appeared meanwhile and that no process maps."""
+    """At the end of the context, remove the segments that appeared in it and that no process maps."""
     before = set(folder.glob(PATTERN))
     try:
         yield

@@ -1,4 +1,4 @@
-"""Zenoh: how sessions are configured and opened. Multicast is off, so that systems side by side do not meet."""
+"""Configures and opens sessions of Zenoh. Multicast is off, so that two measurements side by side do not connect."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Mode = Literal["client", "peer", "router"]
 
 
 def open_session(mode: Mode, address: str, *, listens: bool, shared_memory: bool = False) -> Any:
-    """A session that listens at the address or connects to it. Items get a time where they are published."""
+    """Return a session that listens at the address or connects to it. The publisher gives items their time."""
     import zenoh
 
     config = zenoh.Config()

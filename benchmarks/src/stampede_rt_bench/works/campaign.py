@@ -1,4 +1,7 @@
-"""Several systems do the same work in turn, several times, so that other load on the machine affects all of them."""
+"""Runs a campaign: several systems do the same work in turn, in several rounds.
+
+Other load on the machine therefore affects all of them.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ class Results:
     failures: list[str] = field(default_factory=list)
 
     def spread(self, work: Work, system: str, figure: str) -> Spread:
-        """One figure over the rounds."""
+        """Return the spread of one figure over the rounds."""
         return Spread.of([getattr(one, figure) for one in self.runs[work][system]])
 
     def headline(self, work: Work, system: str) -> Spread:
@@ -54,7 +57,7 @@ def compare(
     done: Callable[[Results, Work], None],
     say: Callable[[str], None],
 ) -> Results:
-    """Measure every available system with every work that it can do. `done` is called after each work."""
+    """Measure every available system with every work that it can do. Calls `done` after each work."""
     results = Results()
     present = []
     for system in systems:

@@ -1,4 +1,4 @@
-"""The works with which systems are compared."""
+"""The works: the tasks with which the benchmark compares systems."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Work:
 
 
 def size(item_bytes: int) -> str:
-    """`64 B`, `18 KB`."""
+    """Return the size as a text, such as `64 B` or `18 KB`."""
     return f"{item_bytes} B" if item_bytes < 1000 else f"{item_bytes // 1000} KB"
 
 
 def works(readers: Sequence[int] = READERS) -> list[Work]:
-    """Return all works, with 30 frames a second for each of these numbers of readers."""
+    """Return all works. `readers`: the numbers of readers for the works with frames."""
     return [
         Work(name="put", title="one acknowledged put of 64 B", kind="put", item_bytes=SMALL),
         Work(name="newest", title="newest item of 18 KB", kind="newest", item_bytes=MEDIUM),
@@ -80,7 +80,7 @@ def works(readers: Sequence[int] = READERS) -> list[Work]:
 
 
 def frames(item_bytes: int, readers: int, items_total: int = 0) -> Work:
-    """A camera's frames to that many readers."""
+    """Return the work that sends a camera's frames to `readers` readers."""
     return Work(
         name=f"frames-{size(item_bytes).replace(' ', '').lower()}-{readers}",
         title=f"{readers} readers of {size(item_bytes)} at {FRAMES_PER_SECOND} fps",

@@ -17,7 +17,10 @@ Block = bytes | bytearray
 
 @dataclass(frozen=True, kw_only=True)
 class Room:
-    """The needs of the work: bytes of an item, items that may wait in a queue, readers, items to be read later."""
+    """The needs of a work: the size of an item, the items that may wait in a queue, and the number of readers.
+
+    `batch_items`: the items of one batch. `keeps`: the server must keep the items, so that clients can read them later.
+    """
 
     item_bytes: int
     items_max: int
@@ -42,29 +45,29 @@ class Receiver(Protocol):
         """Note that the subscription is open: every item that is published from now on will come."""
 
     def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
-        """One item. A system without times or seqs gives 0."""
+        """Take one item. A system without times or seqs gives 0."""
 
     def take_block(self, items: int, payload: Block) -> None:
-        """Items of a limit, which moves bytes and knows no items."""
+        """Take `items` items in one payload. Only the limits call this, because they know no items."""
 
     def ended(self) -> bool:
-        """Whether to stop. A client asks at least ten times a second."""
+        """Whether the client must stop. The client asks at least ten times a second."""
 
 
 class Client(Protocol):
     """One connection, in the process that uses it."""
 
     def put(self, payloads: Iterator[bytes]) -> None:
-        """Put each, and wait for its acknowledgement before taking the next."""
+        """Put each payload, and wait for its acknowledgement before taking the next one."""
 
     def newest(self, turns: Iterator[int], receiver: Receiver) -> None:
         """Read the newest item in each turn."""
 
     def interval(self, turns: Iterator[int], receiver: Receiver) -> None:
-        """Read in each turn the oldest items in one get; the turn says how many."""
+        """Read the oldest items with one get in each turn. `turns` gives the number of items."""
 
     def publish(self, steps: Iterator[Step]) -> None:
-        """Send the payloads of each step, with a bound on what is on its way. Return when all are sent."""
+        """Send the payloads of each step, with a bound on the unacknowledged payloads. Return when all are sent."""
 
     def subscribe(self, receiver: Receiver) -> None:
         """Give the receiver every item until it has ended."""
@@ -78,17 +81,17 @@ class System(Protocol):
 
     @property
     def name(self) -> str:
-        """As tables show it."""
+        """The name of the system in tables."""
 
     @property
     def lacks(self) -> Mapping[str, str]:
-        """By the kind of work (`put`, `newest`, `interval`, `stream`, `frames`, `latency`), why it cannot do that."""
+        """The kinds of work that the system cannot do (such as `put` or `frames`), each with the reason."""
 
     def unavailable_because(self) -> str | None:
-        """Return what is missing on this machine and how to install it; None if nothing is."""
+        """Return which part is missing on this machine, and how to install it; None if none is missing."""
 
     def served(self, room: Room) -> AbstractContextManager[Served]:
         """Return a context with a new server, which ends with the context."""
 
     def connect(self, served: Served, room: Room) -> Client:
-        """A client of it, in the calling process."""
+        """Return a client of the server, for the calling process."""

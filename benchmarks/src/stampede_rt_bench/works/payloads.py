@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from stampede_rt_bench.works.interface import Room, Step
 from stampede_rt_bench.works.run_counters import RunCounters
 
-SENT = struct.Struct("<Q")  # when it was sent, by the monotonic clock of this machine
+SENT = struct.Struct("<Q")  # the time at which a payload was sent, by the monotonic clock of this machine
 PAUSE_SECONDS = 0.0002
 STALLED_SECONDS = 1.0
 RING_BYTES_MAX = 16 << 20
@@ -27,7 +27,7 @@ def room_for(item_bytes: int, items_min: int = 0, *, readers: int = 1, keeps: bo
 
 
 def window_items(item_bytes: int) -> int:
-    """How many items may be published and not yet read."""
+    """Return the number of items that may be published and not yet read."""
     return max(WINDOW_ITEMS_MIN, min(WINDOW_ITEMS_MAX, WINDOW_BYTES // item_bytes))
 
 

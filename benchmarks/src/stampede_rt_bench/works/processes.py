@@ -1,4 +1,4 @@
-"""CPU time of processes, and servers that end with the benchmark."""
+"""Measures the CPU time of processes, and runs servers that end with the benchmark."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ServerFailed(Exception):
 
 
 def cpu_seconds(pids: Iterable[int]) -> float:
-    """User and system time of processes together, in steps of 10 ms. Ended processes count as 0."""
+    """Return the user and system time of all these processes, in steps of 10 ms. Ended processes count as 0."""
     ticks = 0
     for pid in pids:
         with suppress(OSError):
@@ -31,9 +31,9 @@ def cpu_seconds(pids: Iterable[int]) -> float:
 
 @contextmanager
 def server(command: Sequence[str], log: Path, is_ready: Callable[[], bool]) -> Iterator[int]:
-    """Run a program until the end of the context; gives its process id once it is ready.
+    """Run a program until the end of the context. Yields its process id once it is ready.
 
-    The kernel ends it if this process dies. Raises ServerFailed.
+    The kernel ends the program if this process dies. Raises ServerFailed.
     """
     guard = ["setpriv", "--pdeathsig", "KILL"] if shutil.which("setpriv") else []
     with log.open("wb") as output:

@@ -1,4 +1,4 @@
-"""Reads time, seq and payload of each item, counts the items, and notes how long each took."""
+"""Receivers: they read time, seq and payload of each item, count the items, and note how long each item took."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class Counting:
-    """Counts items and adds up what it touches."""
+    """Counts items. It also reads each item and adds up the values, so that the reading is part of the measurement."""
 
     def __init__(self, progress: RunCounters, reader: int, item_bytes: int, deadline_s: float) -> None:
         self._progress, self._reader, self._item_bytes, self._deadline_s = progress, reader, item_bytes, deadline_s
@@ -24,11 +24,11 @@ class Counting:
         self.touched = 0
 
     def ready(self) -> None:
-        """The subscription stands."""
+        """Note that the subscription is open."""
         self._progress.set_ready(self._reader)
 
     def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
-        """One item. Raises ValueError if it is not of the size that was sent."""
+        """Take one item. Raises ValueError if it has another size than the sent items."""
         if len(payload) != self._item_bytes:
             raise ValueError(f"an item of {len(payload)} bytes came instead of {self._item_bytes}")
         self.touched += time_nanos + seq + payload[0] + payload[-1]
@@ -36,7 +36,7 @@ class Counting:
         self._progress.set_received(self._reader, self.count)
 
     def take_block(self, items: int, payload: Block) -> None:
-        """Many items at once."""
+        """Take `items` items in one payload."""
         self.touched += payload[0] + payload[-1]
         self.count += items
         self._progress.set_received(self._reader, self.count)
@@ -47,34 +47,34 @@ class Counting:
 
 
 class Timing(Counting):
-    """Notes how long each item was in flight, for a bounded number of items."""
+    """Also notes how long each item was under way, for at most LATENCIES_MAX items."""
 
     def __init__(self, progress: RunCounters, reader: int, item_bytes: int, deadline_s: float) -> None:
         super().__init__(progress, reader, item_bytes, deadline_s)
         self.latencies_nanos = array("Q")
 
     def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
-        """One item, with the time at which it was sent."""
+        """Take one item. Its payload begins with the time at which it was sent."""
         now = time.monotonic_ns()
         super().take(time_nanos, seq, payload)
         if self._progress.measured() and len(self.latencies_nanos) < LATENCIES_MAX:
             self.latencies_nanos.append(now - SENT.unpack_from(payload)[0])
 
     def take_block(self, items: int, payload: Block) -> None:
-        """One item of a limit."""
+        """Take one item of a limit."""
         self.take(0, 0, bytes(payload))
 
 
 class Answers(Counting):
-    """Takes the items of operations, which count as operations."""
+    """Takes the items that operations read. `Operations` counts the operations."""
 
     def take(self, time_nanos: int, seq: int, payload: bytes) -> None:
-        """One item of an answer."""
+        """Take one item of an answer."""
         self.touched += time_nanos + seq + payload[0] + payload[-1]
         self.count += 1
 
     def take_block(self, items: int, payload: Block) -> None:
-        """An answer's items."""
+        """Take all items of an answer in one payload."""
         self.touched += payload[0] + payload[-1]
         self.count += items
 
@@ -84,16 +84,17 @@ class Answers(Counting):
 
 
 class Operations:
-    """Counts the turns of one operation, and notes how long each took, for a bounded number of turns."""
+    """Counts the turns of one operation, and notes how long each turn took, for at most LATENCIES_MAX turns."""
 
     def __init__(self, progress: RunCounters, answers: Answers, items: int) -> None:
         self._progress, self._answers, self._items = progress, answers, items
         self.durations_nanos = array("Q")
 
     def turns(self, value: T) -> Iterator[T]:
-        """The value, until the run has ended. An operation lasts from one value to the next request.
+        """Yield `value` again and again, until the run has ended.
 
-        Raises ValueError if the operation before has not read `items` items.
+        An operation lasts until the client asks for the next value. Raises ValueError if an operation has not read
+        `items` items.
         """
         count, durations, progress, answers = 0, self.durations_nanos, self._progress, self._answers
         while not answers.ended():

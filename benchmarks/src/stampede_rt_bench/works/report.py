@@ -26,7 +26,7 @@ CHARTS = {
 
 @dataclass(kw_only=True)
 class Report:
-    """One kind of benchmark: `ours` is the system that others are compared with, `limits` bound all."""
+    """The report of one campaign. `ours`: the system to which it compares the others. `limits`: the limits' names."""
 
     name: str
     title: str
@@ -73,7 +73,7 @@ class Report:
         return cells
 
     def readers(self, results: Results) -> list[tuple[str, Table]]:
-        """For each size of frames, how many readers each system serves with under 1 % lost."""
+        """Return a table for each size of frames: the most readers that each system serves with under 1 % lost."""
         works = [work for work in results.runs if work.kind == "frames"]
         tables = []
         for item_bytes in dict.fromkeys(work.item_bytes for work in works):
@@ -87,13 +87,13 @@ class Report:
         return tables
 
     def write(self, results: Results, folder: Path) -> None:
-        """All three forms into `folder`. Raises OSError."""
+        """Write the report into `folder` as Markdown, JSON and charts. Raises OSError."""
         (folder / f"{self.name}.md").write_text(self.markdown(results))
         (folder / f"{self.name}.json").write_text(json.dumps(self.values(results), indent=1) + "\n")
         self._draw(results, folder)
 
     def markdown(self, results: Results) -> str:
-        """The whole report."""
+        """Return the whole report as Markdown."""
         parts = [f"# {self.title}", f"`{self.command}`", self._conditions()]
         parts += [table.markdown() for _, table in self.tables]
         parts += [self.table(results, work).markdown() for work in results.runs]
@@ -114,7 +114,7 @@ class Report:
         )
 
     def values(self, results: Results) -> dict[str, object]:
-        """Return the same results as data, with every run."""
+        """Return the whole report as data for JSON, with the results of every run."""
         return {
             "command": self.command,
             "machine": dict(self.machine),

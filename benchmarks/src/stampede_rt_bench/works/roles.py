@@ -42,7 +42,7 @@ Role = Callable[[Assignment, int, Client], "array[int]"]
 
 
 def play(role: Role, assignment: Assignment, number: int, results: Connection) -> None:
-    """Run a process: connect, do the work, report the outcome."""
+    """Do the work of one process: connect, run `role`, and send the outcome to `results`."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # after Ctrl-C the first process ends this one
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ.update(assignment.served.environment)
@@ -63,7 +63,7 @@ def _end_with_parent() -> None:
 
 
 def operate(assignment: Assignment, number: int, client: Client) -> array[int]:
-    """Do one operation again and again. First put what the operation reads."""
+    """Do one operation again and again. Before that, put the items that the operation reads."""
     _, _, room, work, progress, deadline_s = assignment
     answers = Answers(progress, number, room.item_bytes, deadline_s)
     operations = Operations(progress, answers, 0 if work.kind == "put" else work.items)

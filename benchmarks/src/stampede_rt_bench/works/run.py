@@ -1,4 +1,4 @@
-"""One run: starts a new server and the processes of the work, and measures for a time in steady state."""
+"""Performs one run: starts a new server and the processes of the work, and measures for a time in steady state."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ class RunFailed(Exception):
 class Measured:
     """The results of one run.
 
-    Times are those of an operation, or from put to reader; the last three are 0 at full speed.
+    `p50_us`, `p99_us` and `p999_us` are percentiles of the time of an operation, or of the time from put to reader.
+    They are 0 for a work at full speed. `lost_share`: the share of items that readers did not get.
     """
 
     seconds: float
@@ -63,7 +64,9 @@ def count_lost(system: System, work: Work) -> list[int]:
     with _running(system, work, seconds) as (team, assignment):
         progress = assignment.progress
         team.wait(progress.all_ready, _start_seconds(work), "the readers are not ready")
-        team.wait(lambda: progress.published() >= work.items_total, seconds + END_SECONDS, "not all is published")
+        team.wait(
+            lambda: progress.published() >= work.items_total, seconds + END_SECONDS, "not all items are published"
+        )
         team.finish()
         return [work.items_total - received for received in progress.received_by_reader()]
 
@@ -74,7 +77,7 @@ def _start_seconds(work: Work) -> float:
 
 @contextmanager
 def _running(system: System, work: Work, seconds: float) -> Iterator[tuple[_Team, Assignment]]:
-    """The server and the processes of the work."""
+    """A context in which the server and the processes of the work run."""
     context = get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
     room = room_for(work.item_bytes, 2 * work.items, readers=work.readers, keeps=work.is_operation)
@@ -107,7 +110,7 @@ def _measure(team: _Team, assignment: Assignment, seconds: float) -> Measured:
 
 
 def _with_times(measured: Measured, work: Work, by_process: list[array[int]], progress: RunCounters) -> Measured:
-    """Add the times, and how much was lost. A frame that comes after a second counts as lost."""
+    """Return `measured` with the times and the share of lost items. A frame that takes over a second counts as lost."""
     together = sorted(nanos for one in by_process for nanos in one)
     worst = max((share(sorted(one), 0.99) for one in by_process), default=0.0)
     expected = progress.published() * work.readers
@@ -123,7 +126,7 @@ def _with_times(measured: Measured, work: Work, by_process: list[array[int]], pr
 
 
 class _Team:
-    """The processes of a run. At the end of the context none is left."""
+    """The processes of a run. At the end of the context all of them have ended."""
 
     def __init__(self, context: ForkServerContext, assignment: Assignment) -> None:
         self._assignment = assignment
@@ -133,30 +136,30 @@ class _Team:
         self._members = [self._start(context, role, number) for role, number in roles]
 
     def _start(self, context: ForkServerContext, role: Role, number: int) -> tuple[BaseProcess, Connection]:
-        results, told = context.Pipe(duplex=False)
-        process = context.Process(target=play, args=(role, self._assignment, number, told), daemon=True)
+        results, outcome = context.Pipe(duplex=False)
+        process = context.Process(target=play, args=(role, self._assignment, number, outcome), daemon=True)
         process.start()
-        told.close()
+        outcome.close()
         return process, results
 
     @property
     def pids(self) -> list[int]:
-        """Of all of them."""
+        """The process ids of all processes."""
         return [process.pid for process, _ in self._members if process.pid is not None]
 
     def wait(self, condition: Callable[[], bool], seconds: float, otherwise: str) -> None:
-        """Wait until the condition holds. Raises RunFailed after that time, and if a process has ended."""
+        """Wait until the condition holds. Raises RunFailed after `seconds`, and if a process has failed."""
         until_s = time.monotonic() + seconds
         while not condition():
             for _, results in self._members:
-                if results.poll() and not condition():  # one that has done its part may have ended
+                if results.poll() and not condition():  # if the condition holds, the process may have ended as planned
                     self._accept(results)
             if time.monotonic() > until_s:
                 raise RunFailed(f"{self._title}: {otherwise} after {seconds:g} s")
             time.sleep(0.01)
 
     def finish(self) -> list[WorkerOutcome]:
-        """End the work: first the publisher; then the readers, once all items are read or none comes for a second."""
+        """End the publisher first. End the readers once they have all items, or get no item for a second."""
         progress, work = self._assignment.progress, self._assignment.work
         progress.stop_publishing()
         publisher = [] if work.is_operation else [self._accept(self._members[0][1])]
@@ -170,7 +173,7 @@ class _Team:
 
     def _accept(self, results: Connection) -> WorkerOutcome:
         if not results.poll(END_SECONDS):
-            raise RunFailed(f"{self._title}: a process does not come to its end")
+            raise RunFailed(f"{self._title}: a process did not end within {END_SECONDS:g} s")
         try:
             outcome: WorkerOutcome = results.recv()
         except EOFError:

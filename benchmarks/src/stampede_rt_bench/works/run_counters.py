@@ -13,7 +13,8 @@ _ENDED, _STOPPED, _MEASURED, _PUBLISHED, _READERS = range(5)
 class RunCounters:
     """Shared values: whether the run is measured or has ended, and the items of the publisher and of each reader.
 
-    Words are 8 bytes, aligned, and each has one writer. The words of readers that are ready follow their counts.
+    Each value is an aligned word of 8 bytes, which one process writes. After the counts of the readers there is one
+    more word for each reader, which says whether that reader is ready.
     """
 
     def __init__(self, context: ForkServerContext, readers: int) -> None:
@@ -45,23 +46,23 @@ class RunCounters:
         return bool(self._words[_ENDED]) or time.monotonic() > deadline_s
 
     def set_published(self, items: int) -> None:
-        """For the publisher."""
+        """Set the number of published items. Only the publisher calls this."""
         self._words[_PUBLISHED] = items
 
     def published(self) -> int:
-        """Items that the publisher gave to its client."""
+        """The number of items that the publisher gave to its client."""
         return int(self._words[_PUBLISHED])
 
     def set_received(self, reader: int, items: int) -> None:
-        """For that reader."""
+        """Set the number of items, or operations, of one reader. Only that reader calls this."""
         self._words[_READERS + reader] = items
 
     def received_by_all(self) -> int:
-        """Items, or operations, of all readers."""
+        """The number of items, or operations, of all readers together."""
         return sum(self._words[_READERS : _READERS + self._readers])
 
     def received_by_reader(self) -> list[int]:
-        """The same of each."""
+        """The number of items, or operations, of each reader."""
         return list(self._words[_READERS : _READERS + self._readers])
 
     def received_by_each(self) -> int:
@@ -69,9 +70,9 @@ class RunCounters:
         return int(min(self._words[_READERS : _READERS + self._readers]))
 
     def set_ready(self, reader: int) -> None:
-        """For that reader."""
+        """Note that one reader is ready. Only that reader calls this."""
         self._words[_READERS + self._readers + reader] = 1
 
     def all_ready(self) -> bool:
-        """Whether all readers are."""
+        """Whether all readers are ready."""
         return all(self._words[_READERS + self._readers :])
