@@ -29,7 +29,7 @@ def _status(hosted: HostedChannel, consumers: Sequence[ConsumerStanding], now: i
         frontier_unix_nano=None if channel.frontier is None else clamp(channel.frontier),
         advance_unix_nano=channel.advanced_to,
         subscriptions=len(hosted.subscriptions) + len(hosted.group_readers),
-        waiting_gets=len(hosted.gets) + len(hosted.group_gets),
+        waiting_gets=hosted.waiting_gets,
         waiting_puts=len(hosted.puts),
         host_time_unix_nano=now,
         consumers=[

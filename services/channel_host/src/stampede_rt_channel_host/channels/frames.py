@@ -86,6 +86,8 @@ class SharedMessages:
     Keeps one message at most.
     """
 
+    __slots__ = ("_key", "_message")
+
     def __init__(self) -> None:
         self._key: tuple[Sequence[DeliveredSlice], bytes, bool] | None = None
         self._message: EncodedMessage | None = None

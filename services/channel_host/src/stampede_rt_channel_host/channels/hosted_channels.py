@@ -53,15 +53,17 @@ class HostedChannel:
             lost_before=now() if record.epoch > 1 else None,  # a former owner had items, and they did not move here
             cut=slice_run,
         )
-        self.gets = WaitingGets(self.channel, Coming(self.channel), now, begin=begin, limits=limits)
+        self._gets: WaitingGets | None = None
+        self._begin, self._limits = begin, limits
         self._charge = memory.charge_for(record.created_by)
         self.puts = ChannelPuts(self.channel, self._charge, now, self._announce, self._touched, may_serve)
         self.subscriptions = Observers(begin)
         self.match_streams = Observers(begin)  # streams of matches for the items of this channel
         # The groups that have the channel, and their blocked gets. The channel wakes all of them in one step.
         self.group_observers: dict[ChannelObserver, None] = {}
-        self.group_gets: set[object] = set()  # blocked gets through groups
-        self.group_readers: set[object] = set()  # streams of cut events, and of matches for another channel's items
+        self.group_gets: dict[object, None] = {}  # blocked gets through groups
+        # Streams of cut events, and of matches for another channel's items. An empty dict takes less memory than a set.
+        self.group_readers: dict[object, None] = {}
         self.messages = SharedMessages()
         self.delivered_bytes = 0
         self.due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
@@ -70,6 +72,19 @@ class HostedChannel:
         self._now = now
         self.changes = 0
         """The number of changes of the channel at this host."""
+
+    @property
+    def gets(self) -> WaitingGets:
+        """The blocked gets. Most channels have none, so the first one makes this object."""
+        if self._gets is None:
+            source = self.channel
+            self._gets = WaitingGets(source, Coming(source), self._now, begin=self._begin, limits=self._limits)
+        return self._gets
+
+    @property
+    def waiting_gets(self) -> int:
+        """The number of blocked gets, those through groups included."""
+        return len(self.group_gets) + (0 if self._gets is None else len(self._gets))
 
     def update(self, record: RecordedChannel) -> None:
         """Take over a newer record of the same incarnation. Raises InvalidArgument for an unusable policy."""
@@ -114,7 +129,8 @@ class HostedChannel:
         yield from self.puts.ending(error)  # first, so that no waiting put is accepted any more
         yield from subscriptions
         yield from match_streams
-        yield from self.gets.ending(error)
+        if self._gets is not None:
+            yield from self._gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
         """As `ending`, but for good: the host gives the channel up, frees its items, and counts its memory no more."""
@@ -156,8 +172,8 @@ class HostedChannel:
 
     def _announce(self, now: int) -> None:
         self.changes += 1
-        if len(self.gets):
-            self.gets.changed(now)
+        if self._gets is not None and len(self._gets):
+            self._gets.changed(now)
         for observer in [*self.group_observers]:
             observer.wake()
         self.match_streams.wake()

@@ -99,11 +99,14 @@ class Observers:
     looks at the channel. So the wakes of busy observers cost as little as the messages that they send.
     """
 
+    __slots__ = ("_begin", "_listening", "_observers", "_to_wake")
+
     def __init__(self, begin: Callable[[Pieces[None]], None] = run_to_end) -> None:
         """`begin`: see `Backlog`."""
+        self._begin = begin
         self._observers: dict[ChangeObserver, None] = {}
         self._listening: dict[ChangeObserver, None] = {}
-        self._to_wake: Backlog[ChangeObserver] = Backlog(self._wake, begin)
+        self._to_wake: Backlog[ChangeObserver] | None = None  # most channels have no observer, and need none
 
     def __len__(self) -> int:
         return len(self._observers)
@@ -121,13 +124,17 @@ class Observers:
         """Tell `observer` of no more changes. Idempotent."""
         self._observers.pop(observer, None)
         self._listening.pop(observer, None)
-        self._to_wake.drop(observer)
+        if self._to_wake is not None:
+            self._to_wake.drop(observer)
 
     def wake(self) -> None:
         """Wake the listening observers, in pieces. The first piece runs now, unless an earlier wake still goes on."""
-        if self._listening:
-            listening, self._listening = self._listening, {}
-            self._to_wake.add(listening)
+        if not self._listening:
+            return
+        if self._to_wake is None:
+            self._to_wake = Backlog(self._wake, self._begin)
+        listening, self._listening = self._listening, {}
+        self._to_wake.add(listening)
 
     def _wake(self, observer: ChangeObserver) -> None:
         observer.note_woken(self)

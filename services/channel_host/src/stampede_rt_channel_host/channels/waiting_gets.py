@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import islice
 from operator import attrgetter
-from typing import Any, Protocol
-
-from sortedcontainers import SortedKeyList
+from typing import Protocol
 
 from stampede_rt.errors import Overloaded, StampedeError
 from stampede_rt_channel_host.channels.time_limits import TimeLimit, TimeLimits
@@ -34,6 +31,7 @@ from stampede_rt_channel_host.core.channel import (
     first_of,
     run_to_end,
 )
+from stampede_rt_channel_host.core.keyed_list import Key, KeyedList
 
 Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] | StampedeError
 """`Unfinished`: the host has made the first piece of a long answer. The receiver of the outcome performs the rest."""
@@ -89,6 +87,25 @@ class WaitingGet:
         self._on_outcome(outcome)
 
 
+def _instant_key(get: WaitingGet) -> Key:
+    assert get.instant is not None, "only gets with an instant are in the order of the instants"
+    return get.instant, get.arrival
+
+
+def _need_key(position: int) -> Callable[[WaitingGet], Key]:
+    """The sort key by one need, then by arrival."""
+
+    def key(get: WaitingGet) -> Key:
+        need = get.needs[position]
+        assert need is not None, "a get without a need is not in the order of that need"
+        return need, get.arrival
+
+    return key
+
+
+_NEED_KEYS = tuple(_need_key(position) for position in range(len(Needs._fields)))
+
+
 class Polled(Protocol):
     """The place where blocked gets look for their answers."""
 
@@ -133,14 +150,13 @@ class _Release:
         self.reach = Reach(*(max((one for one in pair if one is not None), default=None) for pair in pairs))
         self.arrivals = later.arrivals
 
-    def take(self, by_need: list[Any], gets_max: int) -> list[WaitingGet]:
+    def take(self, by_need: Sequence[KeyedList[WaitingGet]], gets_max: int) -> list[WaitingGet]:
         """The next gets that the change may release, at most `gets_max`, by arrival. Gets may go between two calls."""
         found: dict[WaitingGet, None] = {}
         for position, (ordered, reached) in enumerate(zip(by_need, self.reach, strict=True)):
             if reached is None:
                 continue
-            left = ordered.irange_key(self._last_keys[position], (reached, self.arrivals), (False, True))
-            for get in islice(left, gets_max - len(found)):
+            for get in ordered.after(self._last_keys[position], (reached, self.arrivals), gets_max - len(found)):
                 self._last_keys[position] = ordered.key(get)
                 if get.arrival <= self.arrivals:
                     found[get] = None
@@ -180,11 +196,11 @@ class WaitingGets:
         self._limits = TimeLimits(begin) if limits is None else limits
         self._arrivals = 0
         self._waiting: dict[WaitingGet, None] = {}
-        self._by_need = [SortedKeyList(key=_Key(position)) for position in range(len(Needs._fields))]
-        self._by_instant: Any = SortedKeyList(key=attrgetter("instant", "arrival"))
+        self._by_need: list[KeyedList[WaitingGet]] = [KeyedList(key) for key in _NEED_KEYS]
+        self._by_instant: KeyedList[WaitingGet] = KeyedList(_instant_key)
         self._timer: asyncio.TimerHandle | None = None
         self._timer_instant = 0
-        self._releases: deque[_Release] = deque()
+        self._releases: list[_Release] = []
         self._working = False  # whether `_pieces` is under way
 
     def __len__(self) -> int:
@@ -215,7 +231,7 @@ class WaitingGets:
             del self._waiting[get]
             self._leave(get)
             self._note_instant(get, None)
-            if not self._by_instant:
+            if not len(self._by_instant):
                 self._arm()
 
     def changed(self, now: int) -> None:
@@ -278,15 +294,15 @@ class WaitingGets:
             is_over = not found
             self._look_at(found, release.then, now)
             if is_over and self._releases and self._releases[0] is release:
-                self._releases.popleft().close()
+                self._releases.pop(0).close()
         else:
-            due = self._by_instant.irange_key(None, (now, self._arrivals))
-            self._look_at(deque(islice(due, GETS_PER_PIECE)), self._source, now)
-        return bool(self._releases) or (bool(self._by_instant) and self._by_instant[0].instant <= self._now())
+            due = self._by_instant.after(None, (now, self._arrivals), GETS_PER_PIECE)
+            self._look_at(deque(due), self._source, now)
+        return bool(self._releases) or self._first_instant() <= self._now()
 
     def _drop_releases(self) -> None:
         while self._releases:
-            self._releases.popleft().close()
+            self._releases.pop(0).close()
 
     def _look_at(self, gets: deque[WaitingGet], where: Polled, now: int) -> None:
         """Look at gets until the work of one piece is done. The others stay in `gets`."""
@@ -334,13 +350,18 @@ class WaitingGets:
         if instant is not None:
             self._by_instant.add(get)
 
+    def _first_instant(self) -> int:
+        """The earliest instant at which the clock may release a get; AFTER_ALL: there is none."""
+        return _instant_key(self._by_instant[0])[0] if len(self._by_instant) else AFTER_ALL
+
     def _arm(self) -> None:
         """Set the timer for the first instant. A timer that fires early does no harm."""
-        if self._timer is not None and (not self._by_instant or self._by_instant[0].instant < self._timer_instant):
+        first = self._first_instant()
+        if self._timer is not None and not self._timer_instant <= first < AFTER_ALL:
             self._timer.cancel()
             self._timer = None
-        if self._timer is None and self._by_instant and not self._working:
-            self._timer_instant = self._by_instant[0].instant
+        if self._timer is None and first < AFTER_ALL and not self._working:
+            self._timer_instant = first
             delay_s = min(max((self._timer_instant - self._now()) / 1e9, _TIMER_SECONDS_MIN), _TIMER_SECONDS_MAX)
             self._timer = asyncio.get_running_loop().call_later(delay_s, self._fire)
 
@@ -356,17 +377,3 @@ class WaitingGets:
         if get in self._waiting:
             found: ReadAnswer | Unfinished[ReadAnswer] = first_of(self._source.giving_up(get.pending, self._now()))
             get.finish(found)
-
-
-class _Key:
-    """The sort key by one need, then by arrival."""
-
-    __slots__ = ("_position",)
-
-    def __init__(self, position: int) -> None:
-        self._position = position
-
-    def __call__(self, get: WaitingGet) -> tuple[int, int]:
-        need = get.needs[self._position]
-        assert need is not None, "a get without a need is not in the order of that need"
-        return need, get.arrival

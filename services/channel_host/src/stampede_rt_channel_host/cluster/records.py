@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from sys import intern
+from typing import TypeVar
 
 from stampede_rt.v1 import (
     channel_pb2,
@@ -12,6 +14,7 @@ from stampede_rt.v1 import (
     queue_directory_service_pb2,
     queue_pb2,
 )
+from stampede_rt.values.model import Policy
 from stampede_rt.wire.queues import queue_policy_from_spec
 from stampede_rt.wire.records import policy_from_spec
 from stampede_rt_channel_host.core.group import MAX_LEAD_NANOS_DEFAULT, GroupDefinition
@@ -25,17 +28,26 @@ from stampede_rt_channel_host.core.records import (
     ResolvedQueue,
 )
 
+SHARED_VALUES_MAX = 4096
+Value = TypeVar("Value", bytes, Policy)
+
+
+@lru_cache(maxsize=SHARED_VALUES_MAX)
+def _shared(value: Value) -> Value:
+    """An equal value that other records may have, too. A host with 100,000 channels has few different policies."""
+    return value
+
 
 def recorded_channel(message: channel_pb2.ChannelRecord) -> RecordedChannel:
     """The channel of a message."""
     return RecordedChannel(
         channel_id=message.channel_id,
         name=message.name,
-        host_id=message.host_id,
+        host_id=_shared(message.host_id),
         epoch=message.epoch,
         incarnation=message.incarnation,
         spec_version=message.spec_version,
-        policy=policy_from_spec(message.spec),
+        policy=_shared(policy_from_spec(message.spec)),
         message=message.SerializeToString(),
         created_by=intern(message.created_by),  # one string object for all records of a caller
     )

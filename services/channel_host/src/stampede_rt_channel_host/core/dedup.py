@@ -135,6 +135,8 @@ class RetryWindow:
     nanoseconds and never goes back.
     """
 
+    __slots__ = ("_bytes_max", "_producers", "_producers_max", "footprint_bytes")
+
     def __init__(self, *, producers_max: int = PRODUCERS_MAX, bytes_max: int = WINDOW_BYTES_MAX) -> None:
         self._producers_max = producers_max
         self._bytes_max = bytes_max

@@ -94,7 +94,7 @@ class CutEvents:
             reading.cancel()
             hearing.discard(self._waiter)
             for followed in self._followed.values():
-                followed.hosted.group_readers.discard(self)
+                followed.hosted.group_readers.pop(self, None)
                 self._groups.channels.scheduler.begin(followed.follower.emptying())
 
     async def _begin(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
@@ -157,8 +157,8 @@ class CutEvents:
             incarnation=None if cursor is None else cursor.incarnation,
         )
         if held is not None:
-            held.hosted.group_readers.discard(self)
-        hosted.group_readers.add(self)
+            held.hosted.group_readers.pop(self, None)
+        hosted.group_readers[self] = None
         self._followed[channel_id] = _Followed(hosted, follower)
 
     async def _read(self, group: HostedGroup, *, decides: bool) -> None:

@@ -79,7 +79,7 @@ class MatchStream:
             group.news_observers.discard(self._waiter)
             hosted.match_streams.discard(self._waiter)
             for near in self._near.values():
-                near.group_readers.discard(self)
+                near.group_readers.pop(self, None)
             for _, following in self._far.values():
                 following.cancel()
 
@@ -128,9 +128,9 @@ class MatchStream:
         owned = {channel_id: self._groups.own(channel_id) for channel_id in members}
         near = {channel_id: own.hosted for channel_id, own in owned.items() if own is not None} | {matched: hosted}
         for former in self._near.values():
-            former.group_readers.discard(self)
+            former.group_readers.pop(self, None)
         for present in near.values():
-            present.group_readers.add(self)
+            present.group_readers[self] = None
         self._near = near
         for channel_id in [one for one in self._far if one in near or one not in members]:
             self._far.pop(channel_id)[1].cancel()

@@ -120,12 +120,12 @@ class GroupGets:
         get = self.gets.add(pending, wake, wait_nanos, self._now(), finish)
         self._group.gets[self._hosted] = self
         self._hosted.group_observers[self] = None
-        self._hosted.group_gets.add(get)
+        self._hosted.group_gets[get] = None
         try:
             return await released
         finally:
             get.cancel()
-            self._hosted.group_gets.discard(get)
+            self._hosted.group_gets.pop(get, None)
             if not len(self.gets):
                 self._leave()
 

@@ -17,21 +17,23 @@ from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, make_run, pack
 from stampede_rt_channel_host.core.channel.values import Offer, PutOutcome, Rejection, Seal
 
+REASONS = ("TOO_OLD", "IN_FUTURE", "ITEM_TOO_LARGE", "CHANNEL_FULL", "MALFORMED_RUN", "OVERLOADED")
+
 
 class Acceptance:
     """Takes offers into the holdings and counts refusals.
 
-    `advance`: the highest instant of an advance so far, None if there was none. `rejected` counts refused items by
-    reason.
+    `advance`: the highest instant of an advance so far, None if there was none.
     """
+
+    __slots__ = ("_channel", "_held", "_rejected", "_retention", "advance")
 
     def __init__(self, held: Holdings, retention: Retention, name: str) -> None:
         self._held = held
         self._retention = retention
         self._channel = f"channel {name!r}" if name else "the channel"
         self.advance: int | None = None
-        reasons = ("TOO_OLD", "IN_FUTURE", "ITEM_TOO_LARGE", "CHANNEL_FULL", "MALFORMED_RUN", "OVERLOADED")
-        self.rejected = dict.fromkeys(reasons, 0)
+        self._rejected: dict[str, int] = {}  # nearly all channels refuse nothing, and so keep no zeros
 
     def put(self, offer: Offer, clock: int, seal: Seal) -> PutOutcome:
         """Accept or refuse each item, until one has to wait for room (see `PutOutcome`).
@@ -105,8 +107,17 @@ class Acceptance:
 
     def refuse(self, index: int, error: StampedeError) -> Rejection:
         """Count a refused item, and return its rejection."""
-        self.rejected[error.reason] += 1
+        self.count_rejected(error.reason, 1)
         return Rejection(index, error)
+
+    def count_rejected(self, reason: str, items: int) -> None:
+        """Count items that the channel, or its owner, refused for `reason`."""
+        self._rejected[reason] = self._rejected.get(reason, 0) + items
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """The number of refused items for each reason."""
+        return dict.fromkeys(REASONS, 0) | self._rejected
 
     def full(self, in_vain: bool = False) -> ChannelFull:
         """The error of an item for which there is no room. `in_vain`: no wait would make room for it."""

@@ -84,7 +84,7 @@ class AgedChannel:
             accepted=held.accepted,
             held=held.items,
             collected=dict(held.collected),
-            rejected=dict(self._acceptance.rejected),
+            rejected=self._acceptance.rejected,
             accepted_bytes=held.accepted_bytes,
             held_bytes=held.payload_bytes,
         )

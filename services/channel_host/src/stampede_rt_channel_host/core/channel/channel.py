@@ -86,11 +86,11 @@ class ChannelCore(AgedChannel):
 
     def reject_malformed(self, items: int) -> None:
         """Count items that the owner refused before they became an offer."""
-        self._acceptance.rejected["MALFORMED_RUN"] += items
+        self._acceptance.count_rejected("MALFORMED_RUN", items)
 
     def reject_overloaded(self, items: int) -> None:
         """Count items that the owner refused because a limit of the host is reached."""
-        self._acceptance.rejected["OVERLOADED"] += items
+        self._acceptance.count_rejected("OVERLOADED", items)
 
     def read(self, query: Query, now: int) -> ReadAnswer:
         """The held items that the query selects. Changes nothing that another reader could see.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import OVERLAP_NANOS_MAX, Policy
@@ -14,6 +15,7 @@ DEFAULT_MAX_BYTES = 256 * 1024 * 1024
 DEFAULT_MAX_FUTURE_NANOS = 1_000_000_000
 ITEM_BYTES_MAX = 16 * 1024 * 1024
 CONSUMERS_MAX = 1024
+POLICIES_SHARED_MAX = 1024
 
 DROP_OLDEST = "drop_oldest"
 BLOCK = "block"
@@ -35,6 +37,7 @@ class ChannelLimits:
     overlap_nanos: int = 0
 
     @classmethod
+    @lru_cache(maxsize=POLICIES_SHARED_MAX)  # channels with equal policies share one object
     def of(cls, policy: Policy) -> ChannelLimits:
         """The policy with defaults: max_age 10 s if it states no limit at all, max_bytes 256 MiB if it does not state
         that.

@@ -30,6 +30,8 @@ class Pending:
 class Reading:
     """Answers queries from holdings. `clock` is the host's clock, to which the holdings are aged."""
 
+    __slots__ = ("_held", "_incarnation", "_lost_before", "_retention", "advance", "consumed_up_to")
+
     def __init__(self, held: Readable, retention: Retention, incarnation: int, lost_before: int | None = None) -> None:
         self._held = held
         self._retention = retention

@@ -1,0 +1,49 @@
+"""A host may hold 100,000 channels, and nearly all of them are idle: each one has to be small."""
+
+from __future__ import annotations
+
+import gc
+import os
+import tracemalloc
+
+from stampede_rt.v1 import channel_pb2
+from stampede_rt.values.model import Policy
+from stampede_rt.wire.records import policy_to_spec
+from stampede_rt.wire.runs import encode_run
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.memory import MemoryBudget
+from stampede_rt_channel_host.channels.puts import IncomingRun
+from stampede_rt_channel_host.channels.sweep import Sweep
+from stampede_rt_channel_host.channels.time_limits import TimeLimits
+from stampede_rt_channel_host.cluster.records import recorded_channel
+
+S = 10**9
+CHANNELS = 200
+BYTES_MAX = 5_500  # an idle channel took 10,600
+
+
+def idle_channel(number: int, sweep: Sweep, memory: MemoryBudget, limits: TimeLimits) -> HostedChannel:
+    record = channel_pb2.ChannelRecord(
+        channel_id=os.urandom(16), name=f"robots/{number}", host_id=b"h" * 16, epoch=1, incarnation=number + 2**40,
+        spec=policy_to_spec(Policy(max_age_nanos=10 * S)), created_by="robot",
+    )  # fmt: skip
+    channel = HostedChannel(recorded_channel(record), memory, lambda: S, sweep.touch, limits=limits)
+    run = IncomingRun(encode_run([b"x" * 64], times=None), producer_id=0, first_number=0, wait_nanos=None)
+    channel.puts.put(run, S)
+    return channel
+
+
+async def test_an_idle_channel_with_one_item_takes_less_than_six_kilobytes() -> None:
+    sweep, limits = Sweep(lambda: S), TimeLimits()
+    memory = MemoryBudget(2**30, sweep.reclaim)
+    kept = [idle_channel(0, sweep, memory, limits)]  # fills the caches
+    gc.collect()
+    tracemalloc.start()
+    try:
+        kept += [idle_channel(number, sweep, memory, limits) for number in range(1, CHANNELS + 1)]
+        await sweep.sweep()
+        gc.collect()
+        used_bytes, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert used_bytes / CHANNELS < BYTES_MAX
