@@ -123,6 +123,7 @@ class Host:
         self.host = host
         self.server = server
         self.target = server.address
+        self.accounts = server.access.accounts
         options = [*Limits().channel_options(), ("grpc.http2.bdp_probe", 0)]
         self.connection = grpc.aio.insecure_channel(self.target, options=options)
         self.channels = ChannelServiceStub(self.connection)

@@ -126,6 +126,33 @@ def test_after_a_long_halt_a_line_goes_on_with_one_step_in_each_turn_of_the_loop
     assert len(served) <= ticks
 
 
+def test_the_long_wait_of_one_caller_is_not_the_wait_of_another_one() -> None:
+    loop = Loop()
+    heavy, light, third = loop.caller(percent=1), loop.caller(), loop.caller()
+    loop.works(light, MS)
+    loop.works(heavy, 100 * MS)  # 10 s of its share
+    heavy.stand(lambda: None)
+    loop.works(light, 5 * MS)
+    served: list[int] = []
+    light.stand(lambda: served.append(loop.now))
+    began = loop.now
+    loop.works(third, MS // 10)
+    loop.run_until(loop.now + 20 * MS)
+    assert [at - began <= 15 * MS for at in served] == [True]
+
+
+def test_a_long_debt_ends_soon_after_the_others_have_gone() -> None:
+    loop = Loop()
+    heavy, light = loop.caller(percent=1), loop.caller()
+    loop.works(light, MS)
+    loop.works(heavy, 100 * MS)
+    served: list[int] = []
+    heavy.stand(lambda: served.append(loop.now))
+    loop.run_until(loop.now + 2 * CONTENDED_NANOS)
+    assert len(served) == 1
+    assert loop.is_quiet
+
+
 def test_who_comes_behind_a_line_waits_even_if_there_is_time() -> None:
     loop = Loop()
     heavy, light = loop.caller(), loop.caller()

@@ -53,6 +53,29 @@ async def test_the_first_response_says_where_the_watch_begins_and_changes_follow
     stream.cancel()
 
 
+async def test_a_watch_waits_for_the_turn_of_its_caller_before_it_looks_for_changes(
+    node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class BeyondItsShare:
+        must_wait = True
+        waiting, came = asyncio.Event(), asyncio.Event()
+
+        async def turn(self) -> None:
+            self.waiting.set()
+            await self.came.wait()
+            self.must_wait = False
+
+    work = BeyondItsShare()
+    monkeypatch.setattr(watch, "current_work", lambda: work)
+    stream = begin(node)
+    await stream.read()
+    await work.waiting.wait()
+    await node.open("cam")
+    work.came.set()
+    assert await changes(stream, 1) == [(ADDED, "cam")]
+    stream.cancel()
+
+
 async def test_a_watch_from_an_index_brings_everything_after_it_once(node: Node) -> None:
     stream = begin(node)
     start = (await stream.read()).applied_index

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-BURST_NANOS = 1_000_000
-"""The time that a caller may use beyond its percentage before it must wait: enough for a few messages."""
+BURST_NANOS = 4_000_000
+"""How far a caller may be ahead of its percentage before it must wait: at 50 %, by 2 ms of work, a few messages."""
 CONTENDED_NANOS = 100_000_000
 """When a caller works right after another caller, several callers count as having work for this time."""
 PAUSE_SECONDS_MIN = 0.0005  # the shortest time after which a line looks again whether it must still wait
@@ -27,44 +27,18 @@ class Turns:
 
     def __init__(self, now: Callable[[], int], schedule: Schedule) -> None:
         self.now = now
-        self._schedule = schedule
+        self.schedule = schedule
+        self.contended_until = 0
+        """Until then several callers count as having work."""
         self._last: Turn | None = None
-        self._contended_until = 0
-        self._waiting: dict[Turn, None] = {}
-        self._ticking = False
 
     def works(self, turn: Turn, now: int) -> bool:
         """Note that a caller has worked. Returns whether several callers have work."""
         if turn is not self._last:
             if self._last is not None:
-                self._contended_until = now + CONTENDED_NANOS
+                self.contended_until = now + CONTENDED_NANOS
             self._last = turn
-        return now < self._contended_until
-
-    def is_contended(self, now: int) -> bool:
-        """Whether several callers have work."""
-        return now < self._contended_until
-
-    def wait(self, turn: Turn) -> None:
-        """Note that a step waits in the line of that caller."""
-        self._waiting[turn] = None
-        self._tick_later(self.now())
-
-    def _tick(self) -> None:
-        self._ticking, now = False, self.now()
-        contended = self.is_contended(now)
-        for turn in [*self._waiting]:
-            turn.wake(now, contended=contended)
-            if not turn.has_line:
-                del self._waiting[turn]
-        if self._waiting:
-            self._tick_later(now)
-
-    def _tick_later(self, now: int) -> None:
-        if not self._ticking:
-            self._ticking = True
-            soonest = min(turn.held_for(now) for turn in self._waiting) if self.is_contended(now) else 0
-            self._schedule(max(soonest / 1e9, PAUSE_SECONDS_MIN) if soonest > 0 else 0.0, self._tick)
+        return now < self.contended_until
 
 
 class Turn:
@@ -73,12 +47,13 @@ class Turn:
     `percent`: the caller's share of the loop's time while others have work; 100 and more: all time that they leave.
     """
 
-    __slots__ = ("_before_nanos", "_busy_until", "_line", "_second", "_turns", "_used_nanos", "percent")
+    __slots__ = ("_before_nanos", "_busy_until", "_line", "_second", "_ticking", "_turns", "_used_nanos", "percent")
 
     def __init__(self, turns: Turns, percent: int) -> None:
         self.percent = percent
         self._turns = turns
         self._line: deque[Callable[[], None]] = deque()
+        self._ticking = False
         self._busy_until = 0  # when its past work would end at its percentage of the loop's time
         self._second = 0
         self._used_nanos = self._before_nanos = 0  # the time used in this second, and in the second before
@@ -91,15 +66,12 @@ class Turn:
     @property
     def must_wait(self) -> bool:
         """Whether the caller's next step must `stand` in line first."""
-        if self._line:
-            return True
-        now = self._turns.now()
-        return self._busy_until - now > BURST_NANOS and self._turns.is_contended(now)
+        return bool(self._line) or self._held_for(self._turns.now()) > 0
 
     def stand(self, wake: Callable[[], None]) -> None:
         """Wait in line: call `wake` when it is the caller's turn."""
         self._line.append(wake)
-        self._turns.wait(self)
+        self._tick_later(self._turns.now())
 
     def spend(self, nanos: int) -> None:
         """Note the time that a step of the caller took."""
@@ -108,14 +80,23 @@ class Turn:
         if self._turns.works(self, now):
             self._busy_until = max(self._busy_until, now) + nanos * 100 // max(1, self.percent)
 
-    def held_for(self, now: int) -> int:
-        """The nanoseconds for which the line still waits; 0 or less: it need not wait."""
-        return self._busy_until - BURST_NANOS - now
+    def _held_for(self, now: int) -> int:
+        """The nanoseconds for which the next step must wait; 0 or less: it need not wait."""
+        return min(self._busy_until - BURST_NANOS, self._turns.contended_until) - now
 
-    def wake(self, now: int, *, contended: bool) -> None:
-        """Wake the next step in line, unless the line must still wait."""
-        if self._line and not (contended and self.held_for(now) > 0):
+    def _tick_later(self, now: int) -> None:
+        if not self._ticking:
+            self._ticking = True
+            held = self._held_for(now)
+            self._turns.schedule(max(held / 1e9, PAUSE_SECONDS_MIN) if held > 0 else 0.0, self._tick)
+
+    def _tick(self) -> None:
+        """Wake one step, unless the line must still wait. Come back in the next turn of the loop for the next step."""
+        self._ticking, now = False, self._turns.now()
+        if self._held_for(now) <= 0:
             self._line.popleft()()
+        if self._line:
+            self._tick_later(now)
 
     def used_percent(self) -> int:
         """The caller's share of the loop's time in the last whole second."""

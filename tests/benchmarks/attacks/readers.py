@@ -1,0 +1,109 @@
+"""Attacks by readers of groups and takers of queues, who ask for nothing that is forbidden, only for much of it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import grpc
+
+import stampede_rt as st
+from stampede_rt.v1 import channel_service_pb2, group_directory_service_pb2, group_service_pb2, item_pb2, queue_pb2
+from stampede_rt.v1 import queue_service_pb2 as queue_pb
+from stampede_rt.v1.group_directory_service_pb2_grpc import GroupDirectoryServiceStub
+from stampede_rt.v1.group_service_pb2_grpc import GroupServiceStub
+from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
+from stampede_rt.wire.runs import encode_run
+from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground, all_of
+from tests.benchmarks.attacks.memory import NAME, queue_known, stub
+
+READERS, READERS_OF_ONE_CONNECTION = 1000, 500
+ITEM_SECONDS = 0.01
+TAKERS, ENQUEUERS, RUN_ITEMS, CREDIT = 64, 16, 16, 64
+
+
+async def many_cuts(ground: Ground, under_way: Callable[[], None]) -> None:
+    """1000 streams of the cut events of a group with the good clients' channel; all are read."""
+    group = await _group_with_good_channel(ground)
+    opened = group_service_pb2.SubscribeCutsOpen(group_id=group.group.group_id, decides=True)
+    request = group_service_pb2.SubscribeCutsRequest(open=opened, credit=2**31)
+    await _read_many(ground, "SubscribeCuts", request, under_way)
+
+
+async def many_matches(ground: Ground, under_way: Callable[[], None]) -> None:
+    """1000 streams of the matches of a group with the good clients' channel; all are read."""
+    group = await _group_with_good_channel(ground)
+    good = next(one for one in group.channels if one.name == GOOD_CHANNEL)
+    opened = group_service_pb2.SubscribeMatchesOpen(
+        group_id=group.group.group_id, per_channel_id=good.channel_id, epoch=good.epoch, tolerance_nanos=10**9
+    )
+    request = group_service_pb2.SubscribeMatchesRequest(open=opened, credit_bytes=2**60)
+    await _read_many(ground, "SubscribeMatches", request, under_way)
+
+
+async def _group_with_good_channel(ground: Ground) -> Any:
+    async with ground.connect() as rt:
+        await rt.group(NAME, [await rt.channel(GOOD_CHANNEL), await rt.channel(NAME, max_age="5s")])
+    async with ground.channel(ground.supernode) as channel:
+        resolve: Any = GroupDirectoryServiceStub(channel).ResolveGroup  # type: ignore[no-untyped-call]
+        return await resolve(group_directory_service_pb2.ResolveGroupRequest(name=NAME), metadata=ground.metadata)
+
+
+async def _read_many(ground: Ground, method: str, request: Any, under_way: Callable[[], None]) -> None:
+    calls: list[Any] = []
+    for _ in range(READERS // READERS_OF_ONE_CONNECTION):
+        one = stub(ground, GroupServiceStub)
+        calls += [getattr(one, method)(metadata=ground.metadata) for _ in range(READERS_OF_ONE_CONNECTION)]
+    await all_of(*(call.write(request) for call in calls))
+    under_way()
+    await all_of(_put_items(ground), *map(_read_all, calls))
+
+
+async def _put_items(ground: Ground) -> None:
+    """Items of the group's other channel, so that its cut goes on."""
+    async with ground.connect() as rt:
+        channel = await rt.channel(NAME)
+        while True:
+            with suppress(st.StampedeError):
+                await channel.put(b"x" * 100, timeout=1.0)
+            await asyncio.sleep(ITEM_SECONDS)
+
+
+async def _read_all(call: Any) -> None:
+    while await call.read() is not grpc.aio.EOF:
+        pass
+
+
+async def busy_takes(ground: Ground, under_way: Callable[[], None]) -> None:
+    """64 takers take and acknowledge messages as fast as they come, and 16 streams enqueue as fast as they are acked."""
+    async with ground.connect() as rt:
+        await rt.queue(NAME, max_items=10_000, on_full="reject")
+        known = await queue_known(ground)
+        under_way()
+        takers = (_take_again_and_again(ground, known, taker_id) for taker_id in range(1, TAKERS + 1))
+        await all_of(*takers, *(_enqueue_again_and_again(ground, known) for _ in range(ENQUEUERS)))
+
+
+async def _take_again_and_again(ground: Ground, known: dict[str, Any], taker_id: int) -> None:
+    call = stub(ground, QueueServiceStub).Take(metadata=ground.metadata)
+    await call.write(queue_pb.TakeRequest(open=queue_pb.TakeOpen(taker_id=taker_id, **known), credit=CREDIT))
+    while (response := await call.read()) is not grpc.aio.EOF:
+        taken = [delivery_id for run in response.runs for delivery_id in run.delivery_ids]
+        if taken:
+            settlements = [queue_pb2.Settlement(delivery_id=one, acknowledge=queue_pb2.Acknowledge()) for one in taken]
+            await call.write(queue_pb.TakeRequest(settlements=settlements, credit=len(taken)))
+
+
+async def _enqueue_again_and_again(ground: Ground, known: dict[str, Any]) -> None:
+    call = stub(ground, QueueServiceStub).Enqueue(metadata=ground.metadata)
+    run = item_pb2.ItemRun.FromString(encode_run([b"x" * 100], times=None))
+    runs = [queue_pb.EnqueueRun(first_number=1, run=run, wait_nanos=0)] * RUN_ITEMS
+    request = queue_pb.EnqueueRequest(**known, runs=runs)
+    while True:
+        await call.write(request)
+        acked = 0
+        while acked < RUN_ITEMS:
+            response: channel_service_pb2.PutResponse = await call.read()
+            acked += len(response.acks)
