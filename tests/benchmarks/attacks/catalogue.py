@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from tests.benchmarks.attacks import memory, neighbours, quotas, without_credential
+from tests.benchmarks.attacks import memory, neighbours, quotas, readers, without_credential
 from tests.benchmarks.attacks.ground import Attack
 
 Part = Literal["host", "supernode"]
@@ -53,4 +53,7 @@ CASES: dict[str, Case] = {
     "busy-puts": Case(quotas.busy_puts),
     "single-calls": Case(quotas.single_calls),
     "held-bytes": Case(quotas.held_bytes),
+    "many-cuts": Case(readers.many_cuts),
+    "many-matches": Case(readers.many_matches),
+    "busy-takes": Case(readers.busy_takes),
 }

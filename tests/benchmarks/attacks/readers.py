@@ -77,7 +77,7 @@ async def _read_all(call: Any) -> None:
 
 
 async def busy_takes(ground: Ground, under_way: Callable[[], None]) -> None:
-    """64 takers take and acknowledge messages as fast as they come, and 16 streams enqueue as fast as they are acked."""
+    """64 takers take and acknowledge messages as fast as they come; 16 streams enqueue as fast as they are acked."""
     async with ground.connect() as rt:
         await rt.queue(NAME, max_items=10_000, on_full="reject")
         known = await queue_known(ground)
