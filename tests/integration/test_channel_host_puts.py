@@ -11,6 +11,7 @@ from stampede_rt.v1 import channel_pb2, error_pb2, item_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.cluster.records import policy_change
 from tests.support.channel_host.rig import MS, Opened, Rig, S, run_of, running_host
+from tests.support.waiting import until
 
 
 @pytest.fixture
@@ -208,6 +209,18 @@ async def test_a_blocked_put_waits_for_room_and_the_acks_before_it_do_not(rig: R
     response = await call.read()
     assert [(ack.first_number, ack.first_seq) for ack in response.acks] == [(2, 2)]
     call.cancel()
+
+
+async def test_the_runs_behind_a_blocked_one_in_its_request_are_charged_and_keep_nothing_else(rig: Rig) -> None:
+    channel = await rig.open(spec=blocking(600 * S))
+    call = rig.channels.Put()
+    puts = [run_of(b"x"), *(run_of(bytes(50_000), number=number) for number in range(2, 8))]
+    await call.write(pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=puts))
+    await channel.until(lambda status: status.waiting_puts == 1)
+    assert 300_000 < rig.host.store.memory.used_bytes < 310_000
+    call.cancel()
+    await channel.until(lambda status: status.waiting_puts == 0)
+    await until(lambda: rig.host.store.memory.used_bytes < 10_000)
 
 
 async def test_a_blocked_put_goes_on_when_the_oldest_item_is_of_age(rig: Rig) -> None:

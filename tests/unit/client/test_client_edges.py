@@ -149,14 +149,14 @@ def test_a_run_takes_what_fits_together_and_numbers_go_on() -> None:
     assert not builder.fits(b"x", 0, None, "")
     run = builder.take()
     assert (run.first_number, run.items, builder.next_number) == (1, RUN_ITEMS_MAX, RUN_ITEMS_MAX + 1)
-    assert parse_run(run.encoded).durations is None
+    assert parse_run(b"".join(run.encoded)).durations is None
     builder.add(b"x", None, 5, {"a": "b"}, "")
     assert not builder.fits(b"x", 1, {"a": "b"}, "")
     assert not builder.fits(b"x", None, None, "")
     assert not builder.fits(b"x", None, {"a": "b"}, "text/plain")
     assert not builder.fits(bytes(70_000), None, {"a": "b"}, "")
     assert builder.fits(b"x", None, {"a": "b"}, "")
-    assert parse_run(builder.take().encoded).durations == [5]
+    assert parse_run(b"".join(builder.take().encoded)).durations == [5]
 
 
 @pytest.mark.parametrize("reason", [name.removeprefix("ERROR_REASON_") for name in error_pb2.ErrorReason.keys()[1:]])

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import random
 import time as clock
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import TracebackType
 from typing import Any
@@ -16,7 +15,6 @@ from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session, req
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.handles import BoundToProcess
-from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.pacing.retry import Backoff
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_sync import Mutex, Signal, sleep, when_dropped
@@ -25,8 +23,8 @@ from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.payloads import check_attributes, check_payload
 from stampede_rt.values.policy import content_type_of
 from stampede_rt.values.timeline import DurationLike, InstantLike, parse_instant, parse_item_duration
-from stampede_rt.wire.batching import NumberedRun, RunBuilder
-from stampede_rt.wire.put_frames import put_head, put_request
+from stampede_rt.wire.batching import NumberedRun, RunBuilder, UnackedRuns
+from stampede_rt.wire.put_frames import put_head, put_pieces
 
 IN_FLIGHT_BYTES_MAX = 8 * 1024 * 1024  # of unacknowledged runs
 IN_FLIGHT_RUNS_MAX = 64
@@ -49,8 +47,7 @@ class Producer(BoundToProcess):
         self._state = state
         self._producer_id = int.from_bytes(request_id()[:8], "little") | 1
         self._builder = RunBuilder()
-        self._unacked: deque[NumberedRun] = deque()
-        self._unacked_bytes = 0
+        self._unacked = UnackedRuns()
         self._mutex = Mutex()  # guards the builder and the order of writes
         self._moved = Signal()  # is set when an ack has come, or when the stream has ended
         self._stream: PutDuplex | None = None
@@ -94,7 +91,8 @@ class Producer(BoundToProcess):
     ) -> None:
         """Accept one item for sending.
 
-        The producer collects items in a run. The call blocks if the run is full, as long as 8 MiB or 64 runs are
+        The producer sends an item at once if no earlier item is unacknowledged. Otherwise it collects items in runs,
+        and sends several runs together. The call blocks if a run is full, as long as 8 MiB or 64 runs are
         unacknowledged. It also blocks while the producer opens a stream.
 
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
@@ -117,7 +115,7 @@ class Producer(BoundToProcess):
         with self._mutex:
             self._builder.add(payload, instant, nanos, attributes, kind)
             _in_flight.add(self)
-            if not self._unacked:  # no run is under way: send this item at once
+            if self._unacked.is_idle:  # no run is under way: send this item at once
                 self._send_filled()
 
     def flush(self, timeout: float | None = CALL_TIMEOUT_S) -> None:
@@ -128,8 +126,8 @@ class Producer(BoundToProcess):
         """
         self._session.check_process()
         deadline_s = float("inf") if timeout is None else clock.monotonic() + timeout
-        self._send(deadline_s)
-        self._until(lambda: not self._unacked and not len(self._builder), deadline_s)
+        self._send_all(deadline_s)
+        self._until(lambda: not len(self._unacked) and not len(self._builder), deadline_s)
         refused, self.rejected = self.rejected, []
         if refused:
             raise refused[0]
@@ -146,31 +144,40 @@ class Producer(BoundToProcess):
             stream.cancel()
 
     def _has_room(self) -> bool:
-        return self._unacked_bytes < IN_FLIGHT_BYTES_MAX and len(self._unacked) < IN_FLIGHT_RUNS_MAX
+        return self._unacked.length_bytes < IN_FLIGHT_BYTES_MAX and len(self._unacked) < IN_FLIGHT_RUNS_MAX
 
     def _send(self, deadline_s: float = float("inf")) -> None:
-        """Send the run under construction as soon as there is room."""
+        """Finish the run under construction as soon as there is room, and send full messages."""
         self._until(self._has_room, deadline_s)
         if self._stream is None:
             self._open(max(min(deadline_s - clock.monotonic(), CALL_TIMEOUT_S), 0.0))
         with self._mutex:
             self._send_filled()
 
+    def _send_all(self, deadline_s: float = float("inf")) -> None:
+        """Finish the run under construction as soon as there is room, and send all gathered runs."""
+        self._send(deadline_s)
+        with self._mutex:
+            self._write(self._unacked.take_gathered())
+
     def _is_down(self) -> bool:
         return self._stream is None or self._failure is not None
 
     def _send_filled(self) -> None:
-        """Send the run under construction. The caller holds the mutex.
+        """Finish the run under construction, and send full messages. The caller holds the mutex.
 
-        If the stream is broken, `_open` sends the run again over the next stream.
+        If no sent run is unacknowledged, this sends everything.
         """
-        if not len(self._builder):
-            return
-        run = self._builder.take()
-        self._unacked.append(run)
-        self._unacked_bytes += run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
-        if self._stream is not None:
-            self._stream.send(put_request(b"", run.first_number, (run.encoded,)))
+        if len(self._builder):
+            for message in self._unacked.add(self._builder.take()):
+                self._write(message)
+        elif self._unacked.is_idle:
+            self._write(self._unacked.take_gathered())
+
+    def _write(self, runs: Sequence[NumberedRun]) -> None:
+        """Write one message. If the stream is broken, `_open` sends the runs again over the next stream."""
+        if self._stream is not None and runs:
+            self._stream.send(_message(runs))
 
     def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
         """Block until `condition` holds, and replace a failed stream meanwhile."""
@@ -220,9 +227,9 @@ class Producer(BoundToProcess):
                 self._opened[:] = [stream]
                 self._failure = None
                 stream.send(head)
-                for run in self._unacked:
-                    stream.send(put_request(b"", run.first_number, (run.encoded,)))
-                if self._unacked:
+                for runs in self._unacked.resend():
+                    stream.send(_message(runs))
+                if len(self._unacked):
                     _in_flight.add(self)
                 else:
                     self._backoff = None  # no run is unacknowledged, so no ack will end the backoff
@@ -236,9 +243,9 @@ class Producer(BoundToProcess):
             for ack in response.acks:
                 if self._failure is None:
                     self._count(ack)
-            if self._failure is not None or not (self._unacked or len(self._builder)):
+            if self._failure is not None or not (len(self._unacked) or len(self._builder)):
                 _in_flight.discard(self)
-            elif self._has_room():
+            elif self._unacked.is_idle:
                 self._send_filled()
         self._moved.set()
 
@@ -247,8 +254,7 @@ class Producer(BoundToProcess):
         if refusal is not None and refusal.retryable:  # the channel may have another host now: send the run again
             self._failure = refusal
             return
-        run = self._unacked.popleft()
-        self._unacked_bytes -= run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
+        run = self._unacked.acknowledge()
         self._backoff = None
         refusals = [refusal] * run.items if refusal else [from_error_message(one.error) for one in ack.rejections]
         self.accepted += run.items - len(refusals)
@@ -261,6 +267,10 @@ class Producer(BoundToProcess):
                 self._failure = self._failure or error
                 _in_flight.discard(self)
         self._moved.set()
+
+
+def _message(runs: Sequence[NumberedRun]) -> bytes:
+    return b"".join(piece for run in runs for piece in put_pieces(b"", run.first_number, run.encoded))
 
 
 def _weakly(method: Callable[..., None]) -> Callable[..., None]:

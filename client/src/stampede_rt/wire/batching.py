@@ -1,22 +1,36 @@
-"""Fills item runs on the producer's side. Pure except for the encoding of a finished run."""
+"""Fills item runs and messages on the producer's side. Pure except for the encoding of a finished run."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
-from stampede_rt.wire.runs import ABSENT, RUN_BYTES_MAX, encode_run
+from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
+from stampede_rt.wire.runs import ABSENT, RUN_BYTES_MAX, run_parts
+
+_FRAMING_BYTES = 32  # of a run in a message, at most
+MESSAGE_RUNS_MAX = 16  # the host judges the runs of a message in one step, in about a millisecond
 
 
 @dataclass(frozen=True, slots=True)
 class NumberedRun:
-    """A finished run, with the producer's number of its first item and the length of its payloads."""
+    """A finished run, with the producer's number of its first item and the length of its payloads.
+
+    `encoded` has the bytes of the run in pieces, as `run_parts` returns them.
+    """
 
     first_number: int
     items: int
     length_bytes: int
-    encoded: bytes
+    encoded: Sequence[bytes]
+
+    @property
+    def message_bytes(self) -> int:
+        """The bytes of the run in a message, at most."""
+        return sum(map(len, self.encoded)) + _FRAMING_BYTES
 
 
 @dataclass(slots=True)
@@ -70,7 +84,7 @@ class RunBuilder:
     def take(self) -> NumberedRun:
         """Return the present run, encoded, and begin the next one. Do not call it on an empty builder."""
         has_durations = any(duration != ABSENT for duration in self._durations)
-        encoded = encode_run(
+        encoded = run_parts(
             self._payloads,
             times=self._times or None,
             durations=self._durations if has_durations else None,
@@ -81,3 +95,65 @@ class RunBuilder:
         self.next_number += run.items
         self._payloads, self._times, self._durations, self.length_bytes = [], [], [], 0
         return run
+
+
+class UnackedRuns:
+    """The finished runs of a producer that the host has not acknowledged: first the sent ones, then the gathered ones.
+
+    While sent runs wait for their acks, the next ones gather, up to a full message. `length_bytes` counts payloads, and
+    64 bytes for each item.
+    """
+
+    def __init__(self) -> None:
+        self._sent: deque[NumberedRun] = deque()
+        self._gathered: list[NumberedRun] = []
+        self.length_bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._sent) + len(self._gathered)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether no sent run waits for its ack. Then none is gathered either."""
+        return not self._sent
+
+    def add(self, run: NumberedRun) -> list[list[NumberedRun]]:
+        """Add a run. Returns the messages to send now: full ones, and all if no sent run waits for its ack."""
+        self.length_bytes += run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
+        *full, self._gathered = in_messages((*self._gathered, run))
+        self._sent.extend(one for message in full for one in message)
+        if self.is_idle or len(self._gathered) == MESSAGE_RUNS_MAX:
+            full.append(self.take_gathered())
+        return full
+
+    def take_gathered(self) -> list[NumberedRun]:
+        """Return the gathered runs, which count as sent from now on."""
+        runs, self._gathered = self._gathered, []
+        self._sent.extend(runs)
+        return runs
+
+    def resend(self) -> Iterable[list[NumberedRun]]:
+        """Return all runs in messages, for a new stream. They count as sent."""
+        self.take_gathered()
+        return in_messages(self._sent)
+
+    def acknowledge(self) -> NumberedRun:
+        """Remove and return the run that was sent first."""
+        run = self._sent.popleft()
+        self.length_bytes -= run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
+        return run
+
+
+def in_messages(runs: Iterable[NumberedRun]) -> Iterator[list[NumberedRun]]:
+    """Yield the runs in their order, grouped so that each group fits into one message. A large run is alone."""
+    group: list[NumberedRun] = []
+    group_bytes = 0
+    for run in runs:
+        run_bytes = run.message_bytes
+        if group and (len(group) == MESSAGE_RUNS_MAX or group_bytes + run_bytes > MESSAGE_BYTES_MAX):
+            yield group
+            group, group_bytes = [], 0
+        group.append(run)
+        group_bytes += run_bytes
+    if group:
+        yield group

@@ -28,9 +28,19 @@ def put_request(
     `head` is the result of `put_head`, or empty. `run` has the bytes of the run, in pieces. `message_id` is for queues
     only. `wait_nanos` is as in PutRun; None leaves the field out.
     """
+    return b"".join(put_pieces(head, first_number, run, wait_nanos, message_id))
+
+
+def put_pieces(
+    head: bytes, first_number: int, run: Sequence[bytes], wait_nanos: int | None = None, message_id: str = ""
+) -> list[bytes]:
+    """Return the bytes of `put_request` in pieces.
+
+    The pieces of several requests, joined, are one request with all their runs. Give a head to the first one only.
+    """
     put = queue_pb.EnqueueRun(
         first_number=first_number, wait_nanos=wait_nanos, message_id=message_id
     ).SerializeToString()
     run_length = encode_varint(sum(map(len, run)))
     inner = len(put) + len(_RUN_TAG) + len(run_length) + sum(map(len, run))
-    return b"".join((head, _PUTS_TAG, encode_varint(inner), put, _RUN_TAG, run_length, *run))
+    return [head, _PUTS_TAG, encode_varint(inner), put, _RUN_TAG, run_length, *run]

@@ -8,7 +8,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 from stampede_rt.v1 import item_pb2
-from stampede_rt.wire.runs import encode_varint
+from stampede_rt.wire.runs import decode_varint, encode_varint
 
 _TIMES, _DURATIONS, _LENGTHS, _PAYLOADS, _FIRST_SEQ = 1, 2, 3, 6, 7  # fields of ItemRun
 _COLUMN_WIDTHS = {_TIMES: 8, _DURATIONS: 8, _LENGTHS: 4}
@@ -85,25 +85,13 @@ def _fields(message: bytes) -> Iterator[_Field]:
     at = 0
     while at < len(message):
         begin = at
-        tag, at = _varint(message, at)
+        tag, at = decode_varint(message, at)
         value, wire_type = at, tag & 7
         if wire_type == _BYTES:
-            length, value = _varint(message, at)
+            length, value = decode_varint(message, at)
             at = value + length
         elif wire_type == _VARINT:
-            _, at = _varint(message, at)
+            _, at = decode_varint(message, at)
         else:
             at += 8 if wire_type == _FIXED64 else 4
         yield _Field(tag >> 3, wire_type, begin, value, at)
-
-
-def _varint(message: bytes, at: int) -> tuple[int, int]:
-    """Return the number at position `at`, and the position after the number."""
-    value = shift = 0
-    while True:  # ends with the number
-        byte = message[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, at
-        shift += 7

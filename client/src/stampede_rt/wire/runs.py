@@ -31,7 +31,9 @@ _FIRST_SEQ = struct.Struct("<BQ")
 _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
 _TIMES_TAG = 1 << 3 | 2  # field 1, packed
 _ORIGIN_TAG = bytes((8 << 3 | 2,))
-_PAYLOADS_TAG = bytes((6 << 3 | 2,))
+_PAYLOADS_TAG = 6 << 3 | 2
+_TAGS_BEFORE_PAYLOADS = frozenset(field << 3 | 2 for field in range(1, 6))
+_SHORT_BYTES = 4096  # shorter runs are parsed whole, which is faster than a look for their payloads
 _COLUMN_BYTES_MAX = 23  # of one item in three columns, if the encoder did not pack them and each entry has a tag
 _ATTRIBUTE_FRAMING_BYTES_MAX = 16
 _FRAMING_BYTES_MAX = 64
@@ -87,22 +89,45 @@ def run_parts(
         content_type=content_type,
         attributes=attributes,
     )
-    return [columns.SerializeToString(), _PAYLOADS_TAG, encode_varint(sum(lengths)), *payloads]
+    return [columns.SerializeToString(), bytes((_PAYLOADS_TAG,)), encode_varint(sum(lengths)), *payloads]
 
 
-def parse_run(raw: bytes) -> RunColumns:
+def parse_run(raw: bytes | memoryview) -> RunColumns:
     """Check a producer's run and return its columns. Raises MalformedRun, ItemTooLarge."""
+    columns_end, payload_bytes = _payloads_of(raw)
     try:
-        run = item_pb2.ItemRun.FromString(raw)
+        run = item_pb2.ItemRun.FromString(bytes(raw[:columns_end]))
     except DecodeError as error:
         raise MalformedRun("the run is no valid ItemRun message; encode it as item.proto says") from error
+    if not payload_bytes:
+        payload_bytes = len(run.payloads)
     times, durations, lengths = list(run.time_unix_nano), list(run.duration_nanos), list(run.payload_length_bytes)
-    _check_columns(run, times, durations, lengths)
+    _check_columns(run, times, durations, lengths, payload_bytes)
     _check_length(raw, run, items=len(lengths), payload_bytes=sum(lengths))
     return RunColumns(times or None, durations or None, lengths)
 
 
-def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int], lengths: list[int]) -> None:
+def _payloads_of(raw: bytes | memoryview) -> tuple[int, int]:
+    """Return the end of the fields before the payloads, and the length of the payloads.
+
+    So the parser need not copy the payloads. Returns the whole length and 0 for a short run, and for a run whose last
+    field is not the payloads: the caller parses such a run whole.
+    """
+    at, size = 0, len(raw)
+    try:
+        while size > _SHORT_BYTES and (raw[at] == _PAYLOADS_TAG or raw[at] in _TAGS_BEFORE_PAYLOADS):
+            length, value = decode_varint(raw, at + 1)
+            if raw[at] == _PAYLOADS_TAG:
+                return (at, length) if value + length == size else (size, 0)
+            at = value + length
+    except IndexError:  # it ends within a field: the parser says so
+        pass
+    return size, 0
+
+
+def _check_columns(
+    run: item_pb2.ItemRun, times: list[int], durations: list[int], lengths: list[int], payload_bytes: int
+) -> None:
     items = len(lengths)
     total = sum(lengths)
     if not items:
@@ -112,9 +137,9 @@ def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int]
             f"the run's columns disagree: {items} lengths, {len(times)} times, {len(durations)} durations; "
             "a column has one entry for each item or is left out"
         )
-    if total != len(run.payloads):
+    if total != payload_bytes:
         raise MalformedRun(
-            f"the run's lengths add up to {total} bytes, but its payloads have {len(run.payloads)}; write the length "
+            f"the run's lengths add up to {total} bytes, but its payloads have {payload_bytes}; write the length "
             "of each payload"
         )
     if items > RUN_ITEMS_MAX or (items > 1 and total > RUN_BYTES_MAX):
@@ -129,7 +154,7 @@ def _check_columns(run: item_pb2.ItemRun, times: list[int], durations: list[int]
     _check_labels(run)
 
 
-def _check_length(raw: bytes, run: item_pb2.ItemRun, *, items: int, payload_bytes: int) -> None:
+def _check_length(raw: bytes | memoryview, run: item_pb2.ItemRun, *, items: int, payload_bytes: int) -> None:
     """Refuse a run in which a field comes twice. The parser keeps the last value, but the host would keep both."""
     attributes_bytes = attributes_length_bytes(run.attributes) + len(run.attributes) * _ATTRIBUTE_FRAMING_BYTES_MAX
     labels_bytes = len(run.content_type.encode()) + attributes_bytes
@@ -155,11 +180,11 @@ def attributes_length_bytes(attributes: Mapping[str, str]) -> int:
     return sum(len(key.encode()) + len(value.encode()) for key, value in attributes.items())
 
 
-def seal_run(raw: bytes, first_seq: int, stamped_times: Sequence[int] | None = None) -> bytes:
+def seal_run(raw: bytes | memoryview, first_seq: int, stamped_times: Sequence[int] | None = None) -> bytes:
     """Return a producer's run with the host's fields appended: `first_seq`, and `stamped_times` if it has no times."""
     seq = _FIRST_SEQ.pack(_FIRST_SEQ_TAG, first_seq)
     if stamped_times is None:
-        return raw + seq
+        return b"".join((raw, seq))
     column = struct.pack(f"<{len(stamped_times)}q", *stamped_times)
     return b"".join((raw, bytes((_TIMES_TAG,)), encode_varint(len(column)), column, seq))
 
@@ -182,9 +207,24 @@ def encode_varint(value: int) -> bytes:
     return bytes(out)
 
 
-def select_items(raw: bytes, indexes: Sequence[int]) -> bytes:
+def decode_varint(raw: bytes | memoryview, at: int) -> tuple[int, int]:
+    """Return the number at position `at` in protobuf's form, and the position after it.
+
+    Raises IndexError if the bytes end within the number, or if it is longer than protobuf allows.
+    """
+    value = 0
+    for shift in range(0, 70, 7):
+        byte = raw[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise IndexError("a number of more than 10 bytes")
+
+
+def select_items(raw: bytes | memoryview, indexes: Sequence[int]) -> bytes:
     """Return a producer's run with only the items at `indexes`. A host calls this when it refuses the other items."""
-    run = item_pb2.ItemRun.FromString(raw)
+    run = item_pb2.ItemRun.FromString(bytes(raw))
     offsets = [0, *accumulate(run.payload_length_bytes)]
     return encode_run(
         [run.payloads[offsets[i] : offsets[i + 1]] for i in indexes],

@@ -10,7 +10,7 @@ from stampede_rt.v1 import group_pb2, item_pb2, queue_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
-from stampede_rt_channel_host.channels import requests
+from stampede_rt_channel_host.channels import put_requests, requests
 from stampede_rt_channel_host.cluster.records import recorded_group
 from stampede_rt_channel_host.groups.messages import floor_from_message, floor_to_message, times_from_message
 from stampede_rt_channel_host.queues.incoming import EnqueueRun, enqueue_of
@@ -56,10 +56,13 @@ def _check_slices(sealed: bytes) -> None:
 def put_frames(source: ByteSource) -> None:
     """The runs of a request as the host takes them out of it, which both forms of the message must show alike."""
     raw = drawn_request(source, pb.PutRequest.DESCRIPTOR, KNOWN)
-    request = requests.parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
+    request = put_requests.read_request(raw)
+    known = requests.parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
+    assert [bytes(put.run) for put in request.puts] == [put.run for put in known.puts]
+    assert [put.first_number for put in request.puts] == [put.first_number for put in known.puts]
     for put in request.puts:
         parse_run(put.run)
-        assert item_pb2.ItemRun.FromString(put.run) is not None
+        assert item_pb2.ItemRun.FromString(bytes(put.run)) is not None
 
 
 def get(source: ByteSource) -> None:

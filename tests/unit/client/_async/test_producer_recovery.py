@@ -15,6 +15,8 @@ from stampede_rt.cluster.binding import Binding, BindingCache
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.model import ChannelInfo, Policy
+from stampede_rt.wire.batching import MESSAGE_RUNS_MAX
+from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, RunPart
 
@@ -35,6 +37,11 @@ class Duplex:
     def numbers(self) -> list[int]:
         """The first numbers of the runs, in the order of their coming."""
         return [put.first_number for request in self.sent for put in request.puts]
+
+    @property
+    def items(self) -> int:
+        """The number of items that came."""
+        return sum(len(put.run.payload_length_bytes) for request in self.sent for put in request.puts)
 
     def cancel(self) -> None:
         pass
@@ -90,7 +97,7 @@ async def three_in_flight(place: Place) -> Producer:
     producer = producer_at(place)
     for number in range(1, 4):
         await producer.put(b"%d" % number)
-        await producer._send()
+        await producer._send_all()
     assert place.streams[0].numbers == [1, 2, 3]
     return producer
 
@@ -121,7 +128,7 @@ async def test_a_host_that_takes_and_answers_nothing_ends_a_put_with_its_time() 
     producer = await three_in_flight(place)
     for _ in range(IN_FLIGHT_RUNS_MAX - 3):
         await producer.put(b"more")
-        await producer._send()
+        await producer._send_all()
     while producer._builder.fits(bytes(2**20), None, None, ""):
         await producer.put(bytes(2**20))
     handed_over = len(producer._builder)
@@ -171,7 +178,7 @@ async def test_a_put_that_is_cancelled_while_its_stream_opens_hands_nothing_over
         await put
     place.found.set()
     await producer.put(b"next")
-    await producer._send()
+    await producer._send_all()
     stream = place.streams[-1]
     assert stream.sent[0].channel_id == b"c"
     assert stream.numbers == list(range(1, unacked + 2))
@@ -196,7 +203,7 @@ async def test_an_ack_of_a_stream_that_was_given_up_counts_for_nothing() -> None
     place = Place()
     producer = await three_in_flight(place)
     await place.streams[0].on_end(st.Unavailable("broken"))
-    await producer._send()
+    await producer._send_all()
     await place.streams[0].on_response(pb.PutResponse(acks=[accepted(1)]))
     assert producer.accepted == 0
     assert place.streams[1].numbers == [1, 2, 3]
@@ -227,3 +234,51 @@ def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
     known = window.find(7, 1, RUN_ITEMS_MAX, now=1)
     assert known is not None
     assert known.first_seq == 1
+
+
+async def test_runs_that_gather_while_one_waits_for_its_ack_go_out_together() -> None:
+    place = Place()
+    producer = producer_at(place)
+    for _ in range(110):
+        await producer.put(bytes(18_000))
+    sizes = [len(request.puts) for request in place.streams[0].sent[1:]]
+    assert sizes[0] == 1, "the first item did not wait"
+    assert set(sizes[1:]) == {4}, "with four runs of 54 KB no other one fits"
+    assert all(request.ByteSize() <= MESSAGE_BYTES_MAX for request in place.streams[0].sent)
+    sent = place.streams[0].numbers
+    await place.streams[0].on_response(pb.PutResponse(acks=[accepted(number) for number in sent]))
+    runs, items = [len(request.puts) for request in place.streams[0].sent], place.streams[0].items
+    assert runs[-1] > 1, "the rest went out together once nothing was under way"
+    assert items == 110
+
+
+async def test_large_items_are_gathered_up_to_the_size_of_a_message_and_larger_ones_go_alone() -> None:
+    place = Place()
+    producer = producer_at(place)
+    for size in [100_000] * 6 + [3 * MESSAGE_BYTES_MAX, 5]:
+        await producer.put(bytes(size))
+    await producer._send_all()
+    assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, 2, 2, 1, 1, 1]
+    assert place.streams[0].items == 8
+
+
+async def test_a_message_has_a_bounded_number_of_runs() -> None:
+    place = Place()
+    producer = producer_at(place)
+    for number in range(60):
+        await producer.put(b"x", attributes={"n": str(number)})
+    await producer._send_all()
+    assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, *[MESSAGE_RUNS_MAX] * 3, 11]
+
+
+async def test_after_a_break_sent_and_gathered_runs_go_out_in_full_messages_in_their_order() -> None:
+    place = Place()
+    producer = producer_at(place)
+    for _ in range(110):
+        await producer.put(bytes(18_000))
+    await place.streams[0].on_end(st.Unavailable("broken"))
+    await producer._send_all()
+    runs = [len(request.puts) for request in place.streams[1].sent[1:]]
+    assert runs[:9] == [4] * 9
+    assert place.streams[1].numbers == sorted(place.streams[1].numbers)
+    assert place.streams[1].items == 110

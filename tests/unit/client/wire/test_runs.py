@@ -166,3 +166,27 @@ def test_a_part_is_cut_out_of_bytes_that_another_encoder_wrote_in_its_own_way() 
         assert second == item_pb2.ItemRun(
             time_unix_nano=[2], payload_length_bytes=[3], content_type="text/plain", payloads=b"two", first_seq=6
         )
+
+
+@pytest.mark.parametrize(
+    "change", ["payloads twice", "payloads first", "unknown field behind", "too short", "endless number"]
+)
+def test_a_long_run_is_judged_as_a_short_one(change: str) -> None:
+    """The parser gets a long run without its payloads. A run in an unusual form goes to the parser whole."""
+    payload = bytes(5000)
+    raw = encode_run([payload], times=[1])
+    columns = encode_run([b""], times=None)
+    long_column = item_pb2.ItemRun(payload_length_bytes=[len(payload)]).SerializeToString()
+    payloads = item_pb2.ItemRun(payloads=payload).SerializeToString()
+    assert parse_run(payloads + long_column).lengths == [len(payload)]
+    changed = {
+        "payloads twice": payloads + raw,
+        "payloads first": payloads + columns,
+        "unknown field behind": raw + bytes([15 << 3, 1]),
+        "too short": raw[:-1],
+        "endless number": bytes([1 << 3 | 2]) + b"\x80" * 5000,
+    }[change]
+    with pytest.raises(MalformedRun):
+        parse_run(changed)
+    with pytest.raises(MalformedRun):
+        parse_run(memoryview(changed))

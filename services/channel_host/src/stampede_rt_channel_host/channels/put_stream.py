@@ -13,14 +13,13 @@ from grpc.aio import EOF
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.v1 import raw_run_pb2
 from stampede_rt_channel_host.channels.acks import refused
-from stampede_rt_channel_host.channels.puts import IncomingRun, check_number
+from stampede_rt_channel_host.channels.put_requests import Put, read_request
+from stampede_rt_channel_host.channels.puts import ChannelPuts, IncomingRun, check_number
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
-from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.channels.whole_requests import WholeRequests, check_without_piece
+from stampede_rt_channel_host.channels.whole_requests import WholeRequests
 from stampede_rt_runtime.access.control import check_access, current_account
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
@@ -33,23 +32,21 @@ REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 
 
-class _Put(NamedTuple):
-    """One run of a request. `wait_nanos` None: the run may wait without limit."""
-
-    first_number: int
-    wait_nanos: int | None
-    run: bytes
-
-
 class _Came(NamedTuple):
     """The runs of one request that are not yet judged, and the monotonic time at which the request came.
 
     `too_much`: the request is larger than allowed, so that all its runs are refused.
     """
 
-    puts: deque[_Put]
+    puts: deque[Put]
     came_s: float
     too_much: bool
+
+    def keep(self) -> int:
+        """Give each run bytes of its own, and forget the rest of the request. Returns the bytes of the runs."""
+        for _ in range(len(self.puts)):
+            self.puts.append(self.puts.popleft().kept())
+        return sum(len(put.run) for put in self.puts)
 
 
 class PutStream:
@@ -98,26 +95,19 @@ class PutStream:
         """
         if raw is EOF:
             return None
-        request: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
-        check_without_piece(request)
+        request = read_request(raw)
         if request.channel_id:
             self._channel_id, self._epoch = request.channel_id, request.epoch
             self._producer_id = request.producer_id
         too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
-        puts = deque(
-            _Put(put.first_number, put.wait_nanos if put.HasField("wait_nanos") else None, put.run)
-            for put in request.puts
-        )
-        return _Came(puts, came_s, too_much)
+        return _Came(request.puts, came_s, too_much)
 
     async def _take(self, came: _Came) -> None:
         if self._work.must_wait:
             await self._work.turn()
         self._work.spend(READ_NANOS)
         while came.puts:
-            put = came.puts.popleft()
-            ack = _refuse_size(put, self._store.now()) if came.too_much else await self._put(put, came.came_s)
-            del put
+            ack = _refuse_size(came.puts.popleft(), self._store.now()) if came.too_much else await self._put(came)
             while len(self._acks) >= ACKS_QUEUED_MAX:
                 self._news.set()
                 self._room.clear()
@@ -126,9 +116,9 @@ class PutStream:
         self._news.set()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
-    async def _put(self, put: _Put, came_s: float) -> pb.PutAck:
-        """The ack of one run. Waits while the run waits for room."""
-        now = self._store.now()
+    async def _put(self, came: _Came) -> pb.PutAck:
+        """The ack of the first run. Waits while the run waits for room."""
+        now, put = self._store.now(), came.puts.popleft()
         run: IncomingRun | None = None
         try:
             check_number(self._producer_id, put.first_number)
@@ -139,26 +129,29 @@ class PutStream:
             hosted = self._store.find(self._channel_id, self._epoch)
             check_access(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
             try:
-                run = self._read(put, came_s)
+                run = self._read(put, came.came_s)
             except StampedeError as error:
                 hosted.puts.count_unread(len(put.run), error, now)
                 raise
             ack = hosted.puts.put(run, now)
         except StampedeError as error:
             return refused(put.first_number, run.items if run else 0, error, now)
-        if ack is not None:
-            return ack
-        self._news.set()  # let the writer send the earlier acks while this run waits
-        try:
-            with self._account.waiting(run.charged_bytes):
-                self._requests.go_on()
-                return await run.wait(hosted.puts.give_up)
-        except Overloaded as error:
-            return hosted.puts.refuse(run, error)
-        finally:
-            hosted.puts.withdraw(run)
+        del put
+        return ack or await self._wait(run, hosted.puts, came)
 
-    def _read(self, put: _Put, came_s: float) -> IncomingRun:
+    async def _wait(self, run: IncomingRun, puts: ChannelPuts, came: _Came) -> pb.PutAck:
+        """Wait for the ack of a run that waits for room. The host keeps and charges this run and those behind it."""
+        self._news.set()  # let the writer send the earlier acks meanwhile
+        run.keep()
+        try:
+            with self._account.waiting(run.charged_bytes), self._requests.keeping(came.keep()):
+                return await run.wait(puts.give_up)
+        except Overloaded as error:
+            return puts.refuse(run, error)
+        finally:
+            puts.withdraw(run)
+
+    def _read(self, put: Put, came_s: float) -> IncomingRun:
         wait_nanos = None if put.wait_nanos is None else left_nanos(put.wait_nanos, came_s)
         return IncomingRun(put.run, producer_id=self._producer_id, first_number=put.first_number, wait_nanos=wait_nanos)
 
@@ -174,7 +167,7 @@ class PutStream:
             self._room.set()
 
 
-def _refuse_size(put: _Put, now: int) -> pb.PutAck:
+def _refuse_size(put: Put, now: int) -> pb.PutAck:
     error = InvalidArgument(
         f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer runs in one request"
     )

@@ -33,7 +33,9 @@ class IncomingRun:
         "_done", "_encoded", "_timer", "ack", "first_number", "items", "judging", "offer", "producer_id", "wait_nanos",
     )  # fmt: skip
 
-    def __init__(self, encoded: bytes, *, producer_id: int, first_number: int, wait_nanos: int | None) -> None:
+    def __init__(
+        self, encoded: bytes | memoryview, *, producer_id: int, first_number: int, wait_nanos: int | None
+    ) -> None:
         """Raises MalformedRun, or ItemTooLarge for an item larger than any channel can hold."""
         columns = parse_run(encoded)
         self.offer = Offer(times=columns.times, durations=columns.durations, lengths=columns.lengths)
@@ -46,6 +48,10 @@ class IncomingRun:
         self._encoded = encoded
         self._done: asyncio.Future[None] | None = None
         self._timer: asyncio.TimerHandle | None = None
+
+    def keep(self) -> None:
+        """Copy the run's bytes, if they are a view, because the run has to wait."""
+        self._encoded = bytes(self._encoded)
 
     @property
     def charged_bytes(self) -> int:

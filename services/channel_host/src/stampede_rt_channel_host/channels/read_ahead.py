@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from grpc.aio import EOF
@@ -51,6 +52,16 @@ class ReadAhead:
         raw, came_s = self._came.popleft()
         self._count(0 if raw is EOF else -len(raw))
         return raw, came_s
+
+    @contextmanager
+    def keeping(self, kept_bytes: int) -> Iterator[None]:
+        """Read on, see `go_on`. During the block the `kept_bytes` of the waiting request's other runs count, too."""
+        self._count(kept_bytes)
+        self.go_on()
+        try:
+            yield
+        finally:
+            self._count(-kept_bytes)
 
     def go_on(self) -> None:
         """Read on until the next call of `next`, because the last request has to wait."""

@@ -114,7 +114,7 @@ class EnqueueStream:
         failure = await self._failure_to_find()
         self._work.spend(READ_NANOS)
         while runs:
-            await self._add(await self._enqueue(runs.popleft(), came_s, failure))
+            await self._add(await self._enqueue(runs, came_s, failure))
         self._news.set()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
@@ -130,9 +130,10 @@ class EnqueueStream:
         return None
 
     async def _enqueue(
-        self, message: EnqueueRun, came_s: float, failure: StampedeError | None
+        self, runs: deque[EnqueueRun], came_s: float, failure: StampedeError | None
     ) -> channel_service_pb2.PutAck:
-        """The ack of one run. Waits while the run waits for room."""
+        """The ack of the first run. Waits while the run waits for room."""
+        message = runs.popleft()
         check_number(self._producer_id, message.first_number)
         hosted: HostedQueue | None = None
         try:
@@ -150,15 +151,15 @@ class EnqueueStream:
             elif error.reason in _ENDING:
                 raise
             return refused(message.first_number, 0, error, self._store.now())
-        await hosted.enqueue(run, lambda: self._waiting(run))
+        await hosted.enqueue(run, lambda: self._waiting(run, runs))
         return answer(run, self._store.now(), hosted.queue.incarnation)
 
     @contextmanager
-    def _waiting(self, run: Enqueue) -> Iterator[None]:
+    def _waiting(self, run: Enqueue, behind: deque[EnqueueRun]) -> Iterator[None]:
         """A context in which a run waits for room. Sends the earlier acks, and reads on. Raises Overloaded."""
         self._news.set()
-        with self._account.waiting(run.charged_bytes):
-            self._requests.go_on()
+        kept_bytes = sum(len(one.run) for one in behind)
+        with self._account.waiting(run.charged_bytes), self._requests.keeping(kept_bytes):
             yield
 
     async def _add(self, ack: channel_service_pb2.PutAck) -> None:
