@@ -214,10 +214,10 @@ async def test_a_blocked_put_waits_for_room_and_the_acks_before_it_do_not(rig: R
 async def test_the_runs_behind_a_blocked_one_in_its_request_are_charged_and_keep_nothing_else(rig: Rig) -> None:
     channel = await rig.open(spec=blocking(600 * S))
     call = rig.channels.Put()
-    puts = [run_of(b"x"), *(run_of(bytes(50_000), number=number) for number in range(2, 8))]
+    puts = [run_of(b"x"), *(run_of(bytes(30_000), number=number) for number in range(2, 8))]
     await call.write(pb.PutRequest(channel_id=channel.channel_id, epoch=channel.epoch, puts=puts))
     await channel.until(lambda status: status.waiting_puts == 1)
-    assert 300_000 < rig.host.store.memory.used_bytes < 310_000
+    assert 180_000 < rig.host.store.memory.used_bytes < 190_000
     call.cancel()
     await channel.until(lambda status: status.waiting_puts == 0)
     await until(lambda: rig.host.store.memory.used_bytes < 10_000)
