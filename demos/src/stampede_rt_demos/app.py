@@ -49,8 +49,8 @@ def _parser() -> argparse.ArgumentParser:
     demos = parser.add_subparsers(dest="demo", metavar="NAME")
     for name, run in (("tv-watcher", _tv_watcher), ("stereo", _stereo)):
         demo = demos.add_parser(name, description=DEMOS[name], formatter_class=_Formatter)
-        demo.add_argument("--seconds", type=_seconds, default=SECONDS_DEFAULT, help="how long it runs (default: 20)")
-        demo.add_argument("--picture", type=Path, metavar="PATH", help="where to draw what happened, as a PNG")
+        demo.add_argument("--seconds", type=_seconds, default=SECONDS_DEFAULT, help="length of the run (default: 20)")
+        demo.add_argument("--picture", type=Path, metavar="PATH", help="the file for a picture of the run (PNG)")
         demo.set_defaults(run=run)
     return parser
 

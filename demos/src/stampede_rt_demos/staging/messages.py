@@ -28,7 +28,7 @@ def encode(event: str, **fields: object) -> str:
 
 
 def decode(line: str) -> Message:
-    """Return the message of a line. If it is none, raises BadMessage, which quotes the beginning of the line."""
+    """Return the message of a line. Raises BadMessage, which quotes the beginning of the line, if it is no message."""
     try:
         message = json.loads(line)
     except json.JSONDecodeError:

@@ -1,4 +1,4 @@
-"""Gives each role a client token of its own, and the rules of access that allow it what it does, and nothing else."""
+"""Gives each role a client token of its own, and makes rules of access that allow only what the role does."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VALID_NANOS = 3600 * 10**9
 
 
 class Right(NamedTuple):
-    """What a role may do. `verbs` and `kind` are those of `stampede acl add`; `names` may be a pattern."""
+    """One right of a role. `verbs` and `kind` are those of `stampede acl add`; `names` may be a pattern."""
 
     verbs: Sequence[str]
     kind: str
@@ -45,7 +45,7 @@ def hand_out(cluster: LocalCluster, rights: Mapping[str, Sequence[Right]]) -> di
             assert cluster.folder is not None, "a cluster with a data folder"
             environments[role] = {"STAMPEDE_SECRET_FILE": str(_write(cluster.folder / f"{name}.token", token))}
         if behind := supernodes.parts_behind(version, of_rules=True):
-            raise DemoFailed(f"the rules of access did not come to {', '.join(behind)}")
+            raise DemoFailed(f"the rules of access are not in force at {', '.join(behind)}; run the demo again")
     return environments
 
 

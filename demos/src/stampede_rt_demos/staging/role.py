@@ -108,9 +108,9 @@ def run_role(play: Callable[[Stage], Mapping[str, object]], argv: Sequence[str] 
 
 
 def _parse(argv: Sequence[str] | None) -> RoleSettings:
-    parser = argparse.ArgumentParser(description="One role of the TV watcher; the orchestrator starts it.")
-    parser.add_argument("--address", required=True, help="of the cluster's front-end")
-    parser.add_argument("--seconds", required=True, type=int, help="how long the programme runs")
+    parser = argparse.ArgumentParser(description="One role of a demo; the orchestrator starts it.")
+    parser.add_argument("--address", required=True, help="the address of the cluster's front-end")
+    parser.add_argument("--seconds", required=True, type=int, help="the length of the programme")
     found = parser.parse_args(sys.argv[1:] if argv is None else argv)
     return RoleSettings(address=found.address, seconds=found.seconds)
 

@@ -38,9 +38,9 @@ class _Role:
 
 
 class RoleProcesses:
-    """A set of role processes. A context manager that ends all of them. Use it from one thread.
+    """A set of role processes, and a context manager that ends all of them. Use it from one thread.
 
-    `start` them, wait for `ready`, then call `begin`; `events` yields their reports.
+    Order of use: `start` each role, read `events` until each role is `ready`, call `begin`, and read `events` again.
     """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
@@ -131,18 +131,18 @@ class RoleProcesses:
     def _message(self, role: _Role, line: str | None) -> messages.Message | None:
         if line is None:
             if not role.finished:
-                raise DemoFailed(self._obituary(role))
+                raise DemoFailed(self._how_it_ended(role))
             return None
         try:
             message = messages.decode(line)
         except messages.BadMessage as error:
-            raise DemoFailed(f"the {role.name} reported something that is no report: {error}") from error
+            raise DemoFailed(f"the {role.name} sent a line that is no report: {error}") from error
         if message["event"] == "failed":
             raise DemoFailed(f"the {role.name} failed: {message['message']}")
         role.finished = message["event"] == "result"
         return message
 
-    def _obituary(self, role: _Role) -> str:
+    def _how_it_ended(self, role: _Role) -> str:
         with contextlib.suppress(subprocess.TimeoutExpired):
             role.process.wait(END_SECONDS)
         role.readers[1].join(END_SECONDS)

@@ -61,7 +61,7 @@ def film(stage: Stage, side: Side) -> dict[str, object]:
 
 
 def _put_times(took: Sequence[tuple[int, int]], middle: int) -> dict[str, object]:
-    """Return how long a put took, before and after the second consumer joined."""
+    """Return the median time of a put before, and after, the second consumer joined."""
     before = [nanos for at, nanos in took if at < middle]
     after = [nanos for at, nanos in took if at >= middle]
     return {"put_p50_before_nanos": percentile(before, 50), "put_p50_after_nanos": percentile(after, 50)}

@@ -19,7 +19,7 @@ class StereoReport:
 
     `alone_expected`, `alone_told`: by camera, the numbers of its frames without a partner, as planned and as reported
     to the consumer. `measured`: nanoseconds since the start, measured and true disparity in pixels, for each pair.
-    `put_p50_nanos`: by camera, before and after the second consumer joined; None: nothing was put.
+    `put_p50_nanos`: by camera, the median time of a put before, and after, the second consumer joined; None: no put.
     """
 
     seconds: int

@@ -26,7 +26,7 @@ ENVELOPE_BINS = 16
 class PictureSpan:
     """One caption and the items in its span. All times are nanoseconds since the start of the programme.
 
-    `frames`: the frames' times; `thumbnail`: (time, JPEG) of the one in the middle; `motion`: (time, energy, cut);
+    `frames`: the frames' times; `thumbnail`: (time, JPEG) of the middle frame; `motion`: (time, energy, cut);
     `loudness`: (time, duration, dBFS); `sound`: (time, duration, lowest and highest sample of equal parts).
     """
 
