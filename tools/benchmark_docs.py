@@ -1,6 +1,6 @@
 """Put reports of `stampede bench` into docs/benchmarks.md, between their markers, and their charts into docs/images.
 
-`python tools/benchmark_docs.py FOLDER`: of `paper.txt`, `limits.md` and `peers.md` those that are in the folder.
+`python tools/benchmark_docs.py FOLDER` takes `paper.txt`, `limits.md` and `peers.md`, if they are in the folder.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ PAPER_CHARTS = ("get", "interval", "contention", "visibility", "skew", "memory")
 
 
 def filled(page: str, name: str, report: str, charts: list[str]) -> str:
-    """The page with that report and its charts between the markers of the name. Raises ValueError without markers."""
+    """Return the page with that report and its charts between the markers of `name`.
+
+    Raises ValueError if the page lacks the markers.
+    """
     before, begin, rest = page.partition(BEGIN.format(name))
     _, end, after = rest.partition(END.format(name))
     if not begin or not end:
@@ -26,7 +29,7 @@ def filled(page: str, name: str, report: str, charts: list[str]) -> str:
 
 
 def report_of(folder: Path, name: str) -> str | None:
-    """What was measured, without its title; None if it was not."""
+    """Return the report of that name as Markdown, without its title; None if the folder has no such report."""
     file = folder / (f"{name}.txt" if name == "paper" else f"{name}.md")
     if not file.exists():
         return None
@@ -37,14 +40,14 @@ def report_of(folder: Path, name: str) -> str | None:
 
 
 def charts_of(folder: Path, name: str) -> list[str]:
-    """The names of its charts."""
+    """Return the file names of the charts of that report."""
     if name == "paper":
         return [f"{chart}.png" for chart in PAPER_CHARTS if (folder / f"{chart}.png").exists()]
     return sorted(path.name for path in folder.glob(f"{name}-*.png"))
 
 
 def main() -> int:
-    """0, or 2 if the folder has no report."""
+    """Fill the page. Returns 0, or 2 if the folder has no report."""
     folder, page, found = Path(sys.argv[1]), PAGE.read_text(), False
     for name in ("paper", "limits", "peers"):
         report = report_of(folder, name)

@@ -108,7 +108,7 @@ def check(proto: Path, stable: Path) -> int:
 def main(arguments: list[str] | None = None) -> int:
     """Check, or with --accept renew the image."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--accept", action="store_true", help="make what proto/ says now the accepted contract")
+    parser.add_argument("--accept", action="store_true", help="accept the present proto/ as the contract")
     parser.add_argument("--proto", type=Path, default=PROTO, help="the folder of the .proto files")
     parser.add_argument("--stable", type=Path, default=STABLE, help="the image of the accepted contract")
     chosen = parser.parse_args(arguments)

@@ -94,7 +94,7 @@ def index_complaints(index: str, records: Mapping[str, str]) -> list[str]:
 
 
 def merge_complaints(pages: Mapping[str, str]) -> list[str]:
-    """The pages in which git left the marks of a conflict, from the text of each page by its file name."""
+    """Return a complaint for each page with the marks of a merge conflict. `pages`: the text of each, by file name."""
     marked = [page for page, text in pages.items() if MERGE_MARK.search(text)]
     return [f"{page} has the marks of a merge conflict; resolve it" for page in marked]
 

@@ -39,8 +39,8 @@ IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 class Drawn:
     """One item on its lane, in seconds since the beginning.
 
-    `end` None: it holds up to now. `row` 1: it is below another item of its bucket. `visible`: a reader through the
-    group got it.
+    `end_s` None: its span lasts up to now. `row`: the number of items of its bucket above it. `visible`: a reader
+    through the group got the item.
     """
 
     start_s: float
@@ -52,7 +52,7 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Lane:
-    """One channel."""
+    """The items of one channel, and how to draw them."""
 
     label: str
     colour: str
@@ -145,7 +145,7 @@ def figure_3(rt: st.Connection) -> Picture:
 
 
 def draw(picture: Picture, path: Path) -> None:
-    """The picture as a PNG at `path`."""
+    """Draw the picture as a PNG at `path`."""
     matplotlib.rcParams.update({"font.family": "DejaVu Sans", "font.size": 10, "text.color": INK})
     figure, axes = _figure(picture)
     if picture.window_s is not None:

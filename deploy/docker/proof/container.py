@@ -20,7 +20,7 @@ _ENTER = Path(__file__).with_name("enter.py")
 
 
 class ProofFailed(Exception):
-    """Something did not work as the compose file promises; the text says what."""
+    """The containers did not behave as the compose file says. The text names the difference."""
 
 
 class Container:
@@ -44,7 +44,7 @@ class Container:
         self.pid = 0
 
     def start(self) -> None:
-        """Start it in new namespaces, and connect it to the bridge. Raises ProofFailed."""
+        """Start the container in new namespaces, and connect it to the bridge. Raises ProofFailed."""
         scratch = tempfile.mkdtemp(prefix="container-", dir=self.log.parent)
         command = ["unshare", *_NAMESPACES, "--fork", "--kill-child", sys.executable, "-I", str(_ENTER)]
         with self.log.open("ab") as log:
@@ -77,7 +77,7 @@ class Container:
     def wait_healthy(self) -> float:
         """Run the health check until it succeeds; returns the seconds that it took. Raises ProofFailed."""
         began = time.monotonic()
-        said = "it was never asked"
+        said = "the health check never ran"
         while time.monotonic() - began < HEALTH_SECONDS:
             if self.exit_code is not None:
                 raise ProofFailed(f"{self.plan.service} ended with code {self.exit_code}; {self.story()}")
@@ -122,7 +122,7 @@ class Container:
         return time.monotonic() - began
 
     def kill(self) -> None:
-        """End it with SIGKILL if it still runs. When this returns, the process has ended, and its locks are free."""
+        """End the container with SIGKILL if it still runs. On return its process has ended, and its locks are free."""
         if self._launcher is None or self.exit_code is not None:
             return
         if self.pid:
@@ -137,16 +137,16 @@ class Container:
 
     @property
     def started(self) -> bool:
-        """Whether it was ever started."""
+        """Whether the container was ever started."""
         return self._launcher is not None
 
     @property
     def exit_code(self) -> int | None:
-        """The exit status; None while it runs."""
+        """The exit status of the container; None while it runs."""
         return self._running().poll()
 
     def story(self) -> str:
-        """Return its last lines, for an error."""
+        """Return the last lines of the container's output, for an error text."""
         return "its last lines:\n" + "\n".join(self.log.read_text(errors="replace").splitlines()[-20:])
 
     def _link(self) -> str:

@@ -111,7 +111,7 @@ class NamespaceNetwork:
         self.close()
 
     def close(self) -> None:
-        """Remove everything that was made."""
+        """Remove the namespaces and the bridge."""
         if not self._is_made:
             return
         for namespace in self.namespaces:
