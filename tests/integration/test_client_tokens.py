@@ -68,7 +68,7 @@ async def test_a_stream_ends_with_its_token(cluster: LocalCluster, tmp_path: Pat
     async with await aio.connect(cluster.address, secret=token) as rt:
         channel = await rt.channel("tokens/brief")
         subscription = channel.subscribe()
-        with pytest.raises(PermissionDenied, match="the token of client brief has ended"):
+        with pytest.raises(PermissionDenied, match="the token of brief has ended"):
             await anext(subscription)
 
 

@@ -28,8 +28,12 @@ class Operator:
 
     def token(self, name: str) -> str:
         if name not in self._tokens:
-            self._tokens[name] = self._supernodes.issue_client_token(name, ["client"], valid_nanos=3600 * 10**9).token
+            self._tokens[name] = self.new_token(name, 3600 * 10**9)
         return self._tokens[name]
+
+    def new_token(self, name: str, valid_nanos: int) -> str:
+        """A token that is valid for that long."""
+        return str(self._supernodes.issue_client_token(name, ["client"], valid_nanos=valid_nanos).token)
 
     def add(self, *rule: str) -> None:
         """Add a rule, as `stampede acl add`: who, verbs, names, and optionally "--kind" with a kind, or "--deny"."""

@@ -271,6 +271,7 @@ _BY_REASON: dict[str, type[StampedeError]] = {
 _BY_REASON |= {
     "NO_HOST": Unavailable,
     "CERTIFICATE_EXPIRED": Unavailable,
+    "TOKEN_EXPIRED": Unavailable,
     "AMBIGUOUS": Unavailable,
     "SHUTTING_DOWN": Unavailable,
     "WRONG_EPOCH": StaleBinding,

@@ -5,8 +5,10 @@ A pickle never contains the secret. The other process finds the secret as `conne
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -32,26 +34,30 @@ _sessions: WeakValueDictionary[ClusterReference, Session] = WeakValueDictionary(
 class ClusterReference:
     """The arguments with which another process connects to the same cluster.
 
-    `secret_is_an_argument`: the program gave the secret to `connect`. Such a reference cannot be pickled.
+    `secret_is_an_argument`: the program gave the secret itself to `connect`. Such a reference cannot be pickled.
+    `secret_path`: the path of a secret that the program gave to `connect`; empty if it gave none.
     """
 
     frontends: tuple[str, ...]
     zone: str
     tls: TlsFiles | None
+    secret_path: str = ""
     secret_is_an_argument: bool = False
 
     @classmethod
-    def of(cls, target: Target, secret: str | None) -> ClusterReference:
-        """Return the reference of a connection. `secret` is the secret that the program gave to `connect`, or None."""
-        return cls(target.frontends, target.zone, target.tls.files if target.tls else None, secret is not None)
+    def of(cls, target: Target, secret: str | os.PathLike[str] | None) -> ClusterReference:
+        """Return the reference of a connection. `secret` is the argument of `connect`."""
+        tls = target.tls.files if target.tls else None
+        path = "" if secret is None or isinstance(secret, str) else os.path.abspath(secret)
+        return cls(target.frontends, target.zone, tls, path, isinstance(secret, str))
 
     def __reduce__(self) -> tuple[Callable[..., ClusterReference], tuple[Any, ...]]:
         if self.secret_is_an_argument:
             raise TypeError(
                 "a connection with a secret as argument of connect() cannot be pickled, nor can its handles: the "
-                "pickle would have the secret; name the secret's file in $STAMPEDE_SECRET_FILE instead"
+                "pickle would have the secret; give connect() the path of the secret's file instead"
             )
-        return ClusterReference, (self.frontends, self.zone, self.tls)
+        return ClusterReference, (self.frontends, self.zone, self.tls, self.secret_path)
 
     def connection(self) -> Connection:
         """Return a new connection to the cluster. Unpickling a connection calls this in the other process."""
@@ -106,7 +112,8 @@ class ClusterReference:
         return session
 
     def _connect(self) -> Session:
-        target = parse_target(",".join(self.frontends), name=None, secret=None, zone=self.zone, tls=self.tls)
+        secret = Path(self.secret_path) if self.secret_path else None
+        target = parse_target(",".join(self.frontends), name=None, secret=secret, zone=self.zone, tls=self.tls)
         session = Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone, reopening=self)
         try:
             session.open()

@@ -51,6 +51,7 @@ _CODES: dict[str, grpc.StatusCode] = {
     "PEER_EXISTS": grpc.StatusCode.ALREADY_EXISTS,
     "NO_HOST": grpc.StatusCode.UNAVAILABLE,
     "CERTIFICATE_EXPIRED": grpc.StatusCode.UNAVAILABLE,
+    "TOKEN_EXPIRED": grpc.StatusCode.UNAVAILABLE,
     "NO_QUORUM": grpc.StatusCode.UNAVAILABLE,
     "AMBIGUOUS": grpc.StatusCode.UNAVAILABLE,
     "SHUTTING_DOWN": grpc.StatusCode.UNAVAILABLE,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 
 from stampede_rt._sync.channel import Channel
@@ -200,7 +201,7 @@ def connect(
     *,
     name: str | None = None,
     proof: str | None = None,
-    secret: str | None = None,
+    secret: str | os.PathLike[str] | None = None,
     zone: str | None = None,
     tls: TlsFiles | None = None,
 ) -> Connection:
@@ -210,7 +211,8 @@ def connect(
     - `name`: the name under which this connection is a peer. A peer has a mailbox, to which others can send.
     - `proof`: a secret text of 16 characters or more that the program keeps over restarts. A restarted program that
       gives the same proof takes over the name and the mailbox at once.
-    - `secret`: the cluster's secret. On the cluster's own machine the client finds it by itself.
+    - `secret`: the cluster's secret or a client token, or the path of its file (a `pathlib.Path`). The client reads a
+      file again when it has changed. On the cluster's own machine the client finds the secret by itself.
     - `zone`: the name of the caller's network or site. The client prefers supernodes of the same zone.
     - `tls`: the certificates, if the cluster asks for them.
 

@@ -180,10 +180,10 @@ def test_the_users_secret_is_told_to_this_machine_only(tmp_path: Path, monkeypat
     secret.parent.mkdir()
     secret.write_text("s3cret\n")
     secret.chmod(0o600)
-    assert parse_target("localhost:1", name=None, secret=None, zone=None).secret == "s3cret"
-    assert parse_target("elsewhere:1", name=None, secret=None, zone=None).secret is None
+    assert parse_target("localhost:1", name=None, secret=None, zone=None).credentials.present_secret() == "s3cret"
+    assert parse_target("elsewhere:1", name=None, secret=None, zone=None).credentials.present_secret() is None
     monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(secret))
-    assert parse_target("elsewhere:1", name=None, secret=None, zone=None).secret == "s3cret"
+    assert parse_target("elsewhere:1", name=None, secret=None, zone=None).credentials.present_secret() == "s3cret"
 
 
 def test_a_secret_that_everyone_may_read_is_refused(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ class EndpointPool:
         self._forks = forking.forks()
         self._event_loop = EventLoopCheck()
         self.credentials = credentials
-        self.metadata = CallMetadata(credentials.secret)
+        self.metadata = CallMetadata(credentials.present_secret)
         self._material = credentials.material()  # the certificates of the endpoints
         self._endpoints: dict[str, ServerEndpoint] = {}
         self._former: list[ServerEndpoint] = []  # endpoints with the certificates before, perhaps with open streams

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os as _os
 from collections.abc import Generator
 from types import TracebackType
 from typing import Any
@@ -81,7 +82,7 @@ def connect(
     *,
     name: str | None = None,
     proof: str | None = None,
-    secret: str | None = None,
+    secret: str | _os.PathLike[str] | None = None,
     zone: str | None = None,
     tls: TlsFiles | None = None,
 ) -> _Connecting:

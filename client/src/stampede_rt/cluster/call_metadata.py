@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from stampede_rt.cluster.cluster_ids import cluster_metadata
 from stampede_rt.security.credentials import call_metadata
 
 
 class CallMetadata:
-    """The metadata of the calls of one connection: its secret, and the id of its cluster once the id is known.
+    """The metadata of the calls of one connection: its present secret, and the id of its cluster once the id is known.
 
     All endpoints of the connection share this object.
     """
 
-    def __init__(self, secret: str | None) -> None:
-        self._of_secret = call_metadata(secret)
-        self._metadata, self._cluster_id = self._of_secret, ""
+    def __init__(self, present_secret: Callable[[], str | None]) -> None:
+        self._present_secret = present_secret
+        self._of_cluster: tuple[tuple[str, str], ...] = ()
+        self._cluster_id = ""
 
     def __call__(self) -> tuple[tuple[str, str], ...]:
         """Return the metadata of a call that begins now."""
-        return self._metadata
+        return call_metadata(self._present_secret()) + self._of_cluster
 
     @property
     def cluster_id(self) -> str:
@@ -28,4 +31,4 @@ class CallMetadata:
     @cluster_id.setter
     def cluster_id(self, cluster_id: str) -> None:
         self._cluster_id = cluster_id
-        self._metadata = self._of_secret + cluster_metadata(cluster_id)
+        self._of_cluster = cluster_metadata(cluster_id)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import stat
+import threading
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt.security.tls import TlsMaterial, TlsReader
+from stampede_rt.security.tls import LOOK_EVERY_S, TlsMaterial, TlsReader
+
+logger = logging.getLogger(__name__)
 
 
 def secret_file() -> Path:
@@ -67,6 +72,48 @@ def read_secrets(path: Path | None = None) -> tuple[str, ...] | None:
     return values
 
 
+class SecretReader:
+    """Gives the present secret or token in a file. Several threads may use it.
+
+    The constructor reads the file, as `read_secret` does. If the file changes later and cannot be used, the reader logs
+    a warning and keeps the last good secret.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = threading.Lock()
+        self._stamp = _stamp(path)  # before the reading: a change during it has another stamp
+        self._secret = read_secret(path)
+        self._looked_s = time.monotonic()
+
+    def current(self) -> str | None:
+        """Return the last good secret; None if there was no file. Looks for a change at most once in LOOK_EVERY_S."""
+        with self._lock:
+            if time.monotonic() - self._looked_s >= LOOK_EVERY_S:
+                self._looked_s = time.monotonic()
+                self._look()
+            return self._secret
+
+    def _look(self) -> None:
+        stamp = _stamp(self.path)
+        if stamp in (self._stamp, None):
+            return
+        try:
+            self._secret = read_secret(self.path) or self._secret
+        except PermissionDenied as error:
+            logger.warning("the secret file has changed, but cannot be used; the earlier secret counts: %s", error)
+        self._stamp = stamp
+
+
+def _stamp(path: Path) -> tuple[int, int, int] | None:
+    """What differs when the file has changed; None: there is no file."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
+
+
 def _no_secret(path: Path) -> PermissionDenied:
     """Return the error for a secret with forbidden characters. A header carries it, so it must be printable ASCII."""
     return PermissionDenied(
@@ -81,10 +128,14 @@ def call_metadata(secret: str | None) -> tuple[tuple[str, str], ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Credentials:
-    """The secret of a caller and its certificates. Each may be missing."""
+    """The secret or token of a caller, or the reader of its file, and its certificates. Each may be missing."""
 
-    secret: str | None = field(default=None, repr=False)
+    secret: str | SecretReader | None = field(default=None, repr=False)
     tls: TlsReader | None = None
+
+    def present_secret(self) -> str | None:
+        """Return the secret for a new call."""
+        return self.secret.current() if isinstance(self.secret, SecretReader) else self.secret
 
     def material(self) -> TlsMaterial | None:
         """Return the present certificates for a new connection; None if the connection is plain text."""

@@ -46,7 +46,7 @@ def test_the_users_own_secret_is_told_to_no_other_machine(
     monkeypatch.delenv("STAMPEDE_SECRET_FILE", raising=False)
 
     def parsed(url: str) -> str | None:
-        return parse_target(url, name=None, secret=None, zone=None).secret
+        return parse_target(url, name=None, secret=None, zone=None).credentials.present_secret()
 
     assert parsed("localhost:7580") == "the-secret"
     assert parsed(url) is None

@@ -48,7 +48,7 @@ def test_a_caller_stays_with_its_cluster_as_long_as_that_one_answers() -> None:
 
 
 def test_a_call_names_its_callers_cluster_once_that_is_known() -> None:
-    metadata = CallMetadata("s")
+    metadata = CallMetadata(lambda: "s")
     assert metadata() == (("authorization", "Bearer s"),)
     metadata.cluster_id = "x"
     assert metadata() == (("authorization", "Bearer s"), (METADATA_KEY, "x"))

@@ -54,7 +54,7 @@ async def hostile() -> AsyncIterator[tuple[Hostile, str]]:
 
 async def test_a_get_ends_once_more_items_come_than_it_asked_for() -> None:
     async with hostile() as (host, target):
-        endpoint = grpc_async.ServerEndpoint(target, CallMetadata(None))
+        endpoint = grpc_async.ServerEndpoint(target, CallMetadata(lambda: None))
         with pytest.raises(st.StampedeError, match="a host sent 4 items, and the request asked for 3 at most"):
             await endpoint.gets().get(pb.GetRequest(limit=3), 10)
         await until(lambda: host.ended, "the host hears that nobody reads")
@@ -63,7 +63,7 @@ async def test_a_get_ends_once_more_items_come_than_it_asked_for() -> None:
 
 async def test_a_get_of_a_thread_ends_once_more_items_come_than_it_asked_for() -> None:
     async with hostile() as (host, target):
-        endpoint = await asyncio.to_thread(grpc_sync.ServerEndpoint, target, CallMetadata(None))
+        endpoint = await asyncio.to_thread(grpc_sync.ServerEndpoint, target, CallMetadata(lambda: None))
 
         def get() -> None:
             endpoint.gets().get(pb.GetRequest(limit=3), 10)
@@ -76,7 +76,7 @@ async def test_a_get_of_a_thread_ends_once_more_items_come_than_it_asked_for() -
 
 async def test_a_put_that_gets_no_ack_has_an_error() -> None:
     async with hostile() as (_, target):
-        endpoint = await asyncio.to_thread(grpc_sync.ServerEndpoint, target, CallMetadata(None))
+        endpoint = await asyncio.to_thread(grpc_sync.ServerEndpoint, target, CallMetadata(lambda: None))
         with pytest.raises(st.Unavailable, match="sent 0 acks for one put"):
             await asyncio.to_thread(lambda: endpoint.puts().put(pb.PutRequest().SerializeToString(), 10))
         await asyncio.to_thread(endpoint.close)

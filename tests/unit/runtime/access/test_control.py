@@ -137,7 +137,7 @@ async def test_a_stream_ends_when_its_credential_is_revoked_or_over() -> None:
             calls.append(channel.stream_stream(READ)(timeout=20, metadata=brought))
         for call in calls:
             assert await said(call, "x") == b"1"
-        assert "client cam has ended; connect again" in str(await ended(calls[1]))
+        assert "client cam has ended; call again" in str(await ended(calls[1]))
         server.access.tell(replace(known, version=2, revoked_serials=frozenset({"a1"})))
         assert "the token a1 of client cam was revoked" in str(await ended(calls[0]))
         again = channel.stream_stream(READ)(

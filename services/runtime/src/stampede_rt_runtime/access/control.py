@@ -132,7 +132,7 @@ class AccessControl:
         """Check that the caller's certificate or token was not revoked and has not ended.
 
         A connection may last for days, and its handshake checks the end of the certificate only once. Raises
-        PermissionDenied with reason UNAUTHENTICATED, or Unavailable with reason CERTIFICATE_EXPIRED.
+        PermissionDenied with reason UNAUTHENTICATED, or Unavailable with reason CERTIFICATE_EXPIRED or TOKEN_EXPIRED.
         """
         state = self.refresh() if caller.may_end else None
         if state is not None and (revoked := caller.revoked_among(state.revoked_serials)):
@@ -379,16 +379,16 @@ def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> Per
 
 
 def _over(caller: Caller) -> StampedeError:
-    """The error for an ended credential.
+    """The error for a credential that ended during a call, or with which an open connection began.
 
-    A caller with a certificate should try again, because it reads renewed certificates from its files. A token stays
-    the same.
+    The caller should try again, because it reads renewed certificates and tokens from its files. A call that brings an
+    ended token is refused for good, see `check_not_over`.
     """
     if caller.kind is CallerKind.CERTIFICATE:
         text = f"the certificate of {caller} has expired; renew it (stampede certs renew), and connect again"
         return Unavailable(text, reason="CERTIFICATE_EXPIRED")
-    text = f"the {caller.kind} of {caller} has ended; connect again with a new one"
-    return PermissionDenied(text, reason="UNAUTHENTICATED")
+    text = f"the {caller.kind} of {caller} has ended; call again with a new one (stampede token issue {caller.name})"
+    return Unavailable(text, reason="TOKEN_EXPIRED")
 
 
 def _revoked(caller: Caller) -> PermissionDenied:
