@@ -12,7 +12,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt import aio
-from tests.contract.memory import MemoryConnection
+from tests.contract.memory import MemoryChannel, MemoryConnection
 from tests.contract.surfaces import Surface
 
 
@@ -118,6 +118,32 @@ async def test_the_items_of_another_channel_are_told_as_such(team: Team) -> None
         await channel.consume(item)
     with pytest.raises(st.IncarnationLost, match="another channel's"):
         await channel.newest(after=item)
+
+
+@pytest.mark.parametrize("change", [
+    {"seq": -1}, {"seq": 2**64}, {"time": 2**63}, {"incarnation": -1}, {"seq": "1"}, {"time": None},
+])  # fmt: skip
+async def test_a_changed_copy_of_an_item_that_no_channel_can_have_is_refused(
+    change: dict[str, Any], team: Team
+) -> None:
+    channel = (await team.open(consumers=1))[0]
+    await channel.put(b"x")
+    if isinstance(channel, MemoryChannel):
+        return
+    wrong = (await channel.newest())._replace(**change)
+    for read in (channel.consume, lambda item: channel.newest(after=item), subscribed(channel)):
+        with pytest.raises(st.InvalidArgument, match=f"the item's {next(iter(change))} is "):
+            await read(wrong)
+
+
+def subscribed(channel: Any) -> Any:
+    """Subscribe after an item, with either client."""
+
+    async def subscribe(item: st.Item) -> None:
+        async with channel.subscribe(after=item):
+            raise AssertionError("it is refused")
+
+    return subscribe
 
 
 async def test_only_items_are_consumed(team: Team) -> None:

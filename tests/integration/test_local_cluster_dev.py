@@ -144,6 +144,25 @@ def test_when_one_service_dies_everything_stops_with_code_1(home: Path) -> None:
         assert dev.all_ended()
 
 
+def test_when_one_of_two_hosts_dies_the_others_go_on_until_the_last_host_dies(home: Path) -> None:
+    with running("--hosts", "2") as dev:
+        one, two = (pid for pid in dev.children if "stampede_rt_channel_host" in command_of(pid))
+        os.kill(one, signal.SIGKILL)
+        assert dev.process.stderr is not None
+        told = ""
+        while "the others go on" not in told:
+            line = dev.process.stderr.readline()
+            assert line, told
+            told += line
+        assert "ended with exit code -9" in told
+        assert dev.process.poll() is None
+        os.kill(two, signal.SIGKILL)
+        _, err = dev.process.communicate(timeout=READY_SECONDS)
+        assert dev.process.returncode == 1
+        assert "everything else was stopped" in err
+        assert dev.all_ended()
+
+
 @pytest.fixture
 def complaint(home: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
     def complaint_of(*arguments: str) -> tuple[int, str]:

@@ -12,11 +12,13 @@ from collections.abc import Mapping
 class StampedeError(Exception):
     """The base of all errors.
 
-    `retryable`: the same call may succeed later, or after the client has looked for the host again.
+    `retryable`: the same call may succeed later, or after the client has looked for the host again. `from_service`: a
+    service answered a call with this error.
     """
 
     reason: str = "INTERNAL"
     retryable: bool = False
+    from_service: bool = False
 
     def __init__(self, message: str, *, reason: str | None = None, metadata: Mapping[str, str] | None = None) -> None:
         super().__init__(message)

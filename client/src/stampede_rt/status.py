@@ -116,7 +116,20 @@ def from_error_message(message: error_pb2.Error) -> StampedeError:
 
 def from_rpc_error(error: grpc.RpcError, peer: str) -> StampedeError:
     """Return the exception for a failed RPC to `peer` (an address, for the message)."""
-    return error_in(_trailers(error)) or _from_code(error, peer)
+    found = error_in(_trailers(error))
+    if found is None:
+        return _from_code(error, peer)
+    found.from_service = True
+    return found
+
+
+def raise_from_rpc_error(error: grpc.RpcError, peer: str) -> NoReturn:
+    """Raise the exception of `from_rpc_error`.
+
+    gRPC's error is its cause only if no service answered. Otherwise a traceback would show the same text twice.
+    """
+    found = from_rpc_error(error, peer)
+    raise found from (None if found.from_service else error)
 
 
 def error_in(trailers: Iterable[tuple[str, str | bytes]] | None) -> StampedeError | None:

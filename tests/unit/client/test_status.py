@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import traceback
+
 import grpc
 import grpc.aio
 import pytest
 
 import stampede_rt as st
-from stampede_rt.status import DETAILS_KEY, encode_status, from_rpc_error
+from stampede_rt.status import DETAILS_KEY, encode_status, from_rpc_error, raise_from_rpc_error
 
 INTERNAL, UNKNOWN = grpc.StatusCode.INTERNAL, grpc.StatusCode.UNKNOWN
 
@@ -49,3 +51,18 @@ def test_a_defect_of_the_service_is_none_of_the_connection(error: grpc.aio.AioRp
     told = from_rpc_error(error, "h:1")
     assert type(told) is st.StampedeError
     assert not told.retryable
+
+
+def test_an_error_that_a_service_answered_shows_no_traceback_of_grpc() -> None:
+    refused = failed(grpc.StatusCode.PERMISSION_DENIED, "no", st.PermissionDenied("rule 3 denies it"))
+    broken = failed(UNKNOWN, "Unexpected <class 'KeyError'>: 'x'")
+    shown = {}
+    for error in (refused, broken):
+        try:
+            try:
+                raise error
+            except grpc.RpcError as caught:
+                raise_from_rpc_error(caught, "h:1")
+        except st.StampedeError as told:
+            shown[error] = told.from_service, "AioRpcError" in "".join(traceback.format_exception(told))
+    assert shown == {refused: (True, False), broken: (False, True)}

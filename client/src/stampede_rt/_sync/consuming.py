@@ -17,6 +17,7 @@ from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.transports.concurrency_sync import BackgroundTask, Mutex, Signal
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
+from stampede_rt.wire.reads import check_item
 
 SEQS_MAX = 4096  # the most seqs of one request
 RENEWALS_PER_LEASE = 3
@@ -49,6 +50,7 @@ def _seqs_by_incarnation(items: Iterable[Item]) -> list[tuple[int, Sequence[int]
     for item in items:
         if not isinstance(item, Item):
             raise InvalidArgument(f"{item!r} cannot be consumed; give items from a read or subscription")
+        check_item(item)
         found.setdefault(item.incarnation, []).append(item.seq)
     requests: list[tuple[int, Sequence[int]]] = [
         (incarnation, seqs[first : first + SEQS_MAX])

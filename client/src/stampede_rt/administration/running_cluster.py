@@ -26,7 +26,7 @@ from stampede_rt.errors import (
     WrongCluster,
 )
 from stampede_rt.security.tls_diagnosis import explain_refusal
-from stampede_rt.status import error_in, from_rpc_error
+from stampede_rt.status import raise_from_rpc_error
 from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.v1 import access_service_pb2 as access_pb
 from stampede_rt.v1 import access_service_pb2_grpc, membership_service_pb2_grpc, quota_service_pb2_grpc
@@ -213,7 +213,7 @@ class Cluster:
         try:
             yield from responses
         except grpc.RpcError as error:
-            raise from_rpc_error(error, f"the supernode at {address}") from error
+            raise_from_rpc_error(error, f"the supernode at {address}")
 
     def _first(self, ask: Callable[[ServerEndpoint], Any]) -> Any:
         return _first(self._endpoints, self._addresses, ask)
@@ -267,8 +267,7 @@ def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
 
 def _may_have_removed(error: StampedeError) -> bool:
     """Whether a supernode may have put the removal into its log, although the call has failed."""
-    cause = error.__cause__
-    if isinstance(cause, grpc.Call) and error_in(cause.trailing_metadata()) is not None:
+    if error.from_service:
         return error.reason == "AMBIGUOUS"  # otherwise the supernode has answered that it did not
     return "Connection refused" not in error.metadata.get(UNREACHED, "")
 

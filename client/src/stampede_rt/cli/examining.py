@@ -24,7 +24,6 @@ from stampede_rt.security.tls_diagnosis import (
     explain_refusal,
     validity_of,
 )
-from stampede_rt.status import DETAILS_KEY
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
@@ -229,8 +228,7 @@ def _certificate(validity: Validity | None) -> dict[str, Any]:
 
 def _said_by_itself(error: StampedeError) -> bool:
     """Whether the part itself answered that it is unavailable. If not, the call did not reach the part, or broke."""
-    cause: Any = error.__cause__
-    return any(key == DETAILS_KEY for key, _ in cause.trailing_metadata() or ()) and isinstance(error, Unavailable)
+    return error.from_service and isinstance(error, Unavailable)
 
 
 def _frontend(address: str) -> _Part:

@@ -13,10 +13,11 @@ from typing import Any
 
 from stampede_rt.cli.arguments import VerbParser, add_verb, checked
 from stampede_rt.cli.output import print_behind, print_facts
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.values.timeline import format_instant, parse_duration
 
 ROLES = ("client", "operator")
+TTL_NANOS_MAX = 30 * 86_400 * 10**9
 TTL_DEFAULT = "1h"
 SERIAL_DIGITS = 16
 
@@ -31,10 +32,10 @@ def add_verbs(subparsers: Any) -> None:
     issue.add_argument("--role", action="append", choices=ROLES, help="may be repeated; default client")
     issue.add_argument(
         "--ttl",
-        type=checked(parse_duration),
+        type=checked(_ttl),
         default=TTL_DEFAULT,
         metavar="DURATION",
-        help="how long the token is valid; default 1h",
+        help="how long the token is valid, at most 30 days; default 1h",
     )
     revoke = add_verb(
         verbs, "revoke", "revoke a token for good: all services refuse it from then on", run_revoke, output=False
@@ -45,6 +46,13 @@ def add_verbs(subparsers: Any) -> None:
         help="the token's serial number, which `token issue` printed, or the token's file",
     )
     issue.add_argument("--out", type=Path, metavar="FILE", help="write the token to FILE, which only you can read")
+
+
+def _ttl(text: str) -> int:
+    nanos = parse_duration(text, "--ttl")
+    if not 0 < nanos <= TTL_NANOS_MAX:
+        raise InvalidArgument(f"{text!r} cannot be used; write a duration above 0, at most 30 days")
+    return nanos
 
 
 def run_issue(arguments: argparse.Namespace) -> int:

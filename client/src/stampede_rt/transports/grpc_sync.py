@@ -17,7 +17,7 @@ from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.tls import TlsMaterial
-from stampede_rt.status import from_rpc_error
+from stampede_rt.status import from_rpc_error, raise_from_rpc_error
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
 from stampede_rt.transports.grpc_credentials import channel_credentials
@@ -79,7 +79,7 @@ class ServerEndpoint(Stubs):
         try:
             return method(request, timeout=timeout_s, metadata=self._metadata() + age_metadata(age_s))
         except grpc.RpcError as error:
-            raise from_rpc_error(error, self.target) from error
+            raise_from_rpc_error(error, self.target)
         except ValueError as error:  # gRPC raises this for a closed channel
             raise closed(self.target) from error
 

@@ -11,7 +11,7 @@ import grpc
 import grpc.aio
 
 from stampede_rt.errors import Unavailable
-from stampede_rt.status import from_rpc_error
+from stampede_rt.status import raise_from_rpc_error
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_async import when_dropped
 from stampede_rt.transports.grpc_options import SILENCE_S_MAX, WAITING_REQUESTS_MAX
@@ -69,7 +69,7 @@ class ServerStream(Generic[Response]):
             raise silent(self._target) from None
         except grpc.RpcError as error:
             if not self._cancelled:
-                raise from_rpc_error(error, self._target) from error
+                raise_from_rpc_error(error, self._target)
         except asyncio.CancelledError:
             if not self._cancelled and is_cancelled():
                 self._call.cancel()

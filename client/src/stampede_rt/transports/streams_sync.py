@@ -10,7 +10,7 @@ import grpc
 import grpc.experimental
 
 from stampede_rt.errors import Unavailable
-from stampede_rt.status import from_rpc_error
+from stampede_rt.status import raise_from_rpc_error
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import run_later, when_dropped, within_limit
 from stampede_rt.transports.grpc_options import SILENCE_S_MAX, WAITING_REQUESTS_MAX
@@ -58,7 +58,7 @@ class ServerStream(Generic[Response]):
             if overdue:
                 raise silent(self._target) from None
             if not self._cancelled:
-                raise from_rpc_error(error, self._target) from error
+                raise_from_rpc_error(error, self._target)
         except GeneratorExit:  # the reader has left. Python may delete the iterator on any thread, while locks are held
             self._cancelled = True
             if self._forks == forking.forks():

@@ -13,6 +13,8 @@ from stampede_rt.values.timeline import DurationLike, parse_duration
 NAME_GRAMMAR = r"[A-Za-z0-9][A-Za-z0-9._/-]{0,127}"
 """The pattern of the names of channels, groups, queues, peers and hosts. Upper and lower case differ."""
 _NAME = re.compile(NAME_GRAMMAR)
+MAX_BYTES_MIN = 64
+"""The bytes that an item without payload counts against `max_bytes`."""
 ON_FULL: tuple[OnFull, ...] = get_args(OnFull)
 
 
@@ -47,7 +49,7 @@ def parse_policy(
     return Policy(
         max_age_nanos=duration_of("max_age", max_age, least=1),
         max_items=count_of("max_items", max_items),
-        max_bytes=count_of("max_bytes", max_bytes),
+        max_bytes=max_bytes_of(max_bytes),
         consumers=count_of("consumers", consumers),
         on_full=on_full,
         max_future_nanos=duration_of("max_future", max_future, least=0),
@@ -85,6 +87,17 @@ def count_of(what: str, value: int | None) -> int | None:
     if not 1 <= count < 2**63:
         raise InvalidArgument(f"{what} is {value!r}; it must be 1 or more, and below 2**63")
     return count
+
+
+def max_bytes_of(value: int | None) -> int | None:
+    """Return `value`, enough bytes for an item without payload; None if it is None. Raises InvalidArgument."""
+    found = count_of("max_bytes", value)
+    if found is not None and found < MAX_BYTES_MIN:
+        raise InvalidArgument(
+            f"max_bytes is {value!r}; it must be {MAX_BYTES_MIN} or more, because an item counts as its payload and "
+            f"{MAX_BYTES_MIN} bytes"
+        )
+    return found
 
 
 def whole_number_of(what: str, value: int) -> int:

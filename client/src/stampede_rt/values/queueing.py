@@ -12,7 +12,7 @@ from typing import NamedTuple
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.values.model import OnFull
 from stampede_rt.values.payloads import text_length_bytes
-from stampede_rt.values.policy import content_type_of, count_of, duration_of
+from stampede_rt.values.policy import content_type_of, count_of, duration_of, max_bytes_of
 from stampede_rt.values.timeline import DurationLike
 
 ON_FULL = ("block", "reject", "drop_oldest")
@@ -192,7 +192,7 @@ def parse_queue_policy(
         raise InvalidArgument(f"on_full is {on_full!r}; write one of {', '.join(map(repr, ON_FULL))}")
     return QueuePolicy(
         max_items=count_of("max_items", max_items),
-        max_bytes=count_of("max_bytes", max_bytes),
+        max_bytes=max_bytes_of(max_bytes),
         on_full=on_full,
         copies=count_of("copies", copies),
         lease_nanos=parse_lease(lease),

@@ -70,10 +70,25 @@ def match_from_message(match: int) -> Match:
 
 
 def position_of(after: Item | int) -> item_pb2.ItemPosition:
-    """Return the position of an item. For an instant, return the position after all items of that instant."""
+    """Return the position of an item. For an instant, return the position after all items of that instant.
+
+    Raises InvalidArgument for an item that no channel can have.
+    """
     if isinstance(after, Item):
+        check_item(after)
         return item_pb2.ItemPosition(time_unix_nano=after.time, seq=after.seq, incarnation=after.incarnation)
     return item_pb2.ItemPosition(time_unix_nano=after)
+
+
+def check_item(item: Item) -> None:
+    """Raise InvalidArgument for an item whose time, seq or incarnation no channel can have, as in a changed copy."""
+    for what, value, least, end in (
+        ("time", item.time, -(2**63), 2**63),
+        ("seq", item.seq, 0, 2**64),
+        ("incarnation", item.incarnation, 0, 2**64),
+    ):
+        if not isinstance(value, int) or not least <= value < end:
+            raise InvalidArgument(f"the item's {what} is {value!r}; give an item as a read or a put returned it")
 
 
 def resolved_to_message(interval: ResolvedInterval) -> time_pb2.ResolvedInterval:

@@ -29,7 +29,10 @@ _WILDCARDS = frozenset({"0.0.0.0", "::"})
 
 @dataclass(frozen=True, kw_only=True)
 class DevSettings:
-    """Runs the whole system on this machine, in memory. Ctrl-C stops it, and its items are lost."""
+    """Runs the whole system on this machine, in memory. Ctrl-C stops it, and its items are lost.
+
+    If one of several hosts or a minority of the supernodes ends, the others go on. The items of that host are lost.
+    """
 
     listen: str = field(
         default=DEFAULT_ADDRESS,
@@ -116,12 +119,29 @@ def _run(settings: DevSettings, began: float) -> int:
         with unwinding(signal.SIGINT, signal.SIGTERM, signal.SIGHUP), cluster:
             print(_welcome(cluster, settings, time.monotonic() - began), flush=True)
             ready.set()
-            story = ended.get().describe_end()
+            story = _last_story(cluster, ended)
     except KeyboardInterrupt:
         print("\nstopped; nothing is left running")
         return 0
     print(f"stampede dev: {story}\neverything else was stopped", file=sys.stderr)
     return 1
+
+
+def _last_story(cluster: LocalCluster, ended: queue.SimpleQueue[ServiceProcess]) -> str:
+    """Wait until the cluster cannot serve any more, and return why. Meanwhile tells of parts that end."""
+    while True:  # ends with Ctrl-C, or with too many parts
+        process = ended.get()
+        if not _goes_on_without(process, cluster):
+            return process.describe_end()
+        print(f"stampede dev: {escaped(process.describe_end())}\nthe others go on", file=sys.stderr, flush=True)
+
+
+def _goes_on_without(process: ServiceProcess, cluster: LocalCluster) -> bool:
+    """Whether the rest of the cluster can still serve: a majority of the supernodes, and a host."""
+    supernodes = [one for one in cluster.supernodes if not one.ended and one is not process]
+    hosts = [one for one in cluster.hosts if not one.ended and one is not process]
+    is_frontend = process not in (*cluster.supernodes, *cluster.hosts)
+    return not is_frontend and bool(hosts) and 2 * len(supernodes) > len(cluster.supernodes)
 
 
 def _welcome(cluster: LocalCluster, settings: DevSettings, seconds: float) -> str:

@@ -30,3 +30,13 @@ def test_a_channel_has_no_message_ids_so_its_put_takes_none(capsys: pytest.Captu
         run(["put", "cam", "x", "--message-id", "one"])
     assert ended.value.code == 2
     assert "stampede put has no argument --message-id one" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("ttl", ["0s", "-1h", "31d", "soon"])
+def test_a_time_to_live_that_no_token_can_have_names_its_option(ttl: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        run(["token", "issue", "cam", f"--ttl={ttl}"])
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert "--ttl" in told
+    assert "nanos" not in told

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt.values.queueing import parse_message_id, parse_reason
+from stampede_rt.values.policy import parse_policy
+from stampede_rt.values.queueing import parse_message_id, parse_queue_policy, parse_reason
 
 LONE_SURROGATE = "\ud800"
 
@@ -25,3 +26,11 @@ def test_what_is_no_text_or_too_long_is_refused_in_few_words(
 
 def test_none_stands_for_no_text() -> None:
     assert (parse_message_id(None), parse_reason(None)) == ("", "")
+
+
+@pytest.mark.parametrize("parse", [parse_policy, parse_queue_policy])
+def test_a_bound_of_bytes_that_admits_no_item_is_refused_at_once(parse: Callable[..., Any]) -> None:
+    assert parse(max_bytes=64).max_bytes == 64
+    for value in (1, 63):
+        with pytest.raises(InvalidArgument, match=f"max_bytes is {value}; it must be 64 or more"):
+            parse(max_bytes=value)

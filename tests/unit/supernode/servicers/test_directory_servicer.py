@@ -18,6 +18,7 @@ from tests.support.supernode.operations import TTL_NANOS, id_of
 
 BLOCK_FOR_EVER = channel_pb2.ChannelSpec(on_full=channel_pb2.ON_FULL_BLOCK)
 LONG_TYPE = channel_pb2.ChannelSpec(content_type="x" * 256)
+NO_ROOM = channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(max_bytes=63))
 
 
 @pytest_asyncio.fixture
@@ -218,6 +219,8 @@ async def test_an_update_without_a_proper_request_id_is_refused(node: Node, meth
         ("OpenChannel", pb.OpenChannelRequest(name="cam", host_name="h" * 100_000)),
         ("OpenChannel", pb.OpenChannelRequest(name="c" * 100_000)),
         ("UpdateChannel", pb.UpdateChannelRequest(channel_id=id_of(1), spec=LONG_TYPE)),
+        ("OpenChannel", pb.OpenChannelRequest(name="cam", spec=NO_ROOM)),
+        ("UpdateChannel", pb.UpdateChannelRequest(channel_id=id_of(1), spec=NO_ROOM)),
         ("UpdateChannel", pb.UpdateChannelRequest(channel_id=b"x" * 100_000)),
         ("DeleteChannel", pb.DeleteChannelRequest(channel_id=b"short")),
         ("RegisterHost", pb.RegisterHostRequest(host_id=id_of(1), name="h", boot_incarnation=1)),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 from stampede_rt.errors import InvalidArgument, InvalidName
-from stampede_rt.values.policy import NAME_GRAMMAR
+from stampede_rt.values.policy import MAX_BYTES_MIN, NAME_GRAMMAR
 from stampede_rt_supernode.core.records import ID_BYTES, Endpoint
 
 GATEKEEPERS_MAX = 16
@@ -27,6 +27,19 @@ def check_name(name: str, what: str) -> None:
             f"{_shown(name)} cannot name a {what}: {_fault(name)}; a name is 1 to 128 of A-Z, a-z, 0-9, '.', '_', '/' "
             "and '-', and begins with a letter or digit",
             metadata={what: name[:128]},
+        )
+
+
+def check_max_bytes(what: str, name: str, max_bytes: int | None) -> None:
+    """Check that the bound admits an item without payload.
+
+    Only requests are checked: the log of an earlier release may have smaller bounds, and must apply everywhere alike.
+    """
+    if max_bytes is not None and max_bytes < MAX_BYTES_MIN:
+        raise InvalidArgument(
+            f"{what} {name}: max_bytes is {max_bytes}; it must be {MAX_BYTES_MIN} or more, because an item counts as "
+            f"its payload and {MAX_BYTES_MIN} bytes",
+            metadata={what: name, "field": "max_bytes"},
         )
 
 

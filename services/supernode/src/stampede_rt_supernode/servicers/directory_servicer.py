@@ -41,6 +41,7 @@ from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, h
 from stampede_rt_supernode.core.queries import HostPage, channel_page, channels_of, host_page
 from stampede_rt_supernode.core.queues.queries import queues_of
 from stampede_rt_supernode.core.records import ID_BYTES, ChannelRecord, HostRecord, QueueRecord
+from stampede_rt_supernode.core.validation import check_max_bytes
 from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
@@ -103,9 +104,11 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         """If nothing changes, answers a first request from a confirmed read, without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.CHANNEL, request.name)
+        policy = policy_from(request.spec)
+        check_max_bytes("channel", request.name, policy.max_bytes)
         operation = OpenChannel(
             name=request.name,
-            policy=policy_from(request.spec),
+            policy=policy,
             create=request.create,
             host_name=request.host_name,
             new_channel_id=secrets.token_bytes(ID_BYTES),
@@ -172,7 +175,9 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @errors_as_status
     async def UpdateChannel(self, request: pb.UpdateChannelRequest, context: Context) -> pb.UpdateChannelResponse:
         await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.CHANNEL, request.channel_id)
-        operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy_from(request.spec))
+        policy = policy_from(request.spec)
+        check_max_bytes("channel", request.channel_id.hex(), policy.max_bytes)
+        operation = UpdateChannel(channel_id=request.channel_id, epoch=request.epoch, policy=policy)
         updated = await self._calls.submit(context, operation, ChannelUpdated, request.request_id)
         return pb.UpdateChannelResponse(channel=channel_record(updated.channel))
 

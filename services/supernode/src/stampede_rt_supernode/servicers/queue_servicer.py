@@ -31,6 +31,7 @@ from stampede_rt_supernode.core.queues.queries import Position, queue_page
 from stampede_rt_supernode.core.queues.transitions import open_queue_unchanged
 from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
+from stampede_rt_supernode.core.validation import check_max_bytes
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 from stampede_rt_supernode.servicers.listing import Looked, list_shown
 
@@ -46,9 +47,11 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         """If nothing changes, answers a first request from a confirmed read, without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.QUEUE, request.name)
+        spec = queue_spec_from(request.spec)
+        check_max_bytes("queue", request.name, spec.max_bytes)
         operation = OpenQueue(
             name=request.name,
-            spec=queue_spec_from(request.spec),
+            spec=spec,
             create=request.create,
             host_name=request.host_name,
             new_queue_id=secrets.token_bytes(ID_BYTES),
@@ -94,7 +97,9 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     async def UpdateQueue(self, request: pb.UpdateQueueRequest, context: Context) -> pb.UpdateQueueResponse:
         await self._calls.check_thing(context, AccessVerb.CONFIGURE, AccessKind.QUEUE, request.queue_id)
         await self._check_dead_letter(context, request.spec)
-        operation = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=queue_spec_from(request.spec))
+        spec = queue_spec_from(request.spec)
+        check_max_bytes("queue", request.queue_id.hex(), spec.max_bytes)
+        operation = UpdateQueue(queue_id=request.queue_id, epoch=request.epoch, spec=spec)
         updated = await self._calls.submit(context, operation, QueueUpdated, request.request_id)
         return pb.UpdateQueueResponse(queue=queue_record(updated.queue))
 
