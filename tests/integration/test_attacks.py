@@ -52,7 +52,11 @@ async def test_requests_that_nobody_finishes_take_no_more_than_their_room_and_a_
 
 
 @pytest.mark.parametrize(
-    "name", rare("busy-puts", "large-gets", "many-subscriptions", "blocked-gets", "many-streams", "held-bytes")
+    "name",
+    [
+        *rare("busy-puts", "large-gets", "many-subscriptions", "blocked-gets", "many-streams", "held-bytes"),
+        *rare("many-cuts", "many-matches", "busy-takes", "single-calls", "new-channels"),
+    ],
 )
 async def test_a_client_that_takes_all_of_a_quota_costs_others_no_call_and_no_lease(name: str) -> None:
     await attacked(name)

@@ -60,6 +60,11 @@ class Found:
     leases_lost: int = 0
     log_bytes: int = 0
 
+    @property
+    def p99_ratio(self) -> float:
+        """How many times as long a put takes beside the attack, at the 99th percentile."""
+        return self.beside.quantile_ms(99) / max(0.1, self.alone.quantile_ms(99))
+
 
 class Field:
     """A cluster with one host and one supernode, whose host has a small budget of memory and few open files."""
@@ -117,7 +122,10 @@ async def field_for(name: str) -> AsyncIterator[Field]:
 
 
 async def trial(name: str, seconds: float) -> Found:
-    """Good clients alone, then for that long beside the attack once it is under way, then the memory that stays."""
+    """Good clients alone, then for that long beside the attack once it is under way, then the memory that stays.
+
+    Then alone again, so that other load of the machine counts in both.
+    """
     async with field_for(name) as one:
         found = one.found
         async with st.aio.connect(one.cluster.address, secret=await asyncio.to_thread(one.token, "good")) as rt:
@@ -127,6 +135,7 @@ async def trial(name: str, seconds: float) -> Found:
             await _good_clients(one, found.beside, _attacked(one, found.beside, seconds))
             await _still(one)
             found.after_mib = one.memory_mib()
+            await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))
     return found
 
 

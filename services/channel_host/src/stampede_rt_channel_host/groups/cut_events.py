@@ -82,6 +82,7 @@ class CutEvents:
         self._credit.grant(request.credit)
         self._groups.check_serving()
         group = await self._groups.find(begun.group_id, begun.spec_version)
+        await self._writer.turn()  # many streams may have waited for the same group
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         await self._begin(group, begun)
         hearing = group.news_observers if begun.decides else group.cut_observers
@@ -111,6 +112,7 @@ class CutEvents:
             raise Unavailable(
                 f"group {group.record.name} has not reached the reader's position yet, {group.held_by()}; try again"
             )
+        await self._writer.turn()
         self._cut = floor if resumes else group.cut.cut
         self._incarnation = group.record.incarnation
         self._kept = {one.channel_id: one for one in begun.after.channels}

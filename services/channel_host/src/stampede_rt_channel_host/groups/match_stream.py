@@ -61,12 +61,14 @@ class MatchStream:
         if request.lateness_nanos < 0:
             raise InvalidArgument(f"lateness_nanos is {request.lateness_nanos}; it is a time to wait: give 0 or more")
         group = await self._groups.find(request.group_id)
+        await self._writer.turn()  # many streams may have waited for the same group
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         # checked before the wait below, and found again after it
         matched = self._groups.channels.find(request.per_channel_id, request.epoch)
         check_access(AccessVerb.READ, AccessKind.CHANNEL, matched.record.name)
         if not await group.reach(None, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
+        await self._writer.turn()
         _check_life(group, request.after.group_incarnation)
         hosted = self._groups.channels.find(request.per_channel_id, request.epoch)
         group.news_observers.add(self._waiter)
