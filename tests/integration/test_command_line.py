@@ -120,9 +120,9 @@ def thinned(cluster: LocalCluster, environment: dict[str, str]) -> tuple[str, in
         ("cli/thinned", ["+0", "+1000"], "COLLECTED: max_items (2) has collected the items before 20"),
         ("cli/thinned", ["--before", "+0"], "COLLECTED: max_items (2) has collected the items before 20"),
         ("cli/thinned", ["+2500", "+2600"], "NEVER: the channel is past the interval, and no matching item was put"),
-        ("cli/thinned", ["--bounds", "[)", "+2500", "+2500"], "NEVER: the interval is empty as it was resolved"),
-        ("cli/thinned", ["now+1h", "now+2h"], "NOT_YET: the channel is at 20"),
-        ("cli/empty", ["--last", "5s"], "NOT_YET: the channel holds nothing; items up to 20"),
+        ("cli/thinned", ["--bounds", "[)", "+2500", "+2500"], "NEVER: the interval is empty: no instant lies in it"),
+        ("cli/thinned", ["now+1h", "now+2h"], "NOT_YET: the newest item is at 20"),
+        ("cli/empty", ["--last", "5s"], "NOT_YET: the channel holds no items; items up to 20"),
         ("cli/empty", [], "NOT_YET: the channel holds no items, so NEWEST and OLDEST have no time yet"),
     ],
 )

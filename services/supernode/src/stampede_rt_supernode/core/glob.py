@@ -12,9 +12,8 @@ from stampede_rt_supernode.core.validation import check_glob
 def matcher(glob: str) -> Callable[[str], bool]:
     """Returns a function that tells whether a name matches `glob`. Every name matches an empty `glob`.
 
-    For each star the function takes linear time.
-
-    Raises InvalidArgument for an invalid pattern.
+    The time of a match is at most in proportion to the name's length times the number of stars. Raises InvalidArgument
+    for an invalid pattern.
     """
     check_glob(glob)
     return globs.matcher(glob)

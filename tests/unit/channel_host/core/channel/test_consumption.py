@@ -216,7 +216,7 @@ def test_consumers_can_be_asked_for_while_a_channel_is_in_use() -> None:
     ("consumer_id", "seqs", "message"),
     [
         (0, [1], "consumer_id is 0"),
-        (ANN, [4], "seqs from 4 to 4.*has given 1 to 3"),
+        (ANN, [4], "seqs from 4 to 4.*next seq is 4"),
         (ANN, [0], "seqs from 0 to 0"),
         (ANN, [1] * (SEQS_MAX + 1), "4097 seqs"),
     ],

@@ -147,7 +147,7 @@ def test_a_partial_answer_is_truncated_by_the_collecting_policy() -> None:
 def test_a_position_of_another_incarnation_is_refused() -> None:
     channel = a_channel(max_items=9)
     query = Query(interval=parse_interval(MIN_INSTANT, NOW), after=Position(10, 1, incarnation=4))
-    with pytest.raises(IncarnationLost, match="incarnation 4, the channel is 3"):
+    with pytest.raises(IncarnationLost, match="incarnation 4, and the channel is incarnation 3"):
         channel.read(query, CLOCK)
     with pytest.raises(InvalidArgument, match="limit is 0"):
         Query(interval=parse_interval(MIN_INSTANT, NOW), limit=0)

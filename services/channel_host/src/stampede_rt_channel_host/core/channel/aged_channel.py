@@ -77,7 +77,7 @@ class AgedChannel:
         return clock if self._held.has_backlog or self._retention.has_more else due
 
     def counters(self, now: int) -> Counters:
-        """The present counts of all items by what happened to them."""
+        """The present numbers of accepted, held, collected and refused items."""
         self._settle(self._tick(now))
         held = self._held
         return Counters(

@@ -10,10 +10,10 @@ has not consumed. The other cases:
 - A consumer whose lease has ended gets its former place again, unless another consumer has taken it. A new consumer
   gets the place whose lease ended first. If no lease has ended, it gets a place that was never taken.
 
-Each place records the seqs that its consumer has consumed. When the consumer consumes, the place adds the collected
-seqs next to them. All other held items are still to be consumed. A put or a consume looks at few places, however many
-there are: the places are sorted by the seq up to which everything is consumed. Once a place is found that keeps the
-oldest item, no other place needs a look.
+Each place records the ranges of seqs that its consumer has consumed. When the consumer consumes, the place extends
+these ranges by adjacent seqs of collected items. All other held items are still to be consumed. A put or a consume
+looks at few places, however many there are: the places are sorted by the seq below which their consumers have consumed
+all items. Once a place is found that keeps the oldest item, no other place needs a look.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ RANGES_PER_LOOK_MAX = 256
 SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
 """The most seqs that one call notes as collected."""
 RANGE_STEPS = 4
-"""To count the collected items in one range of consumed seqs takes as long as work on this number of slices."""
+"""The count of the collected items in one range of consumed seqs takes as long as the work on this number of slices."""
 
 
 class Consumed(NamedTuple):
@@ -56,8 +56,9 @@ class Consumed(NamedTuple):
 class ConsumerPlace(NamedTuple):
     """A place as a value, which moves with its channel. Its times are durations, because two hosts' clocks differ.
 
-    `consumer_id` 0: never taken. `lease_nanos` 0: the lease has ended. Consumed are all seqs below `consumed_below` and
-    those in the `consumed` ranges (first and end, the end excluded). Collected items need not be in the ranges.
+    `consumer_id` 0: never taken. `lease_nanos` 0: the lease has ended. The consumer has consumed all seqs below
+    `consumed_below`, and the seqs in the ranges `consumed` (first and end, the end excluded). Collected items need not
+    be in the ranges.
     """
 
     consumer_id: int
@@ -307,7 +308,10 @@ class Consumers:
         return shown
 
     def restore(self, places: Iterable[ConsumerPlace], clock: int) -> None:
-        """Replace all places by those that `places` gave. Places with id 0 stay untaken."""
+        """Replace all places by `places`, which another host's `places` method returned.
+
+        A place with consumer id 0 stays untaken.
+        """
         for former in list(self._taken.values()):
             self._drop(former)
         for one in places:
@@ -351,7 +355,8 @@ def check_consumption(consumer_id: int, seqs: Sequence[int], next_seq: int, leas
         raise InvalidArgument(f"the request consumes {len(seqs)} seqs; the limit is {SEQS_MAX}: send several requests")
     if seqs and not (min(seqs) >= 1 and max(seqs) < next_seq):
         raise InvalidArgument(
-            f"seqs from {min(seqs)} to {max(seqs)} cannot be consumed: the channel has given 1 to {next_seq - 1}"
+            f"seqs from {min(seqs)} to {max(seqs)} cannot be consumed: the channel's next seq is {next_seq}; name seqs "
+            "of items that you have read"
         )
 
 

@@ -115,8 +115,8 @@ class ChannelIndex:
     def _insert_ascending(self, run: Run, lo: int, hi: int) -> None:
         while lo < hi:
             self._open(run.times[lo])
-            follower = self._first_later(run.times[lo])
-            end = hi if follower is None else bisect_left(run.times, follower.first_time, lo, hi)
+            next_entry = self._first_later(run.times[lo])
+            end = hi if next_entry is None else bisect_left(run.times, next_entry.first_time, lo, hi)
             self._add(IndexPart(run, lo, end))
             lo = end
 

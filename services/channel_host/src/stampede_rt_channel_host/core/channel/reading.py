@@ -178,8 +178,9 @@ class Reading:
 
     def _absence(self, query: Query, region: ResolvedInterval) -> Reason:
         if region.is_empty:
-            left = "where it was to go on" if query.after or query.newer_than else "as it was resolved"
-            return Reason("NEVER", f"the interval is empty {left}: no instant lies in it")
+            if query.after or query.newer_than:
+                return Reason("NEVER", "the given position leaves no instant of the interval")
+            return Reason("NEVER", "the interval is empty: no instant lies in it")
         if self._is_below_frontier(region):
             return self._collected()
         if not self._is_over(region):
@@ -191,7 +192,7 @@ class Reading:
         return Reason("NEVER", f"the channel is past the interval, and no matching item was put{but}")
 
     def _gone(self, region: ResolvedInterval) -> Reason:
-        """The reason for a region that begins before collected items, or before those of a lost incarnation."""
+        """The reason for a region whose first items may be collected, or lost with an earlier incarnation."""
         gone_before = self._held.gone_before
         return self._collected() if gone_before is not None and region.start < gone_before else self._lost()
 
@@ -216,8 +217,9 @@ class Reading:
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
         if self._lost_before is not None and region.end + (not region.end_exclusive) <= self._lost_before:
             return self._lost()
-        newest = "holds nothing" if self._held.newest is None else f"is at {format_instant(self._held.newest)}"
-        return Reason("NOT_YET", f"the channel {newest}; items up to {format_instant(region.end)} may still come")
+        newest = self._held.newest
+        held = "the channel holds no items" if newest is None else f"the newest item is at {format_instant(newest)}"
+        return Reason("NOT_YET", f"{held}; items up to {format_instant(region.end)} may still come")
 
 
 def _region(query: Query, within: ResolvedInterval) -> ResolvedInterval:

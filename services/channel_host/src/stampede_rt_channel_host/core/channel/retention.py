@@ -209,7 +209,7 @@ class Retention:
         return longest
 
     def next_due(self) -> int | None:
-        """When time alone next collects an item or ends a consumer's place; None: not before something else happens."""
+        """The instant at which time alone next collects an item or ends a consumer's lease; None: there is none."""
         held, age = self._held, self._age_of_oldest()
         following = None if held.oldest is None else held.next_time(held.oldest)
         if age is None or held.oldest is None or following is None:

@@ -1,9 +1,10 @@
 """Decides which held items an interval selects (paper, section 3.2). Pure.
 
-The matching items are a stretch of the order (time, seq). Only one bucket of it needs a look at each item. With `span`
-this is the last bucket at or before the lower bound, whose items may reach in. With `whole` it is the last bucket in
-the interval, whose items may reach out. So a read costs two searches and the items that it returns. With overlap the
-read also looks at each item that begins at most one `overlap` before the bound. An earlier item cannot reach so far.
+The matching items follow each other in the order (time, seq). A read must look at each item of only one bucket. With
+`span` this is the last bucket at or before the lower bound: the spans of its items may reach into the interval. With
+`whole` it is the last bucket in the interval: the spans of its items may end after the interval. So a read costs two
+searches and the items that it returns. With overlap the read also looks at each item that begins at most one `overlap`
+before the bound. The span of an earlier item cannot reach so far.
 """
 
 from __future__ import annotations

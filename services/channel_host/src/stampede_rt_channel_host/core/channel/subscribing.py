@@ -140,14 +140,14 @@ class _Ranges:
             yield max(bounds[low], first), min(bounds[low + 1], end)
 
     def takes(self, ranges: _Ranges) -> bool:
-        """Append ranges that lie behind all of these. Returns False, and appends nothing, if they do not."""
+        """Append `ranges` if all of them lie behind the present ranges. Otherwise return False, and append nothing."""
         if ranges._bounds and self._bounds and ranges._bounds[0] < self._bounds[-1]:
             return False
         self.extend(ranges)
         return True
 
     def extend(self, ranges: Iterable[Range]) -> None:
-        """Append ranges in ascending order, all of which lie behind all of these."""
+        """Append `ranges`, which ascend and lie behind the present ranges."""
         bounds = self._bounds
         for low, high in ranges:
             if bounds and bounds[-1] == low:

@@ -1,4 +1,4 @@
-"""Questions about groups: one group with its members, and pages of many. Pure. O(page), for any pattern."""
+"""Queries about groups: one group with its members, and pages of all groups. Pure. O(page), for any pattern."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Questions about queues: pages of many, and those of one host. Pure. O(page), for any pattern."""
+"""Queries about queues: pages of all queues, and the queues of one host. Pure. O(page), for any pattern."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rows of copies of channels in the command table. Pure."""
+"""The rows of replicas in the command table. Pure."""
 
 from __future__ import annotations
 
