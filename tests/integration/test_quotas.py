@@ -133,11 +133,18 @@ def test_a_client_makes_as_much_as_its_quotas_and_no_faster(cluster: LocalCluste
         open_channel: Any = DirectoryServiceStub(connection).OpenChannel
         operator.set("maker", "channels=2")
         assert [make(f"quotas/made/{number}") for number in range(3)] == ["", "", "channels"]
+        told = [row for row in operator.rows("use", "maker") if row["quota"] == "channels"]
+        assert len(told) == len(cluster.supernodes)
+        assert {(row["used"], row["limit"]) for row in told} == {(2, 2)}
+        assert sum(row["refused"] for row in told) == 1
         assert make("quotas/made/1") == ""  # it is there
         operator.set("maker", "channels=unlimited", "changes-per-second=1")
         refusals = [make(f"quotas/faster/{number}") for number in range(40)]
     assert refusals[0] == ""
     assert "changes-per-second" in refusals
+    refused = {row["quota"]: row["refused"] for row in operator.rows("use", "maker")}
+    assert refused["changes-per-second"] == refusals.count("changes-per-second")
+    assert "calls refused, the last one" in operator.says("doctor", status=1, out=True)
 
 
 def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operator: Operator) -> None:

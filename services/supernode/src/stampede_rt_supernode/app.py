@@ -28,7 +28,7 @@ from stampede_rt_runtime.limits import CONTROL_LIMITS
 from stampede_rt_runtime.main import announce, run_service
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import EXIT_BAD_SETTINGS
-from stampede_rt_supernode.core.access.queries import access_state
+from stampede_rt_supernode.core.access.queries import access_state, things_of_callers
 from stampede_rt_supernode.joining.copies import OwnAddress
 from stampede_rt_supernode.joining.founding import Founding, misplaced, note_started, read_founding
 from stampede_rt_supernode.joining.members import Members, why_diverged
@@ -92,6 +92,7 @@ async def serve(settings: SupernodeSettings) -> None:
         parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
         _register(parts, server)
         server.access.draw_from(lambda: replica.read(access_state))
+        server.access.accounts.draw_from(lambda: replica.read(things_of_callers))
         await server.start()
         work = [
             parts.leases.run(),

@@ -148,3 +148,23 @@ def test_it_tells_who_uses_how_much_and_who_was_refused() -> None:
     one.exceeded(Quota.WAITING_CALLS, 1)
     found = [(use.subject, use.quota, use.used, use.refused) for use in accounts.uses()]
     assert found == [("cam", Quota.STREAMS, 1, 0), ("cam", Quota.WAITING_CALLS, 0, 1)]
+
+
+def test_it_tells_what_the_directory_counts_beside_what_it_counts_itself() -> None:
+    accounts, made = Accounts(), [("cam", Quota.CHANNELS, 7), ("other", Quota.QUEUES, 2)]
+    accounts.draw_from(lambda: made)
+    accounts.of("cam").take([Quota.STREAMS])
+    assert [(use.subject, use.quota, use.used) for use in accounts.uses()] == [
+        ("cam", Quota.STREAMS, 1), ("cam", Quota.CHANNELS, 7), ("other", Quota.QUEUES, 2),
+    ]  # fmt: skip
+    made.pop()
+    made[0] = ("cam", Quota.CHANNELS, 6)
+    assert [(use.quota, use.used) for use in accounts.uses()][-1] == (Quota.CHANNELS, 6)
+
+
+def test_refusals_of_the_directory_count_for_their_caller() -> None:
+    accounts = Accounts()
+    accounts.count_refusal(Overloaded("full", metadata={"quota": "channels", "subject": "cam"}))
+    accounts.count_refusal(Overloaded("the directory is full"))
+    assert [(use.subject, use.quota, use.refused) for use in accounts.uses()] == [("cam", Quota.CHANNELS, 1)]
+    assert accounts.refusals == 1

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextvars import ContextVar
 from typing import Any
 
-from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
+from stampede_rt.errors import Overloaded, PermissionDenied, StampedeError, Unavailable
 from stampede_rt.status import abort
 from stampede_rt_runtime.access.audit import AuditLog
 from stampede_rt_runtime.access.caller import Caller, CallerKind
@@ -266,6 +266,10 @@ class OpenCall:
                 return
             yield
 
+    def count_refusal(self, error: Overloaded) -> None:
+        """Count a refusal by a quota, see `Accounts.count_refusal`."""
+        self._control.accounts.count_refusal(error)
+
     def creation_limit(self, quota: Quota) -> int | None:
         """The most things that the caller may have created; None: there is no limit."""
         name = creator_of(self.caller)
@@ -300,6 +304,13 @@ def creation_limit(quota: Quota) -> int | None:
     """The most things that the present call's caller may have created; None: there is no limit."""
     call = _CURRENT.get()
     return None if call is None else call.creation_limit(quota)
+
+
+def count_refusal(error: Overloaded) -> None:
+    """Count a refusal by a quota that the directory counts, towards the present call's port."""
+    call = _CURRENT.get()
+    if call is not None:
+        call.count_refusal(error)
 
 
 def current_account() -> Account:

@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from weakref import WeakValueDictionary
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, NO_SETTINGS, Quota, QuotaTable
+from stampede_rt_runtime.quotas.limits import DEFAULTS, IN_DIRECTORY, LIMIT_MAX, NO_SETTINGS, Quota, QuotaTable
 from stampede_rt_runtime.quotas.turns import Turn, Turns
 
 RECENT_MAX = 1024
 BURST_SECONDS = 10
 """A caller may make the changes of this many seconds in one go."""
 
+_BY_NAME = {str(quota): quota for quota in Quota}
 _TEXTS: Mapping[Quota, tuple[str, str]] = {
     Quota.STREAMS: ("streams open at this port", "close some"),
     Quota.SUBSCRIPTIONS: ("subscriptions open at this port", "end some"),
@@ -125,6 +126,10 @@ class Account:
         """Add `amount`, which may be negative, to the use."""
         self._used[quota] += amount
 
+    def set_used(self, quota: Quota, amount: int) -> None:
+        """Set the use of a quota that another place counts."""
+        self._used[quota] = amount
+
     def change(self) -> None:
         """Count one change of the directory. Raises Overloaded if the caller makes too many changes."""
         changes = self._changes_now() + 1
@@ -153,10 +158,14 @@ class Account:
                 refused=self._refused[quota],
             )
 
-    def exceeded(self, quota: Quota, more: int) -> Overloaded:
-        """Count a refusal, and return its error."""
+    def count_refusal(self, quota: Quota) -> None:
+        """Count a refusal."""
         self._refused[quota] += 1
         self._on_refused()
+
+    def exceeded(self, quota: Quota, more: int) -> Overloaded:
+        """Count a refusal, and return its error."""
+        self.count_refusal(quota)
         used, limit = self._used[quota], self._limits[quota]
         what, way_out = _TEXTS[quota]
         wanted = f" and wants {more} more" if more > 1 else ""
@@ -211,6 +220,7 @@ class Accounts:
         self._table = NO_SETTINGS
         self._accounts: WeakValueDictionary[str, Account] = WeakValueDictionary()
         self._recent: OrderedDict[str, Account] = OrderedDict()
+        self._directory: Callable[[], Iterable[tuple[str, Quota, int]]] = tuple
         self.refusals = 0
         self._refused_at_s = 0.0
 
@@ -250,6 +260,25 @@ class Accounts:
         self.refusals += 1
         self._refused_at_s = self._clock_s()
 
+    def draw_from(self, directory: Callable[[], Iterable[tuple[str, Quota, int]]]) -> None:
+        """From now on `uses` also tells the things that callers have in the directory.
+
+        `directory` returns the callers, and how many of the things that IN_DIRECTORY limits they have.
+        """
+        self._directory = directory
+
+    def count_refusal(self, error: Overloaded) -> None:
+        """Count a refusal by another place, such as the directory. Ignores an error that names no quota."""
+        quota, subject = _BY_NAME.get(error.metadata.get("quota", "")), error.metadata.get("subject", "")
+        if quota is not None and subject:
+            self.of(subject).count_refusal(quota)
+
     def uses(self) -> list[QuotaUse]:
         """The use of all callers that use quotas or were refused."""
+        for one in [*self._accounts.values()]:
+            for quota in IN_DIRECTORY:
+                one.set_used(quota, 0)
+        told = [(self.of(subject), quota, used) for subject, quota, used in self._directory()]
+        for account, quota, used in told:
+            account.set_used(quota, used)
         return [use for one in [*self._accounts.values()] for use in one.uses() if use.used or use.refused]

@@ -41,7 +41,8 @@ DEFAULTS: Mapping[Quota, int] = {
     Quota.BYTES_HELD: LIMIT_MAX,  # a host sets its own limit
     Quota.CPU_PERCENT: 50,
 }
-OF_MAKERS = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.BYTES_HELD})
+IN_DIRECTORY = frozenset({Quota.CHANNELS, Quota.QUEUES})  # the directory counts and refuses these
+OF_MAKERS = IN_DIRECTORY | {Quota.BYTES_HELD}
 """These quotas count the things that a caller has created, wherever it calls from.
 
 Callers without a name of their own count together, by the kind of their proof.

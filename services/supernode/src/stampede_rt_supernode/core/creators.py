@@ -20,6 +20,10 @@ class Creators:
     def __getitem__(self, name: str) -> int:
         return self._made[name]
 
+    def largest(self, callers_max: int) -> list[tuple[str, int]]:
+        """The callers with the most things, and their numbers."""
+        return self._made.most_common(callers_max)
+
     def note(self, name: str, step: int) -> None:
         """Add `step` to the caller's number: 1 for a thing that it has created, -1 for such a thing that is gone."""
         if name:

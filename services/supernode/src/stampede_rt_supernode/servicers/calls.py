@@ -6,8 +6,14 @@ from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
 from stampede_rt.cluster.request_age import request_age_nanos
-from stampede_rt.errors import InvalidArgument
-from stampede_rt_runtime.access.control import check_access, check_not_judged, current_account, owner_name
+from stampede_rt.errors import InvalidArgument, Overloaded
+from stampede_rt_runtime.access.control import (
+    check_access,
+    check_not_judged,
+    count_refusal,
+    current_account,
+    owner_name,
+)
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
@@ -90,9 +96,13 @@ class DirectoryCalls:
         check_age(context)
         current_account().change()
         as_of_index = self.reached() if as_of_index is None else as_of_index
-        return await self._submission.submit(
-            operation, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
-        )
+        try:
+            return await self._submission.submit(
+                operation, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
+            )
+        except Overloaded as error:
+            count_refusal(error)
+            raise
 
     async def open(
         self,

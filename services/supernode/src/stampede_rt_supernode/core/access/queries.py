@@ -7,6 +7,7 @@ from functools import lru_cache
 from stampede_rt_runtime.access import tokens
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
+from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_supernode.core.channels.commands import OpenChannel
 from stampede_rt_supernode.core.channels.policies import agree as agree_on_policy
 from stampede_rt_supernode.core.groups.commands import OpenGroup
@@ -15,6 +16,8 @@ from stampede_rt_supernode.core.queues.specs import agree as agree_on_spec
 from stampede_rt_supernode.core.records import PeerRecord
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.tables import Tables
+
+CALLERS_TOLD_MAX = 100
 
 
 def access_state(directory: DirectoryState) -> AccessState:
@@ -28,6 +31,13 @@ def access_state(directory: DirectoryState) -> AccessState:
         revoked_serials=_set_of(access.revoked_serials),
         quotas=access.quotas,
     )
+
+
+def things_of_callers(directory: DirectoryState) -> list[tuple[str, Quota, int]]:
+    """The callers with the most channels or queues in the directory, with their numbers; CALLERS_TOLD_MAX of each."""
+    tables = directory.tables
+    counted = {Quota.CHANNELS: tables.channel_creators, Quota.QUEUES: tables.queues.creators}
+    return [(name, quota, n) for quota, of in counted.items() for name, n in of.largest(CALLERS_TOLD_MAX)]
 
 
 def thing_with(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | PeerRecord | None:
