@@ -30,7 +30,7 @@ demo: setup  ## the TV watcher: a real film through a real cluster, with a pictu
 	$(RUN)/stampede demo tv-watcher --picture out/tv-watcher.png
 
 test: setup  ## the whole test suite
-	$(RUN)/pytest -n 3 --dist loadfile
+	$(RUN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 explore: setup  ## stories that the suite does not play, drawn anew each time, against the oracles
 	STAMPEDE_PROPERTY_EXAMPLES=5000 $(RUN)/pytest -n 2 --hypothesis-profile=explore --timeout=0 $(PROPERTY_TESTS)

@@ -7,6 +7,7 @@ import signal
 import tempfile
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 from stampede_rt_local import ports
@@ -20,6 +21,29 @@ settings.load_profile("suite")
 # child would then wait for ever. A handler of one's own is not inherited: children begin with the default again.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Files that start processes come first: one of them that began last would run on while the other workers are idle.
+FIRST_OF_ALL = (
+    "polyglot",
+    "robustness",
+    "integration",
+    "unit/supernode/joining",
+    "unit/supernode/test_app_processes.py",
+    "unit/benchmarks",
+    "property",
+    "contract",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests of FIRST_OF_ALL first, in its order. The rest stays as it is."""
+
+    def place(item: pytest.Item) -> int:
+        path = item.path.relative_to(Path(__file__).parent).as_posix()
+        return next((at for at, first in enumerate(FIRST_OF_ALL) if path.startswith(first)), len(FIRST_OF_ALL))
+
+    items.sort(key=place)
+
 
 # Clients and services read a secret from the user's folder of settings, and `stampede dev` writes one there. The suite
 # uses an empty folder of its own. So it neither reads nor changes the secret of the user who runs it.

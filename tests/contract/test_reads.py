@@ -147,8 +147,8 @@ async def test_meta_times_take_offsets(surface: Surface) -> None:
 
 
 async def test_the_last_seconds_are_an_interval_up_to_now(surface: Surface) -> None:
-    channel, _ = await filled(surface, 0, 1_900)
-    assert shown(await channel.get(*st.last("500ms"), match="start")) == ["1900"]
+    channel, _ = await filled(surface, -38_000, 1_900)
+    assert shown(await channel.get(*st.last("30s"), match="start")) == ["1900"]
 
 
 async def test_the_resolved_interval_is_returned(surface: Surface) -> None:

@@ -240,9 +240,9 @@ async def test_an_advance_says_that_nothing_happened(surface: Surface) -> None:
 
 
 async def test_the_window_of_max_age_is_answered_in_full(surface: Surface) -> None:
-    channel, _ = await filled(surface, 0, 400, 1_100, 1_900, max_age="1s")
-    items = await channel.get(*st.last("800ms"))
-    assert (shown(items)[-2:], items.truncated) == (["1100", "1900"], False)
+    channel, _ = await filled(surface, -98_000, -78_000, -43_000, 0, max_age="50s")
+    items = await channel.get(*st.last("40s"))
+    assert (shown(items)[-2:], items.truncated) == (["-43000", "0"], False)
 
 
 async def test_without_any_limit_an_item_is_kept_for_ten_seconds(surface: Surface) -> None:

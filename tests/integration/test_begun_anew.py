@@ -132,7 +132,7 @@ def test_a_group_is_opened_again_with_its_members_and_its_events_say_that_all_wa
 def test_a_match_says_that_all_was_lost_though_nobody_puts_and_begun_anew_gives_new_sets(
     cluster: LocalCluster, rt: st.Connection
 ) -> None:
-    left, right = rt.channel("anew/one"), rt.channel("anew/two")
+    left, right = rt.channel("anew/one", max_age="1h"), rt.channel("anew/two", max_age="1h")
     group = rt.group("anew/matched", [left, right])
     matches = group.match(per=left, tolerance="10ms")
     base = st.now()

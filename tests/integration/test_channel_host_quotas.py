@@ -4,7 +4,7 @@ address, since the host asks for no credential."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import grpc
@@ -31,9 +31,16 @@ async def rig() -> AsyncIterator[Rig]:
         yield rig
 
 
-async def refusal_of(call: Any) -> Overloaded:
-    with pytest.raises(grpc.aio.AioRpcError) as caught:
-        await call.read()
+SENDING_STILL = "Internal error from Core"  # grpc.aio's own text
+
+
+async def refusal_of(begin: Callable[[], Any]) -> Overloaded:
+    """The error that a stream ends with. It is begun again if grpc.aio was still sending then: the answer is lost."""
+    details: str | None = SENDING_STILL
+    while details == SENDING_STILL:
+        with pytest.raises(grpc.aio.AioRpcError) as caught:
+            await begin().read()
+        details = caught.value.details()
     assert caught.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
     error = from_rpc_error(caught.value, "")
     assert isinstance(error, Overloaded)
@@ -55,7 +62,7 @@ async def test_subscriptions_beyond_the_quota_are_refused_and_other_streams_are_
     rig.accounts.set_default(Quota.SUBSCRIPTIONS, 2)
     channel = await rig.open()
     held = [await subscribed(channel) for _ in range(2)]
-    error = await refusal_of(channel.subscribe())
+    error = await refusal_of(channel.subscribe)
     assert error.metadata["quota"] == "subscriptions"
     assert "stampede quota set @" in error.message
     (ack,) = await channel.put(run_of(b"x"))
@@ -69,7 +76,7 @@ async def test_streams_beyond_the_quota_are_refused_and_single_calls_are_not(rig
     rig.accounts.set_default(Quota.STREAMS, 1)
     channel = await rig.open()
     held = await subscribed(channel)
-    assert (await refusal_of(rig.channels.Get())).metadata["quota"] == "streams"
+    assert (await refusal_of(rig.channels.Get)).metadata["quota"] == "streams"
     assert (await channel.status()).subscriptions == 1
     held.cancel()
 
@@ -158,10 +165,10 @@ async def test_an_enqueue_that_would_wait_beyond_the_quota_ends_its_stream() -> 
         queue = rig.open(max_items=1)
         await queue.put(b"x")
         rig.accounts.set_default(Quota.WAITING_CALLS, 0)
-        call = rig.stub.Enqueue(iter((queue.enqueue_request(queue_run_of(b"y")),)))
-        assert (await refusal_of(call)).metadata["quota"] == "waiting-calls"
+        request = queue.enqueue_request(queue_run_of(b"y"))
+        assert (await refusal_of(lambda: rig.stub.Enqueue(iter((request,))))).metadata["quota"] == "waiting-calls"
         rig.accounts.set_default(Quota.WAITING_CALLS, 10)
-        assert (await queue.status()).counters.rejected_overloaded == 1
+        assert (await queue.status()).counters.rejected_overloaded >= 1
 
 
 async def test_much_work_of_one_caller_does_not_stand_before_the_puts_of_another_one(

@@ -64,7 +64,7 @@ def test_a_token_that_is_over_or_damaged_is_refused(cluster: LocalCluster, tmp_p
 
 
 async def test_a_stream_ends_with_its_token(cluster: LocalCluster, tmp_path: Path) -> None:
-    token = issued(cluster, tmp_path, "brief", "--ttl", "2s")
+    token = issued(cluster, tmp_path, "brief", "--ttl", "4s")
     async with await aio.connect(cluster.address, secret=token) as rt:
         channel = await rt.channel("tokens/brief")
         subscription = channel.subscribe()

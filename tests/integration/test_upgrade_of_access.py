@@ -62,10 +62,15 @@ def test_rules_are_refused_while_a_member_does_not_know_them_and_accepted_after_
     for number in (0, 1):
         upgrade(cluster, number)
         serves()
-    for words in CHANGES:
+
+    def names_the_member_to_upgrade(words: list[str]) -> bool:
         status, said = told(*words)
         assert status == 1, words
-        assert "needs feature level 2, the cluster is at level 1, and nothing was done; upgrade s3 (" in said
+        # Until the front-end has found the upgraded supernodes again, s3 alone answers, and has no such call.
+        return "needs feature level 2, the cluster is at level 1, and nothing was done; upgrade s3 (" in said
+
+    for words in CHANGES:
+        wait_until(lambda words=words: names_the_member_to_upgrade(words))
     assert told("acl", "check", "cam", "put", "video")[0] == 0
     upgrade(cluster, 2)
     wait_until(lambda: told("acl", "add", "cam", "put", "video")[0] == 0, "the level has risen")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 
 import grpc
@@ -11,6 +13,7 @@ import grpc.aio
 
 from stampede_rt_supernode.replication import (
     CHANNEL_OPTIONS,
+    Ambiguous,
     ChangeUnderWay,
     LogUnavailable,
     Member,
@@ -30,6 +33,9 @@ QUICK = RaftTiming(
     leader_fallback_seconds=0.6,
     reconnect_seconds=0.1,
 )
+# For tests of one leader: a busy machine may stop it for longer than the other periods allow.
+STEADY = replace(QUICK, election_timeout_min_seconds=1.5, election_timeout_max_seconds=3.0, leader_fallback_seconds=3.0)
+ACKNOWLEDGED_SECONDS = 10.0
 
 
 def dial(address: str) -> grpc.aio.Channel:
@@ -165,6 +171,18 @@ async def until(condition: Callable[[], bool], *, within: float = 10.0) -> None:
     async with asyncio.timeout(within):
         while not condition():  # noqa: ASYNC110 - a status is a value, and nothing announces its change
             await asyncio.sleep(0.005)
+
+
+async def proposed(member: LiveMember, command: bytes) -> bytes:
+    """Propose until the command is acknowledged. If a busy machine changes leaders meanwhile, it may be there twice."""
+    while True:  # ends with the test's time limit
+        with contextlib.suppress(Ambiguous, LogUnavailable):
+            return await running(member).propose(command, timeout=ACKNOWLEDGED_SECONDS)
+
+
+def commands_of(member: LiveMember) -> list[bytes]:
+    """Its commands, in their order, each once."""
+    return list(dict.fromkeys(command for _, command in member.machine.entries))
 
 
 def running(member: LiveMember) -> ReplicatedLog:

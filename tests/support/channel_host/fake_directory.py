@@ -67,7 +67,7 @@ class FakeDirectory(
 
     async def called(self, method: str, *, times: int) -> None:
         """Return when that method has been called `times` times in all."""
-        async with asyncio.timeout(5), self._called:
+        async with asyncio.timeout(30), self._called:
             await self._called.wait_for(lambda: self.calls[method] >= times)
 
     async def _begin(self, method: str, context: Any) -> None:

@@ -35,7 +35,7 @@ from tests.support.channel_host.fake_directory import FakeDirectory
 from tests.support.channel_host.in_process_host import started_host
 from tests.support.channel_host.rig import MAX_INSTANT, MIN_INSTANT, S, between, payloads_of, run_of
 
-WAIT_SECONDS = 15.0
+WAIT_SECONDS = 45.0
 
 
 class GroupDirectory(FakeDirectory, group_directory_service_pb2_grpc.GroupDirectoryServiceServicer):

@@ -16,7 +16,7 @@ from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.server import ServiceServer
 
 HOST_ID = b"the-host-id-here"
-WAIT_SECONDS_MAX = 20.0
+WAIT_SECONDS_MAX = 45.0
 
 Status = TypeVar("Status")
 

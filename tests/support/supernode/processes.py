@@ -23,7 +23,7 @@ from stampede_rt.v1 import directory_service_pb2 as pb
 from stampede_rt_local import ports
 from stampede_rt_runtime.dial import dial
 
-PATIENCE_SECONDS = 20.0
+PATIENCE_SECONDS = 45.0
 
 T = TypeVar("T")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 from stampede_rt_bench.matching.recording import RATES_HZ, REFERENCE, Arrival
@@ -46,6 +47,7 @@ json.dump(found, sys.stdout)
 """
 
 
+@cache
 def is_installed() -> bool:
     """Whether the system's Python has message_filters."""
     if not SYSTEM_PYTHON.exists():
