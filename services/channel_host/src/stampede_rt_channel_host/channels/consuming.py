@@ -17,7 +17,8 @@ def consuming(store: ChannelStore, request: pb.ConsumeRequest) -> Pieces[pb.Cons
     """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
     An invalid request consumes nothing. Raises InvalidArgument, StaleBinding if the host does not serve the channel,
-    ChannelFull if all consumer places are taken, and IncarnationLost if the seqs belong to another incarnation.
+    ChannelFull if all consumer places are taken, and IncarnationLost if the seqs belong to another incarnation. Raises
+    Overloaded if the memory for seqs that were consumed out of order is used up, perhaps after the first pieces.
     """
     hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
     yield from hosted.channel.catching_up(store.now())

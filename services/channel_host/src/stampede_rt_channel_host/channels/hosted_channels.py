@@ -13,7 +13,15 @@ from stampede_rt_channel_host.channels.observers import ChannelObserver, Observe
 from stampede_rt_channel_host.channels.puts import ChannelPuts
 from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.channels.waiting_gets import WaitingGets
-from stampede_rt_channel_host.core.channel import ChannelCore, Coming, Consumed, Pieces, run_to_end
+from stampede_rt_channel_host.core.channel import (
+    CONSUMED_RANGE_BYTES,
+    CONSUMER_BYTES,
+    ChannelCore,
+    Coming,
+    Consumed,
+    Pieces,
+    run_to_end,
+)
 from stampede_rt_channel_host.core.records import RecordedChannel
 
 SUBSCRIPTIONS_MAX = 4096
@@ -109,9 +117,16 @@ class HostedChannel:
     def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Consumed:
         """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
-        Raises InvalidArgument, ChannelFull if all consumer places are taken.
+        Raises InvalidArgument, ChannelFull if all consumer places are taken, and Overloaded if the memory for the seqs
+        that were consumed out of order is used up.
         """
         now = self._now()
+        self.channel.check_consumption(consumer_id, seqs, lease_nanos)
+        if not self._charge.has_room(CONSUMER_BYTES + CONSUMED_RANGE_BYTES * len(seqs)):
+            wanted = self.channel.consumption_bytes(consumer_id, seqs)
+            if wanted:
+                # consumption lets items leave, so it may go on for a while when puts may not
+                self._charge.claim(wanted - self._charge.spare_bytes)
         consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos)
         self.puts.changed(now)  # this also calls `_touched`
         return consumed

@@ -14,6 +14,9 @@ from stampede_rt_runtime.quotas.limits import Quota
 
 logger = logging.getLogger(__name__)
 
+CONSUMPTION_SHARE = 16
+"""Consumption may use this fraction of the budget beyond it."""
+
 
 class MemoryBudget:
     """The memory of all channels and queues together.
@@ -84,6 +87,16 @@ class Charge:
         self._account = account or unlimited()
         self._held = self._account.hold(Quota.BYTES_HELD)
         self._bytes = 0
+
+    @property
+    def spare_bytes(self) -> int:
+        """The memory beyond the limit that only consumption may use."""
+        return self._budget.bytes_max // CONSUMPTION_SHARE
+
+    def has_room(self, wanted_bytes: int) -> bool:
+        """Whether there is room for `wanted_bytes`, without a look at what is outdated."""
+        within = self._budget.used_bytes + wanted_bytes <= self._budget.bytes_max
+        return within and self._account.has_room(Quota.BYTES_HELD, wanted_bytes)
 
     def claim(self, wanted_bytes: int) -> None:
         """Check that there is room to store `wanted_bytes`. Raises Overloaded if not.

@@ -26,6 +26,8 @@ offered again after every consume, too.
 
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
 from stampede_rt_channel_host.core.channel.consumption import (
+    CONSUMED_RANGE_BYTES,
+    CONSUMER_BYTES,
     LEASE_NANOS,
     LEASE_NANOS_MAX,
     SEQS_MAX,
@@ -71,6 +73,8 @@ __all__ = [
     "ABSENT",
     "AFTER_ALL",
     "BEFORE_ALL",
+    "CONSUMED_RANGE_BYTES",
+    "CONSUMER_BYTES",
     "ITEM_OVERHEAD_BYTES",
     "LEASE_NANOS",
     "LEASE_NANOS_MAX",

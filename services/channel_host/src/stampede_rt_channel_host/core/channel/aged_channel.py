@@ -104,8 +104,9 @@ class AgedChannel:
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory of the channel as of the last call, in bytes (see `HeldItems.footprint_bytes`)."""
-        return self._held.footprint_bytes
+        """The memory of the items (see `HeldItems.footprint_bytes`) and of the consumers, as of the last call."""
+        consumers = self._retention.consumers
+        return self._held.footprint_bytes + (0 if consumers is None else consumers.footprint_bytes)
 
     @property
     def freed_entries(self) -> int:

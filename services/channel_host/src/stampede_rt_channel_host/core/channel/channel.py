@@ -248,6 +248,11 @@ class ChannelCore(AgedChannel):
         self._settle(clock)
         return consumed
 
+    def consumption_bytes(self, consumer_id: int, seqs: Sequence[int]) -> int:
+        """The most memory that `consume` adds for these seqs. Call `check_consumption` first."""
+        consumers = self._retention.consumers
+        return 0 if consumers is None else consumers.wanted_bytes(consumer_id, seqs)
+
     def check_consumption(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> None:
         """Raises InvalidArgument if the channel has no consumers, or if an argument is out of its range."""
         if self._retention.consumers is None:

@@ -42,6 +42,9 @@ RANGES_PER_LOOK_MAX = 256
 """The most ranges of consumed or collected seqs that one call joins to a consumer's unbroken sequence."""
 SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
 """The most seqs that one call notes as collected."""
+CONSUMER_BYTES = 700
+CONSUMED_RANGE_BYTES = 130
+"""The memory of a place, and of a range of consumed seqs, as measured."""
 RANGE_STEPS = 4
 """The count of the collected items in one range of consumed seqs takes as long as the work on this number of slices."""
 
@@ -80,10 +83,11 @@ class _Place:
 
     `done`: the seqs that its consumer has consumed, and collected seqs next to them; None once the lease has ended.
     `below`: all lower seqs are in `done`. Places with a valid lease are sorted by `below`. `tidied`: the seq at which
-    `Consumers._tidy` continues. `order` decides between places that are otherwise equal. `due` belongs to `Deadlines`.
+    `Consumers._tidy` continues. `ranges`: how many ranges of `done` were last counted. `order` decides between places
+    that are otherwise equal. `due` belongs to `Deadlines`.
     """
 
-    __slots__ = ("below", "consumer_id", "done", "due", "order", "tidied", "until")
+    __slots__ = ("below", "consumer_id", "done", "due", "order", "ranges", "tidied", "until")
 
     def __init__(self, consumer_id: int, order: int, done: SeqSet | None) -> None:
         self.consumer_id = consumer_id
@@ -91,6 +95,7 @@ class _Place:
         self.done = done
         self.below = 1
         self.tidied = 0
+        self.ranges = 0
         self.until = 0
         self.due: int | None = None
 
@@ -114,6 +119,32 @@ class Consumers:
         self._leases: Deadlines[_Place] = Deadlines()
         self._holder: _Place | None = None  # the place last found to keep the oldest item
         self._orders = 0  # the last `order` given to a place
+        self._ranges = 0  # of all places together
+
+    @property
+    def footprint_bytes(self) -> int:
+        """The memory of the places that were taken, and of what their consumers have consumed."""
+        return CONSUMER_BYTES * len(self._taken) + CONSUMED_RANGE_BYTES * self._ranges
+
+    def wanted_bytes(self, consumer_id: int, seqs: Iterable[int]) -> int:
+        """The most memory that the consumption of `seqs` adds.
+
+        Seqs next to consumed or collected ones add none, so that a consumer which consumes in order needs none.
+        """
+        own = self._taken.get(consumer_id)
+        done = SeqSet() if own is None or own.done is None else own.done
+        below = max(done.below, self._gone.below)
+        wanted = CONSUMER_BYTES if own is None and self.untaken else 0
+        for first, end in _ranges(seqs):
+            if first > below and not any(next(known.touching(first, end), None) for known in (done, self._gone)):
+                wanted += CONSUMED_RANGE_BYTES
+        return wanted
+
+    def _count(self, place: _Place) -> None:
+        """Count the ranges of the place anew."""
+        ranges = 0 if place.done is None else place.done.range_count
+        self._ranges += ranges - place.ranges
+        place.ranges = ranges
 
     @property
     def untaken(self) -> int:
@@ -152,6 +183,7 @@ class Consumers:
                 done.add(max(low, first), min(high, end))
             items += done.add(first, end)
         self._tidy(place, done, len(ranges) + 16)
+        self._count(place)
         place.until = clock + lease
         if lease:
             self._leases.arm(place, place.until)
@@ -193,17 +225,20 @@ class Consumers:
             place.below = done.below
             self._live.add(place)
             self.arrivals += 1
+        self._count(place)
         return place
 
     def _drop(self, place: _Place) -> None:
         (self._ended if place.done is None else self._live).remove(place)
         self._leases.disarm(place)
         place.done = None
+        self._count(place)
         del self._taken[place.consumer_id]
 
     def _end(self, place: _Place) -> None:
         self._live.remove(place)
         place.done = None
+        self._count(place)
         self._ended.add(place)
 
     def _rank(self, place: _Place, done: SeqSet) -> None:
@@ -214,6 +249,7 @@ class Consumers:
         left = RANGES_PER_LOOK_MAX
         while left > 0 and (end := self._gone.end_of(done.below)) > done.below:
             left -= 1 + _go_on(done, done.below, end, left)
+        self._count(place)
         if done.below != place.below:
             self._live.remove(place)
             place.below = done.below
