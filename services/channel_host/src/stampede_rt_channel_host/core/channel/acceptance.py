@@ -87,13 +87,19 @@ class Acceptance:
     def _sheds_alike(self, items: int, payload_bytes: int, low: int) -> bool:
         """Whether only max_items or only max_bytes removes items, and the new items do not change the removed spans.
 
-        That is so if the bucket after the removed items is held already, and begins at or before all new items.
+        That is so if the bucket after the removed items is held already, and begins at or before all new items. If the
+        new items come in order, and the newest bucket stays, no look at the removed items is needed.
         """
         held, limits = self._held, self._retention.limits
+        comes_in_order = held.newest is not None and low >= held.newest
+        if comes_in_order and items == 1:  # this is the put of one item, and the newest item is never outdated
+            return True
         excess_items = 0 if limits.max_items is None else held.items + items - limits.max_items
         excess_bytes = held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES - limits.max_bytes
         if excess_items > 0 and excess_bytes > 0:
             return False
+        if comes_in_order and held.reaches_no_newest(excess_items, excess_bytes):
+            return True
         front = held.front_of_items(excess_items) if excess_items > 0 else held.front_of_bytes(excess_bytes)
         bound = held.time_behind(front)
         return bound is not None and bound <= low

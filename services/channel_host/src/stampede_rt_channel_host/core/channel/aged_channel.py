@@ -161,11 +161,14 @@ class AgedChannel:
 
     def _settle(self, clock: int) -> int:
         """Outdate the items that are too old, and free a few outdated entries. Returns `clock`."""
+        self._outdate(clock)
+        self._held.free(FREED_ENTRIES_PER_CALL)
+        return clock
+
+    def _outdate(self, clock: int) -> None:
         self._puts_unsettled, self._settled = 0, clock
         if self._retention.consumers is None:
             self._retention.age_out(clock)
         else:
             self._retention.apply_time(clock)
             self._reading.consumed_up_to = self._held.newest_consumed
-        self._held.free(FREED_ENTRIES_PER_CALL)
-        return clock

@@ -8,7 +8,7 @@ from stampede_rt.errors import InFuture, InvalidArgument
 from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import Bound, format_duration
 from stampede_rt_channel_host.core.channel import pieces
-from stampede_rt_channel_host.core.channel.aged_channel import AgedChannel
+from stampede_rt_channel_host.core.channel.aged_channel import FREED_ENTRIES_PER_CALL, AgedChannel
 from stampede_rt_channel_host.core.channel.consumption import (
     LEASE_NANOS,
     Consumed,
@@ -305,9 +305,9 @@ class ChannelCore(AgedChannel):
 
         Frees more entries while the outdated items are charged with more than max_bytes.
         """
-        self._settle(clock)
+        self._outdate(clock)
         self._retention.drop_excess(clock)
-        self._held.free(self._entries_to_free, self._retention.limits.max_bytes)
+        self._held.free(FREED_ENTRIES_PER_CALL + self._entries_to_free, self._retention.limits.max_bytes)
         self._entries_to_free = 0
 
     def _check_positions(self, query: Query) -> None:

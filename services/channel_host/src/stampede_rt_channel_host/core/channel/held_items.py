@@ -32,10 +32,11 @@ class HeldItems:
     """
 
     __slots__ = (
-        "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_is_open", "_newest_longest", "_on_gone",
-        "_reported_to", "_snapshots", "_stored_bytes", "_stored_items", "_tally", "accepted", "accepted_bytes",
-        "collected", "collected_by", "collected_end", "floor", "freed_entries", "index", "items", "last_cause",
-        "newest", "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes",
+        "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_bytes_most", "_newest_is_open",
+        "_newest_items_most", "_newest_longest", "_on_gone", "_reported_to", "_snapshots", "_stored_bytes",
+        "_stored_items", "_tally", "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor",
+        "freed_entries", "index", "items", "last_cause", "newest", "newest_collected", "newest_consumed", "oldest",
+        "overlap_nanos", "payload_bytes",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -62,6 +63,8 @@ class HeldItems:
         self._following: tuple[int | None, int | None] = (None, None)
         self._newest_is_open = False  # an item of the newest bucket has no duration
         self._newest_longest = 0  # the longest duration of an item in the newest bucket
+        self._newest_items_most = 0  # the newest bucket has at most as many items
+        self._newest_bytes_most = 0  # and at most as many charged bytes
         self._snapshots: dict[ChannelSnapshot, None] = {}  # the snapshots whose items must not be freed
         self._tally = Tally()  # of the held items, without the newest ones
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated entries included
@@ -158,6 +161,13 @@ class HeldItems:
             return None
         end = self.newest + self._newest_longest
         return max(end, now) if self._newest_is_open else end
+
+    def reaches_no_newest(self, items: int, charged_bytes: int) -> bool:
+        """Whether the oldest `items` items, or those with `charged_bytes`, surely lie before the newest bucket."""
+        return (
+            items <= self.items - self._newest_items_most
+            and charged_bytes <= self.charged_bytes - self._newest_bytes_most
+        )
 
     def items_below(self, key: ItemKey) -> int:
         """The number of held items below a key. Walks only over the items outside whole blocks of the tally."""

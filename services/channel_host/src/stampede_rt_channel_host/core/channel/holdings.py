@@ -52,6 +52,7 @@ class Holdings(HeldItems):
         if low < self._tally.end[0]:
             self._split_block(self._tally.add_late(run.first_seq, run.times, run.lengths))
         self._count_in(len(run), payload_bytes, low)
+        self._count_newest(len(run), payload_bytes, high)
         if isinstance(run, OneRun):
             self._meet(high, run.duration)
         elif run.durations is None:
@@ -64,7 +65,7 @@ class Holdings(HeldItems):
         """Count the body of a run whose items were stored one by one."""
         if run.kept:
             self._kept_body_bytes += len(run.body)
-            self._trim()
+            self._trim(self._free_floor)
 
     def store_item(self, run: ColumnRun, at: int, payload_bytes: int) -> None:
         """Add the item at position `at` of a run. Store the items of a run in their order."""
@@ -77,6 +78,7 @@ class Holdings(HeldItems):
         if time < self._tally.end[0]:
             self._split_block(self._tally.add_late(run.first_seq + at, (time,), (payload_bytes,)))
         self._count_in(1, payload_bytes, time)
+        self._count_newest(1, payload_bytes, time)
         self._meet(time, ABSENT if run.durations is None else run.durations[at])
 
     def _make_way(self) -> None:
@@ -84,7 +86,7 @@ class Holdings(HeldItems):
         for snapshot in self._snapshots:
             snapshot.detach()
         self._snapshots.clear()
-        while self.tell_gone(TOLD_SLICES_MAX) or self._free_entry():
+        while self.tell_gone(TOLD_SLICES_MAX) or self._free_entry(self._free_floor):
             pass
         trimmed = self.index.trim_below(self.floor)
         if trimmed is not None:
@@ -120,6 +122,15 @@ class Holdings(HeldItems):
             self.oldest = low
         if self.items - self._tally.items >= 2 * tally.BLOCK_ITEMS:
             self._close_block()
+
+    def _count_newest(self, items: int, payload_bytes: int, high: int) -> None:
+        """Count new items, of which the latest is at `high`, as if all of them belonged to one bucket."""
+        if self.newest is not None and high < self.newest:
+            return
+        if self.newest is None or high > self.newest:
+            self._newest_items_most = self._newest_bytes_most = 0
+        self._newest_items_most += items
+        self._newest_bytes_most += payload_bytes + items * ITEM_OVERHEAD_BYTES
 
     def _close_block(self) -> None:
         """Add a block to the tally, because very many items came in below the newest one, and no block counts them."""
@@ -194,7 +205,7 @@ class Holdings(HeldItems):
             before = self.newest_consumed
             self.newest_consumed = last.last_time if before is None else max(before, last.last_time)
         else:
-            self._note_end(last, self.time_behind(front), cause, now)
+            self._note_end(front, last, cause, now)
         # Not the key of the next held item, because another item may come between the two.
         self.floor = last.last_time, last.end_seq
         self.items -= front.items
@@ -224,14 +235,15 @@ class Holdings(HeldItems):
         self._reported_to = (parts[-1].last_time, parts[-1].end_seq) if len(parts) == slices_max else self.floor
         return self._reported_to < self.floor
 
-    def _note_end(self, last: Slice, following: int | None, cause: str, now: int) -> None:
-        """Note the latest span end of collected items.
+    def _note_end(self, front: Front, last: Slice, cause: str, now: int) -> None:
+        """Note the latest span end of the items of a front, of which `last` is the last slice.
 
-        Earlier buckets end at or before the last bucket's time, so only the last bucket counts. `following` is the time
-        of the next bucket.
+        Earlier buckets end at or before the last bucket's time, so only the last bucket counts.
         """
-        time = last.last_time
-        bucket = self.slices((time, 0), (time, last.end_seq))
+        time, following = last.last_time, self.time_behind(front)
+        # If a full channel has taken in one item, there is nothing to look for.
+        is_one = front.items == last.items == 1
+        bucket = iter((last,)) if is_one else self.slices((time, 0), (time, last.end_seq))
         if following is not None:
             end = latest_end(bucket, time, following)
         else:
@@ -251,24 +263,24 @@ class Holdings(HeldItems):
         Frees more while the outdated items are charged with more than `backlog_bytes_max`, but FREED_ENTRIES_MAX at the
         most.
         """
+        floor = self._free_floor
         for freed in range(FREED_ENTRIES_MAX):
             if freed >= entries_max and (backlog_bytes_max is None or self.backlog_bytes <= backlog_bytes_max):
-                break
-            if not self._free_entry():
-                self._trim()
+                return self.has_backlog
+            if not self._free_entry(floor):
+                self._trim(floor)
                 return False
         return self.has_backlog
 
-    def _free_entry(self) -> bool:
-        entry = self.index.pop_below(self._free_floor)
+    def _free_entry(self, floor: ItemKey) -> bool:
+        entry = self.index.pop_below(floor)
         if entry is not None:
             self.freed_entries += 1
             self._forget(Slice(entry.run, entry.lo, entry.hi))
         return entry is not None
 
-    def _trim(self) -> None:
-        """Free the outdated items of the first entry, if they are at least three quarters of a large run."""
-        floor = self._free_floor
+    def _trim(self, floor: ItemKey) -> None:
+        """Free the items below `floor` of the first entry, if they are at least three quarters of a large run."""
         share = self.index.share_below(floor) if self._cut is not None else None
         if share is not None and len(share.run.body) > COPIED_BYTES_MIN and share.items * 4 >= len(share.run) * 3:
             trimmed = self.index.trim_below(floor)

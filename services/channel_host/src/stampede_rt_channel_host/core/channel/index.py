@@ -285,16 +285,13 @@ class ChannelIndex:
 
     def has_below(self, floor: ItemKey) -> bool:
         """Whether all items of the first entry are below `floor`."""
-        if not self._by_time:
-            return False
-        entry: Entry = self._by_time[0]
-        return (entry.last_time, entry.run.first_seq + entry.hi - 1) < floor
+        return bool(self._by_time) and _is_below(self._by_time[0], floor)
 
     def pop_below(self, floor: ItemKey) -> Entry | None:
         """Remove and return the first entry if all its items are below `floor`."""
-        if not self.has_below(floor):
+        entry: Entry | None = self._by_time[0] if self._by_time else None
+        if entry is None or not _is_below(entry, floor):
             return None
-        entry: Entry = self._by_time[0]
         del self._by_time[0]
         if self._by_seq[0] is entry:
             del self._by_seq[0]
@@ -329,6 +326,13 @@ class ChannelIndex:
             self._by_seq.remove(entry)
             self._add(IndexPart(entry.run, at, entry.hi))
         return trimmed
+
+
+def _is_below(entry: Entry, floor: ItemKey) -> bool:
+    """Whether all items of the entry are below `floor`."""
+    if entry.first_time > floor[0]:
+        return False
+    return (entry.last_time, entry.run.first_seq + entry.hi - 1) < floor
 
 
 def _clipped(entry: Entry, low: ItemKey, high: ItemKey) -> Iterator[Slice]:

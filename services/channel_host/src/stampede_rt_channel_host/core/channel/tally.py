@@ -114,6 +114,8 @@ class Tally:
 
         One step for each block.
         """
+        if not self._ends:
+            return NO_BLOCKS
         if items is not None:
             return self._whole(_within(iter(self._items), items))
         columns = zip(self._items, self._payload_bytes, strict=True)
