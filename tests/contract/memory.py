@@ -24,8 +24,9 @@ from stampede_rt.values.timeline import (
     parse_item_duration,
     parse_match,
 )
+from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.run_slices import slice_run
-from stampede_rt.wire.runs import ItemDecoder, encode_run, seal_run, select_items
+from stampede_rt.wire.runs import encode_run, seal_run, select_items
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
     Offer,
@@ -232,7 +233,7 @@ class MemoryChannel:
             payloads=payloads,
             overlap_nanos=self._overlap_nanos,
         )
-        return decoder.decode(delivered)
+        return [*decoder.decode(delivered)]
 
     def _run(self, one: Slice, payloads: bool) -> item_pb2.ItemRun:
         return item_pb2.ItemRun.FromString(slice_run(one.run.body, one.lo, one.hi, without_payloads=not payloads))

@@ -10,7 +10,7 @@ from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.grouping import SeenCut
-from stampede_rt.values.model import Item, Items, Reason
+from stampede_rt.values.model import Items, Reason
 from stampede_rt.values.reading import RENEW_S, ReadQuery, Wait
 from stampede_rt.values.timeline import fixed
 from stampede_rt.wire.reads import (
@@ -85,11 +85,9 @@ def _answer(state: ChannelState, query: ReadQuery, responses: list[channel_pb.Ge
         raise from_error_message(last.error)
     summary = last.summary
     decoder = state.decoder(summary.incarnation, payloads=query.payloads)
-    items: list[Item] = decoder.decode([run for response in responses for run in response.runs])
-    if query.newest_first:
-        items.reverse()
+    runs = [run for response in responses for run in response.runs]
     return Items(
-        items,
+        decoder.decode(runs, backwards=query.newest_first),
         interval=resolved_from_message(summary.interval) if summary.HasField("interval") else None,
         complete=summary.complete,
         truncated=summary.truncated,

@@ -25,8 +25,8 @@ from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, ga
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.policy import flag_of, parse_name
+from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.records import channel_info, policy_to_spec
-from stampede_rt.wire.runs import ItemDecoder
 
 CALL_TIMEOUT_S = 10.0  # for one call of the program, with all its tries
 TRY_TIMEOUT_S = 5.0  # for one request to a host, if the client may ask somebody else afterwards

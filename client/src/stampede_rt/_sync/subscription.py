@@ -21,8 +21,8 @@ from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.values.model import Item
 from stampede_rt.values.reading import SubscribeMode
 from stampede_rt.values.timeline import Bound
+from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.reads import bound_to_message, position_of
-from stampede_rt.wire.runs import ItemDecoder
 
 _MODES = {"all": channel_pb.SUBSCRIBE_MODE_ALL, "newest": channel_pb.SUBSCRIBE_MODE_NEWEST}
 

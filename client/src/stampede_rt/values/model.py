@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, Literal, NamedTuple, Protocol, overload, runtime_checkable
 
 from stampede_rt.values.timeline import ResolvedInterval
 
@@ -12,6 +13,9 @@ REPR_BYTES_MAX = 32  # the payload bytes that the `repr` of an item shows
 OVERLAP_NANOS_MAX = 3_600_000_000_000
 """The greatest `Policy.overlap_nanos`, one hour. A read must also look at the items in the time `overlap_nanos` before
 its start."""
+
+ABSENT = -1  # in a column of durations: the item has none
+COLUMN_TYPES = {"time": "q", "duration": "q", "seq": "Q"}  # of `array`: 8 bytes, signed and unsigned
 
 OnFull = Literal["drop_oldest", "block", "reject"]
 """The effect of a put on a full channel or queue."""
@@ -86,8 +90,16 @@ for _name in ("COLLECTED", "NEVER", "NOT_YET", "HIDDEN", "LOST"):
     setattr(Reason, _name, Reason(_name))
 
 
+@runtime_checkable
+class _Columnar(Protocol):
+    def column(self, name: str) -> memoryview: ...
+
+
 class Items(Sequence[Item]):
     """The answer to a get: items in time order, or in reverse with `newest_first`, and facts about the answer.
+
+    The answer keeps the items in columns, and makes an Item when the program touches it. `times`, `durations` and
+    `seqs` need no Item.
 
     - `interval`: the interval as the host resolved it. None if a bound is NEWEST or OLDEST and the channel has no
       items.
@@ -134,9 +146,38 @@ class Items(Sequence[Item]):
     def __iter__(self) -> Iterator[Item]:
         return iter(self._items)
 
+    @property
+    def times(self) -> memoryview:
+        """The time of each item in nanoseconds since the epoch, in the order of the items; read-only int64 values.
+
+        `numpy.asarray(items.times)` copies nothing. So do the other columns.
+        """
+        return self._column("time")
+
+    @property
+    def durations(self) -> memoryview:
+        """The duration of each item in nanoseconds, -1 for none; read-only int64 values."""
+        return self._column("duration")
+
+    @property
+    def seqs(self) -> memoryview:
+        """The seq of each item; read-only uint64 values."""
+        return self._column("seq")
+
+    def _column(self, name: str) -> memoryview:
+        if isinstance(self._items, _Columnar):
+            return self._items.column(name)
+        entries = (getattr(item, name) for item in self._items)
+        return read_only(array(COLUMN_TYPES[name], (ABSENT if entry is None else entry for entry in entries)))
+
     def __repr__(self) -> str:
         reason = f", reason={self.reason}" if self.reason else ""
         return f"<Items: {len(self)}, complete={self.complete}{reason}>"
+
+
+def read_only(column: array[int]) -> memoryview:
+    """Return a view of a column, through which nobody can change it."""
+    return memoryview(column).toreadonly()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

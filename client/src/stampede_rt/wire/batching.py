@@ -7,9 +7,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
+from stampede_rt.values.model import ABSENT
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
-from stampede_rt.wire.runs import ABSENT, RUN_BYTES_MAX, run_parts
+from stampede_rt.wire.runs import RUN_BYTES_MAX, run_parts
 
 _FRAMING_BYTES = 32  # of a run in a message, at most
 MESSAGE_RUNS_MAX = 16  # the host judges the runs of a message in one step, in about a millisecond

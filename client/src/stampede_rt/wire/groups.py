@@ -8,8 +8,8 @@ from stampede_rt.v1 import group_pb2, group_service_pb2
 from stampede_rt.values.grouping import GroupInfo, MemberStatus
 from stampede_rt.values.model import Item, Items
 from stampede_rt.values.timeline import ResolvedInterval
+from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.reads import reason_from_message
-from stampede_rt.wire.runs import ItemDecoder
 
 _BOUNDS = {"start": group_pb2.GROUP_BOUND_START, "end": group_pb2.GROUP_BOUND_END}
 MAX_LEAD_DEFAULT_NANOS = 5_000_000_000

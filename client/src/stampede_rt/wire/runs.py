@@ -7,25 +7,22 @@ the last value of a scalar field and concatenates repeated fields.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
-from typing import Any
+from itertools import accumulate
 
 from google.protobuf.message import DecodeError
 from google.protobuf.unknown_fields import UnknownFieldSet
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.v1 import item_pb2
-from stampede_rt.values.codecs import Coding
-from stampede_rt.values.model import Item
+from stampede_rt.values.model import ABSENT
 from stampede_rt.values.payloads import ITEM_BYTES_MAX
-from stampede_rt.wire.delivered import RUN_ITEMS_MAX, ItemCount, check_delivered
+from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 
 RUN_BYTES_MAX = 64 * 1024
 CONTENT_TYPE_BYTES_MAX = 255
 ATTRIBUTES_BYTES_MAX = 16 * 1024
-ABSENT = -1  # the duration of an item without a duration
 
 _FIRST_SEQ = struct.Struct("<BQ")
 _FIRST_SEQ_TAG = 7 << 3 | 1  # field 7, fixed64
@@ -233,110 +230,3 @@ def select_items(raw: bytes | memoryview, indexes: Sequence[int]) -> bytes:
         content_type=run.content_type,
         attributes=dict(run.attributes),
     )
-
-
-class ItemDecoder:
-    """Turns delivered runs of one channel and incarnation into Items; `coding` decodes their values.
-
-    `overlap_nanos`: for this time a later item does not end the span of an item with a duration.
-    """
-
-    def __init__(
-        self,
-        *,
-        incarnation: int,
-        content_type: str,
-        payloads: bool,
-        coding: Coding | None = None,
-        overlap_nanos: int = 0,
-    ) -> None:
-        self._overlap = overlap_nanos
-        self._incarnation = incarnation
-        self._content_type = content_type
-        self._payloads = payloads
-        self._make: Callable[[Iterable[Any]], Item] = coding.item if coding else Item._make
-
-    def decode(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
-        """Return the items of runs that follow each other in time, such as the answer of a get.
-
-        Raises StampedeError for a run whose columns disagree.
-        """
-        if not delivered:
-            return []
-        for one in delivered:
-            check_delivered(one.run, payloads=self._payloads)
-        last = delivered[-1]
-        next_time = last.next_time_unix_nano if last.HasField("next_time_unix_nano") else None
-        if len(delivered) == 1 and len(last.run.payload_length_bytes) == 1:
-            return [self._single(last.run, next_time)]
-        times = [time for one in delivered for time in one.run.time_unix_nano]
-        durations = [duration for one in delivered for duration in _durations(one.run)]
-        ends = iter(_ends(times, durations, next_time, self._overlap))
-        return [item for one in delivered for item in self._items(one.run, ends)]
-
-    def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
-        """Return the items of one response whose runs do not follow each other in time, as in a subscription.
-
-        Raises StampedeError for a run whose columns disagree, and for more items than a response has.
-        """
-        ItemCount().add(one.run for one in delivered)
-        return [item for one in delivered for item in self.decode((one,))]
-
-    def _items(self, run: item_pb2.ItemRun, ends: Iterator[int | None]) -> Iterator[Item]:
-        lengths, make = run.payload_length_bytes, self._make
-        seqs = range(run.first_seq, run.first_seq + len(lengths))
-        attributes, kind, incarnation = dict(run.attributes), run.content_type or self._content_type, self._incarnation
-        columns = zip(run.time_unix_nano, _durations(run), seqs, self._split(run), lengths, strict=True)
-        for time, duration, seq, payload, length in columns:
-            given = None if duration < 0 else duration
-            yield make((time, next(ends), given, seq, payload, attributes, kind, length, incarnation))
-
-    def _split(self, run: item_pb2.ItemRun) -> Sequence[bytes | None]:
-        if not self._payloads:
-            return (None,) * len(run.payload_length_bytes)
-        payloads = run.payloads
-        return [payloads[a:b] for a, b in pairwise(accumulate(run.payload_length_bytes, initial=0))]
-
-    def _single(self, run: item_pb2.ItemRun, next_time: int | None) -> Item:
-        time = run.time_unix_nano[0]
-        duration = run.duration_nanos[0] if run.duration_nanos else ABSENT
-        return self._make(
-            (
-                time,
-                _end(time, duration, next_time, self._overlap),
-                None if duration < 0 else duration,
-                run.first_seq,
-                run.payloads if self._payloads else None,
-                dict(run.attributes) if run.attributes else {},
-                run.content_type or self._content_type,
-                run.payload_length_bytes[0],
-                self._incarnation,
-            )
-        )
-
-
-def _durations(run: item_pb2.ItemRun) -> Sequence[int]:
-    return run.duration_nanos or (ABSENT,) * len(run.payload_length_bytes)
-
-
-def _end(time: int, duration: int, next_time: int | None, overlap: int) -> int | None:
-    if duration < 0:
-        return next_time
-    own = time + duration
-    return own if next_time is None else min(own, max(next_time, time + overlap))
-
-
-def _ends(times: Sequence[int], durations: Sequence[int], next_time: int | None, overlap: int) -> list[int | None]:
-    """Return the end of the span of each item; None for a span without an end.
-
-    The next item in the list ends a span only if its time is later. A run of late items may be out of order.
-    """
-    ends: list[int | None] = []
-    following, bucket = next_time, None
-    for time, duration in zip(reversed(times), reversed(durations), strict=True):
-        if bucket is not None and bucket > time:
-            following = bucket
-        bucket = time
-        ends.append(_end(time, duration, following if following is None or following > time else None, overlap))
-    ends.reverse()
-    return ends

@@ -21,7 +21,7 @@ from stampede_rt.v1 import (
     rpc_status_pb2,
 )
 from stampede_rt.wire import groups, peers, queues, reads, records
-from stampede_rt.wire.runs import ItemDecoder
+from stampede_rt.wire.decoding import ItemDecoder
 from tests.robustness.fuzz import hostile_values
 from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.messages import KnownValues, damaged, drawn_message

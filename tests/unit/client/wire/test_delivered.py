@@ -8,8 +8,8 @@ import pytest
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.delivered import RESPONSE_ITEMS_MAX, RUN_ITEMS_MAX, ItemCount
-from stampede_rt.wire.runs import ItemDecoder
 
 GOOD: dict[str, Any] = {"time_unix_nano": [1, 2], "payload_length_bytes": [1, 2], "payloads": b"abc", "first_seq": 5}
 HOSTILE: dict[str, tuple[dict[str, Any], str]] = {

@@ -8,17 +8,10 @@ from hypothesis import strategies as some
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.v1 import item_pb2
+from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.run_slices import slice_run
-from stampede_rt.wire.runs import (
-    ITEM_BYTES_MAX,
-    RUN_BYTES_MAX,
-    ItemDecoder,
-    encode_run,
-    parse_run,
-    seal_run,
-    select_items,
-)
+from stampede_rt.wire.runs import ITEM_BYTES_MAX, RUN_BYTES_MAX, encode_run, parse_run, seal_run, select_items
 
 items = some.lists(
     some.tuples(some.integers(0, 50), some.integers(-1, 20), some.binary(max_size=20)), min_size=1, max_size=12

@@ -1,0 +1,199 @@
+"""Items that are kept in columns. An Item is made when a program touches it. Pure."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise, repeat
+from operator import lt
+from typing import Any, overload
+
+from stampede_rt.values.model import ABSENT, COLUMN_TYPES, Item, read_only
+
+
+@dataclass(slots=True)
+class DecodedRun:
+    """The columns of one run. Each has an entry for each item.
+
+    `durations` has -1 for no duration; None: no item has one. `attributes` and `content_type` are those of all items.
+    `payloads` has the payloads one after the other; None: the items have none, or all of them are made.
+    """
+
+    times: Sequence[int]
+    durations: Sequence[int] | None
+    lengths: Sequence[int]
+    first_seq: int
+    attributes: dict[str, str]
+    content_type: str
+    incarnation: int
+    payloads: bytes | None
+
+    @property
+    def seqs(self) -> range:
+        """The items' seqs."""
+        return range(self.first_seq, self.first_seq + len(self.lengths))
+
+
+class ItemColumns(Sequence[Item]):
+    """The items of runs that follow each other in time. It makes an item when the item is first touched, and keeps it.
+
+    Several threads may read it at once.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[DecodedRun],
+        *,
+        next_time: int | None,
+        overlap: int,
+        make: Callable[[Iterable[Any]], Item] | None = None,
+        backwards: bool = False,
+    ) -> None:
+        """`next_time`: the time of the bucket behind the runs. `make` makes an item of its fields; None: a plain Item.
+
+        `overlap`: for this time a later item does not end the span of an item with a duration, in nanoseconds.
+        `backwards`: the items come in reverse order.
+        """
+        self._runs = runs
+        self._next_time = next_time
+        self._overlap = overlap
+        self._make = make
+        self._backwards = backwards
+        self._begins = [*accumulate((len(run.lengths) for run in runs), initial=0)]
+        self._whole: list[list[Item] | None] = [None] * len(runs)  # all items of a run
+        self._touched: dict[int, Item] = {}  # single items of other runs
+        self._ends: list[int | None] | None = None
+
+    def __len__(self) -> int:
+        return self._begins[-1]
+
+    def __reduce__(self) -> tuple[type[list[Item]], tuple[list[Item]]]:
+        return list, ([*self],)
+
+    @overload
+    def __getitem__(self, index: int) -> Item: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Item]: ...
+    def __getitem__(self, index: int | slice) -> Item | list[Item]:
+        places = range(len(self))[:: -1 if self._backwards else 1][index]  # raises IndexError as a list does
+        if isinstance(places, int):
+            return self._at(places)
+        return [*self][index] if 2 * len(places) > len(self) else [self._at(at) for at in places]
+
+    def __iter__(self) -> Iterator[Item]:
+        if self._backwards:
+            for number in reversed(range(len(self._runs))):
+                yield from reversed(self._of_run(number))
+        else:
+            for number in range(len(self._runs)):
+                yield from self._of_run(number)
+
+    def column(self, name: str) -> memoryview:
+        """Return a column: "time", "duration" (-1: none) or "seq" of each item, in the order of the items."""
+        column = array(COLUMN_TYPES[name])
+        for run in self._runs:
+            column.extend(_entries(run, name))
+        return read_only(column[::-1] if self._backwards else column)
+
+    def _at(self, at: int) -> Item:
+        number = bisect_right(self._begins, at) - 1
+        place, run = at - self._begins[number], self._runs[number]
+        payloads, whole = run.payloads, self._whole[number]  # in this order: `_of_run` sets them in the other one
+        if whole is not None:
+            return whole[place]
+        item = self._touched.get(at)
+        if item is None:
+            begin = sum(run.lengths[:place])
+            duration = ABSENT if run.durations is None else run.durations[place]
+            fields = (
+                run.times[place],
+                self._all_ends()[at],
+                None if duration < 0 else duration,
+                run.first_seq + place,
+                None if payloads is None else payloads[begin : begin + run.lengths[place]],
+                run.attributes,
+                run.content_type,
+                run.lengths[place],
+                run.incarnation,
+            )
+            item = self._touched.setdefault(at, (self._make or Item._make)(fields))
+        return item
+
+    def _of_run(self, number: int) -> list[Item]:
+        payloads, whole = self._runs[number].payloads, self._whole[number]
+        if whole is not None:
+            return whole
+        whole = self._make_all(number, payloads)
+        for at in [at for at in [*self._touched] if self._begins[number] <= at < self._begins[number + 1]]:
+            whole[at - self._begins[number]] = self._touched.pop(at)
+        self._whole[number] = whole
+        self._runs[number].payloads = None  # each item has its own
+        return whole
+
+    def _make_all(self, number: int, payloads: bytes | None) -> list[Item]:
+        run = self._runs[number]
+        split: Iterable[bytes | None] = repeat(None)
+        if payloads is not None:
+            split = [payloads[a:b] for a, b in pairwise(accumulate(run.lengths, initial=0))]
+        given: Iterable[int | None] = repeat(None)
+        if run.durations is not None:
+            given = [None if duration < 0 else duration for duration in run.durations]
+        ends = self._all_ends()[self._begins[number] : self._begins[number + 1]]
+        labels = repeat(run.attributes), repeat(run.content_type), run.lengths, repeat(run.incarnation)
+        rows = zip(run.times, ends, given, run.seqs, split, *labels)  # noqa: B905 - some columns are endless
+        if self._make is not None:
+            return [*map(self._make, rows)]
+        return [*map(tuple.__new__, repeat(Item), rows)]  # as Item._make does, but without a Python call for each item
+
+    def _all_ends(self) -> list[int | None]:
+        if self._ends is None:
+            times = [time for run in self._runs for time in run.times]
+            durations = None
+            if any(run.durations for run in self._runs):
+                durations = [entry for run in self._runs for entry in _entries(run, "duration")]
+            self._ends = span_ends(times, durations, self._next_time, self._overlap)
+        return self._ends
+
+
+def _entries(run: DecodedRun, name: str) -> Sequence[int]:
+    if name == "seq":
+        return run.seqs
+    if name == "time":
+        return run.times
+    return run.durations if run.durations is not None else (ABSENT,) * len(run.lengths)
+
+
+def span_ends(
+    times: Sequence[int], durations: Sequence[int] | None, next_time: int | None, overlap: int
+) -> list[int | None]:
+    """Return the end of the span of each item; None for a span without an end.
+
+    The next item in the list ends a span only if its time is later. A run of late items may be out of order.
+    """
+    following, bucket = next_time, None
+    if not overlap and all(map(lt, times, times[1:])) and (following is None or following > times[-1]):
+        starts = [*times[1:], following]  # the usual case, at a third of the time: each next item ends a span
+        return starts if durations is None else [*map(_earlier, times, durations, starts)]
+    ends: list[int | None] = []
+    for time, duration in zip(reversed(times), reversed(durations or (ABSENT,) * len(times)), strict=True):
+        if bucket is not None and bucket > time:
+            following = bucket
+        bucket = time
+        ends.append(span_end(time, duration, following if following is None or following > time else None, overlap))
+    ends.reverse()
+    return ends
+
+
+def _earlier(time: int, duration: int, next_time: int | None) -> int | None:
+    own = time + duration
+    return next_time if duration < 0 or (next_time is not None and next_time < own) else own
+
+
+def span_end(time: int, duration: int, next_time: int | None, overlap: int) -> int | None:
+    """Return the end of an item's span. `duration` -1: none. `next_time`: the time of the next later item."""
+    if duration < 0:
+        return next_time
+    own = time + duration
+    return own if next_time is None else min(own, max(next_time, time + overlap))

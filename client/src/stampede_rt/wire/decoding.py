@@ -1,0 +1,91 @@
+"""Decodes the runs that hosts send (`item.proto`) into Items."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+
+from stampede_rt.v1 import item_pb2
+from stampede_rt.values.codecs import Coding
+from stampede_rt.values.columns import DecodedRun, ItemColumns, span_end
+from stampede_rt.values.model import ABSENT, Item
+from stampede_rt.wire.delivered import ItemCount, check_delivered
+
+
+class ItemDecoder:
+    """Turns delivered runs of one channel and incarnation into Items; `coding` decodes their values.
+
+    `overlap_nanos`: for this time a later item does not end the span of an item with a duration.
+    """
+
+    def __init__(
+        self,
+        *,
+        incarnation: int,
+        content_type: str,
+        payloads: bool,
+        coding: Coding | None = None,
+        overlap_nanos: int = 0,
+    ) -> None:
+        self._overlap = overlap_nanos
+        self._incarnation = incarnation
+        self._content_type = content_type
+        self._payloads = payloads
+        self._make = coding.item if coding else None
+
+    def decode(self, delivered: Sequence[item_pb2.DeliveredRun], *, backwards: bool = False) -> Sequence[Item]:
+        """Return the items of runs that follow each other in time, such as the answer of a get.
+
+        `backwards`: in reverse order. Raises StampedeError for a run whose columns disagree.
+        """
+        if not delivered:
+            return []
+        for one in delivered:
+            check_delivered(one.run, payloads=self._payloads)
+        last = delivered[-1]
+        next_time = last.next_time_unix_nano if last.HasField("next_time_unix_nano") else None
+        if len(delivered) == 1 and len(last.run.payload_length_bytes) == 1:
+            return [self._single(last.run, next_time)]
+        return ItemColumns(
+            [self._columns(one.run) for one in delivered],
+            next_time=next_time,
+            overlap=self._overlap,
+            make=self._make,
+            backwards=backwards,
+        )
+
+    def decode_each(self, delivered: Sequence[item_pb2.DeliveredRun]) -> list[Item]:
+        """Return the items of one response whose runs do not follow each other in time, as in a subscription.
+
+        Raises StampedeError for a run whose columns disagree, and for more items than a response has.
+        """
+        ItemCount().add(one.run for one in delivered)
+        return [item for one in delivered for item in self.decode((one,))]
+
+    def _columns(self, run: item_pb2.ItemRun) -> DecodedRun:
+        return DecodedRun(
+            times=array("q", run.time_unix_nano),
+            durations=array("q", run.duration_nanos) if run.duration_nanos else None,
+            lengths=array("I", run.payload_length_bytes),
+            first_seq=run.first_seq,
+            attributes=dict(run.attributes),
+            content_type=run.content_type or self._content_type,
+            incarnation=self._incarnation,
+            payloads=run.payloads if self._payloads else None,
+        )
+
+    def _single(self, run: item_pb2.ItemRun, next_time: int | None) -> Item:
+        time = run.time_unix_nano[0]
+        duration = run.duration_nanos[0] if run.duration_nanos else ABSENT
+        fields = (
+            time,
+            span_end(time, duration, next_time, self._overlap),
+            None if duration < 0 else duration,
+            run.first_seq,
+            run.payloads if self._payloads else None,
+            dict(run.attributes) if run.attributes else {},
+            run.content_type or self._content_type,
+            run.payload_length_bytes[0],
+            self._incarnation,
+        )
+        return self._make(fields) if self._make else Item._make(fields)
