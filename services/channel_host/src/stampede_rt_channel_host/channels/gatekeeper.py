@@ -116,7 +116,7 @@ def _first_sent_s(context: Context) -> float:
 def _check_request_id(request_id: bytes) -> None:
     if len(request_id) != ID_BYTES:
         raise InvalidArgument(
-            f"request_id has {len(request_id)} bytes; choose {ID_BYTES} random ones, kept for retries"
+            f"request_id has {len(request_id)} bytes; choose {ID_BYTES} random bytes, and repeat them in each retry"
         )
 
 

@@ -106,7 +106,7 @@ class Observers:
         self._begin = begin
         self._observers: dict[ChangeObserver, None] = {}
         self._listening: dict[ChangeObserver, None] = {}
-        self._to_wake: Backlog[ChangeObserver] | None = None  # most channels have no observer, and need none
+        self._to_wake: Backlog[ChangeObserver] | None = None  # made at the first wake, because most channels need none
 
     def __len__(self) -> int:
         return len(self._observers)

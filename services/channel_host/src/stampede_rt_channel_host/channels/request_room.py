@@ -34,7 +34,7 @@ class RequestRoom:
 
     @asynccontextmanager
     async def taken(self, caller: str, wanted_bytes: int) -> AsyncIterator[None]:
-        """Room for one request for the duration of the block. Waits for it."""
+        """Wait until there is room for one request, and keep it for the duration of the block."""
         place = _Place(asyncio.get_running_loop().create_future(), caller, wanted_bytes)
         self._line.append(place)
         self._admit()

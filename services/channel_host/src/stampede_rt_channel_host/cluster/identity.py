@@ -68,7 +68,7 @@ class HomeCluster:
         return cluster_id in ("", self._noted)
 
     def note(self, cluster_id: str, former: Iterable[str] = ()) -> None:
-        """Note the cluster that has let this host in, and the clusters `former` that it has replaced.
+        """Note the cluster that has let this host in. `former`: the clusters that this cluster has replaced.
 
         Raises OSError if the file cannot be written.
         """
@@ -96,7 +96,7 @@ def _kept_text(path: Path, what: str) -> str:
     try:
         return path.read_text().strip()
     except UnicodeDecodeError as error:
-        raise InvalidArgument(f"{path} holds no {what}; remove it, and the host enters as a new one") from error
+        raise InvalidArgument(f"{path} holds no {what}; remove it, and the host registers as a new one") from error
 
 
 def _read(path: Path) -> bytes:

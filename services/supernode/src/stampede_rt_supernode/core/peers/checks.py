@@ -89,9 +89,9 @@ def _check_attributes(shown: str, attributes: tuple[tuple[str, str], ...]) -> No
 def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
     """Check that `operation` may replace a live peer.
 
-    It must have the peer's proof. If the peer gave no proof, it must have none either, and come from the same process.
-    But a peer without a name and without a proof needs no protection, so its id is enough. Raises PEER_EXISTS, or
-    PermissionDenied if the peer belongs to another caller.
+    The operation must have the peer's proof. If the peer gave no proof, the operation must have none either, and come
+    from the same process. But a peer without a name and without a proof needs no protection, so its id is enough.
+    Raises PEER_EXISTS, or PermissionDenied if the peer belongs to another caller.
     """
     check_owner(before, operation.owner)
     same_proof = before.proof_sha256 == operation.proof_sha256
