@@ -12,7 +12,7 @@ import grpc
 import pytest
 
 import stampede_rt as st
-from stampede_rt._sync import reads
+from stampede_rt._sync import attempts, directory_client, reads
 from stampede_rt.cli.commands import run
 from stampede_rt.errors import Overloaded
 from stampede_rt.status import from_rpc_error
@@ -145,6 +145,24 @@ def test_a_client_makes_as_much_as_its_quotas_and_no_faster(cluster: LocalCluste
     refused = {row["quota"]: row["refused"] for row in operator.rows("use", "maker")}
     assert refused["changes-per-second"] == refusals.count("changes-per-second")
     assert "calls refused, the last one" in operator.says("doctor", status=1, out=True)
+
+
+def test_a_client_at_its_quota_of_channels_or_queues_does_not_try_again(
+    cluster: LocalCluster, operator: Operator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def sleep(delay_s: float) -> None:
+        raise AssertionError("the client waits for another try")
+
+    operator.set("keeper", "channels=1", "queues=1")
+    with st.connect(cluster.address, secret=operator.token("keeper")) as rt:
+        for kind, make in (("channels", rt.channel), ("queues", rt.queue)):
+            make(f"quotas/kept/{kind}")
+            for module in (attempts, directory_client):
+                monkeypatch.setattr(module, "sleep", sleep)
+            with pytest.raises(Overloaded) as caught:
+                make(f"quotas/too-many/{kind}")
+            assert (caught.value.metadata["quota"], caught.value.retryable) == (kind, False)
+            monkeypatch.undo()
 
 
 def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operator: Operator) -> None:
