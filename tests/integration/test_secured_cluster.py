@@ -312,7 +312,7 @@ def test_a_newcomer_joins_by_an_operators_token_with_its_own_certificate(cluster
     code, printed = supernode_command(cluster, boss, "add", "localhost:7599", "--id", "s9", "-o", "json")
     assert code == 0, printed
     code, printed = supernode_command(cluster, newcomer, *words, "--token", json.loads(printed)["token"])
-    assert (code, "Supernode s9 may join the cluster of s1, s2, s3" in printed) == (0, True), printed
+    assert (code, "Supernode s9 is ready to join the cluster of s1, s2, s3" in printed) == (0, True), printed
 
 
 @pytest.mark.parametrize("verb", ["status", "add", "remove", "snapshot", "join"])

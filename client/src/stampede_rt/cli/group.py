@@ -36,68 +36,81 @@ def add_verbs(subparsers: Any) -> None:
     verbs = noun.add_subparsers(dest="group_verb", metavar="VERB", required=True, parser_class=VerbParser)
     ls = add_verb(verbs, "ls", "list groups", run_ls)
     ls.add_argument("glob", nargs="?", default="*", metavar="GLOB", help='names, such as "stereo/*"')
-    create = add_verb(verbs, "create", "create a group of channels", run_create, output=False)
-    create.add_argument("group", help="the group's name")
-    create.add_argument("channels", nargs="+", metavar="CHANNEL", help="the name of a member")
-    create.add_argument(
+    for name, what, run, add_arguments in (
+        ("create", "create a group of channels", run_create, _add_create_arguments),
+        ("status", "print the cut, the members that hold it back, and each member's time", run_status, None),
+        ("newest", "print the newest visible item of each channel", run_newest, None),
+        ("watch", "print items as they become visible, until Ctrl-C", run_watch, _add_watch_arguments),
+        ("delete", "delete a group; its channels stay", run_delete, None),
+        ("get", "print the visible items of each channel in an interval", run_get, _add_get_arguments),
+        ("match", "print items of the same time together, until Ctrl-C", run_match, _add_match_arguments),
+        ("add", "add a channel to a group", run_change, _add_change_arguments),
+        ("remove", "remove a channel from a group", run_change, _add_change_arguments),
+    ):
+        verb = add_verb(verbs, name, what, run, output=run not in (run_create, run_delete, run_change))
+        verb.add_argument("group", help="the group's name")
+        if add_arguments is not None:
+            add_arguments(verb)
+
+
+def _add_create_arguments(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("channels", nargs="+", metavar="CHANNEL", help="the name of a member")
+    verb.add_argument(
         "--reference",
         default="oldest",
         metavar="CHANNEL",
         help="the channel whose cut is the group's; default: the smallest cut of all",
     )
-    create.add_argument(
+    verb.add_argument(
         "--bound",
         choices=("start", "end"),
         default="start",
         help="a channel's cut: the start of its newest item (default), or its end",
     )
-    create.add_argument(
+    verb.add_argument(
         "--idle-after", metavar="DURATION", help='do not wait for a member that is silent for this time, such as "2s"'
     )
-    create.add_argument(
+    verb.add_argument(
         "--max-lead",
         default="5s",
         metavar="DURATION",
         help='with --bound end: the cut is at most this far after the start; default "5s"',
     )
-    for name, what, run in (
-        ("status", "print the cut, the members that hold it back, and each member's time", run_status),
-        ("newest", "print the newest visible item of each channel", run_newest),
-        ("watch", "print items as they become visible, until Ctrl-C", run_watch),
-        ("delete", "delete a group; its channels stay", run_delete),
-    ):
-        verb = add_verb(verbs, name, what, run, output=name != "delete")
-        verb.add_argument("group", help="the group's name")
-        if name == "watch":
-            verb.add_argument(
-                "--max-wait", default="1s", metavar="DURATION", help="wait this long for members that lag; default 1s"
-            )
-            verb.add_argument(
-                "--lateness", default="0s", metavar="DURATION", help="wait this long for late items; default 0s"
-            )
-            verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N cuts")
-    get = add_verb(verbs, "get", "print the visible items of each channel in an interval", run_get)
-    get.add_argument("group", help="the group's name")
-    get.add_argument(
+
+
+def _add_watch_arguments(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
+        "--max-wait", default="1s", metavar="DURATION", help="wait this long for members that lag; default 1s"
+    )
+    _add_lateness(verb)
+    verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N cuts")
+
+
+def _add_get_arguments(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument(
         "start",
         type=checked(parse_bound_text),
         help='a time, or now, newest or oldest, also with an offset, such as "newest-1s"',
     )
-    get.add_argument("end", type=checked(parse_bound_text), help="as the start")
-    match = add_verb(verbs, "match", "print items of the same time together, until Ctrl-C", run_match)
-    match.add_argument("group", help="the group's name")
-    match.add_argument("--per", required=True, metavar="CHANNEL", help="the channel whose items each get a match")
-    match.add_argument(
+    verb.add_argument("end", type=checked(parse_bound_text), help="as the start")
+
+
+def _add_match_arguments(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--per", required=True, metavar="CHANNEL", help="the channel whose items each get a match")
+    verb.add_argument(
         "--tolerance", required=True, metavar="DURATION", help='the greatest distance in time, such as "10ms"'
     )
-    match.add_argument("--unique", action="store_true", help="use each item in at most one match, the nearest")
-    match.add_argument("--lateness", default="0s", metavar="DURATION", help="wait this long for late items; default 0s")
-    match.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N matches")
-    for name, what in (("add", "add a channel to a group"), ("remove", "remove a channel from a group")):
-        change = add_verb(verbs, name, what, run_change, output=False)
-        change.add_argument("group", help="the group's name")
-        change.add_argument("channel", help="the channel's name")
-        change.set_defaults(change=name)
+    verb.add_argument("--unique", action="store_true", help="use each item in at most one match, the nearest")
+    _add_lateness(verb)
+    verb.add_argument("-n", "--count", type=parse_count, metavar="N", help="stop after N matches")
+
+
+def _add_lateness(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--lateness", default="0s", metavar="DURATION", help="wait this long for late items; default 0s")
+
+
+def _add_change_arguments(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("channel", help="the channel's name")
 
 
 def run_ls(arguments: argparse.Namespace) -> int:
@@ -291,7 +304,7 @@ def run_change(arguments: argparse.Namespace) -> int:
     """Add a channel to a group, or remove one."""
     with connected(arguments) as rt:
         group, channel = _group_and_channel(rt, arguments)
-        if arguments.change == "add":
+        if arguments.group_verb == "add":
             group.add(channel)
         else:
             group.remove(channel)

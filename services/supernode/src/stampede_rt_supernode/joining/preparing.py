@@ -130,7 +130,12 @@ def _run_join(arguments: argparse.Namespace) -> int:
         token=token,
     )
     write_founding(arguments.data_dir, founding)
-    _say(f"Supernode {name} may join the cluster of {', '.join(members)}. Start it:", "", _start(arguments))
+    others = ", ".join(members)
+    _say(
+        f"Supernode {name} is ready to join the cluster of {others}, which judges its token when it starts. Start it:",
+        "",
+        _start(arguments),
+    )
     return 0
 
 

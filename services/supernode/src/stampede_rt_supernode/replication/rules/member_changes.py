@@ -135,7 +135,7 @@ class MemberChanges:
             self._finish([change], ChangeUnderWay(f"{name} is joining, and others wait until it has joined"))
         else:
             if self._addition is not None:
-                self._give_up(self._addition)
+                self._make_way(self._addition, change.member.member_id)
             self._introduce(change)
 
     def hand_over(self, wish: HandOver) -> None:
@@ -243,6 +243,17 @@ class MemberChanges:
         """Whether a newcomer is stuck, or too slow, so that another one may go first."""
         stuck_seconds = self._clock() - addition.progress_at
         return stuck_seconds > GIVES_WAY_SECONDS or addition.member.member_id in (self._given_up_id, self._slow_id)
+
+    def _make_way(self, addition: _Addition, other_id: str) -> None:
+        """End an addition, so that another newcomer goes first."""
+        if self._clock() - addition.progress_at > GIVES_WAY_SECONDS:
+            self._give_up(addition)
+            return
+        text = (
+            f"{addition.member.member_id} at {addition.member.address} gives way to {other_id}, because it did not "
+            "catch up with the log at its last try; it may try again"
+        )
+        self._end_addition(addition, text)
 
     def _give_up(self, addition: _Addition) -> None:
         """Give up a newcomer without progress. It may try again, because its token is not used up."""

@@ -17,8 +17,6 @@ from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.threads.worker_thread import RunInBackground, run_inline
 from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTransport
 
-APPEND_BATCH_BYTES = 1 << 20
-
 
 def build_node(
     settings: ReplicationSettings,
