@@ -198,6 +198,7 @@ async def _good_clients(one: Field, good: Good, meanwhile: Any) -> None:
 async def _good_client(one: Field, good: Good) -> None:
     async with st.aio.connect(one.cluster.address, secret=await asyncio.to_thread(one.token, "good")) as rt:
         channel = await rt.channel(GOOD_CHANNEL)
+        await _put_and_read(channel, Good())  # not counted, because it opens the connection to the host
         while True:
             await _put_and_read(channel, good)
             await asyncio.sleep(PERIOD_SECONDS)
