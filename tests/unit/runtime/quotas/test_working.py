@@ -5,14 +5,16 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Coroutine
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from stampede_rt_runtime.quotas import working
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota, QuotaSetting, QuotaTable
 from stampede_rt_runtime.quotas.turns import Turns
-from stampede_rt_runtime.quotas.working import CALL_NANOS, CallerWork, charged, loop_turns
+from stampede_rt_runtime.quotas.working import CALL_NANOS, CallerWork, charged, loop_turns, usable_time
 
 MS = 1_000_000
 
@@ -98,7 +100,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     one = Clock()
-    monkeypatch.setattr("time.monotonic_ns", lambda: one.now)
+    monkeypatch.setattr("time.thread_time_ns", lambda: one.now)
     return one
 
 
@@ -164,3 +166,31 @@ async def test_the_work_of_a_caller_without_quotas_is_not_measured() -> None:
         return 1
 
     assert await charged(unlimited(), work()) == 1
+
+
+def test_time_in_which_a_thread_waits_for_a_processor_is_no_usable_time() -> None:
+    passed, waited = 0, 0
+    usable = usable_time(lambda: passed, lambda: waited)
+    passed = 50 * MS
+    assert usable() == 50 * MS
+    passed, waited = 150 * MS, 70 * MS
+    assert usable() == 80 * MS
+
+
+def test_usable_time_never_goes_back() -> None:
+    passed, waited = 10**9, 0
+    usable = usable_time(lambda: passed, lambda: waited)
+    seen = [usable()]
+    for _ in range(100):
+        passed += 3 * MS
+        waited += 2 * MS
+        seen.append(usable())
+    assert seen == sorted(seen)
+    assert seen[-1] - seen[0] <= 110 * MS
+
+
+def test_the_system_tells_how_long_a_thread_has_waited(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = usable_time()()
+    assert usable_time()() >= before
+    monkeypatch.setattr(working, "SCHEDULER_STATISTICS", Path("/nowhere"))
+    assert usable_time(lambda: 5 * MS)() == 5 * MS

@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Callable, Coroutine, Generator, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 from stampede_rt_runtime.quotas.accounts import Account
@@ -17,13 +18,45 @@ CALL_NANOS = 400_000
 """The approximate time that gRPC takes to read a message, to write a message, and for a call. The measured steps do not
 contain this time.
 """
+SCHEDULER_STATISTICS = Path("/proc/thread-self/schedstat")
+ASK_NANOS = 10_000_000  # the interval between two looks at the scheduler's statistics, each of which takes about 20 us
 
 Result = TypeVar("Result")
 
 
 def loop_turns() -> Turns:
     """The turns of the callers of the running event loop."""
-    return Turns(time.monotonic_ns, _schedule)
+    return Turns(usable_time(), _schedule)
+
+
+def usable_time(
+    clock: Callable[[], int] = time.monotonic_ns, waited_nanos: Callable[[], int] | None = None
+) -> Callable[[], int]:
+    """A clock, in nanoseconds, of the time that the calling thread can use.
+
+    It stands still while the thread waits for a processor, because other programs run. So a share of this time is a
+    share of what the thread gets. `waited_nanos`: how long the thread has waited so far; None: ask the system.
+    """
+    ask = waited_nanos or _waited_nanos
+    now = waited = ask_again_at = 0
+
+    def read() -> int:
+        nonlocal now, waited, ask_again_at
+        passed = clock()
+        if passed >= ask_again_at:
+            waited, ask_again_at = ask(), passed + ASK_NANOS
+        now = max(now, passed - waited)
+        return now
+
+    return read
+
+
+def _waited_nanos() -> int:
+    """How long this thread was ready and had no processor. 0 if the system does not tell this."""
+    try:
+        return int(SCHEDULER_STATISTICS.read_bytes().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
 
 
 def _schedule(delay_s: float, call: Callable[[], None]) -> object:
@@ -63,7 +96,9 @@ def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Coroutine[An
 
 
 class _Charged(Coroutine[Any, Any, Result]):
-    """Runs a coroutine, and measures the time of each step. The measurement takes about half a microsecond.
+    """Runs a coroutine, and measures the processor time of each step. The measurement takes about a microsecond.
+
+    A clock would count the time, too, in which the system ran other threads, and hold up a caller that used little.
 
     It is no `async def` function: if its task is cancelled before the first step, the cancellation reaches `work`.
     """
@@ -76,19 +111,19 @@ class _Charged(Coroutine[Any, Any, Result]):
 
     def send(self, value: Any) -> Any:
         """One step. Raises StopIteration with the result at the end."""
-        began_at = time.monotonic_ns()
+        began_at = time.thread_time_ns()
         try:
             return self._work.send(value)
         finally:
-            self._turn.spend(time.monotonic_ns() - began_at)
+            self._turn.spend(time.thread_time_ns() - began_at)
 
     def throw(self, *error: Any) -> Any:
         """One step, which begins with an error, such as a cancellation."""
-        began_at = time.monotonic_ns()
+        began_at = time.thread_time_ns()
         try:
             return self._work.throw(*error)
         finally:
-            self._turn.spend(time.monotonic_ns() - began_at)
+            self._turn.spend(time.thread_time_ns() - began_at)
 
     def close(self) -> None:
         """End the work where it waits."""
