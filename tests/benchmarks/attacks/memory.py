@@ -39,14 +39,15 @@ def stub(ground: Ground, kind: Any) -> Any:
     return kind(ground.channel(ground.host))
 
 
-async def put_all(ground: Ground, name: str, runs: Sequence[bytes] | Any) -> None:
+async def put_all(ground: Ground, name: str, runs: Sequence[bytes] | Any, *, runs_per_request: int = 1) -> None:
     """One stream of puts, of which nothing waits; what is refused is refused."""
     known = await ground.bound(name)
 
     async def requests() -> AsyncIterator[bytes]:
-        for number, run in enumerate(runs, start=1):
-            put = raw_run_pb2.RawPutRun(first_number=number, wait_nanos=0, run=run)
-            for message in messages_of(raw_run_pb2.RawPutRequest(**known, puts=[put]).SerializeToString()):
+        numbered = enumerate(runs, start=1)
+        while some := [*itertools.islice(numbered, runs_per_request)]:
+            puts = [raw_run_pb2.RawPutRun(first_number=number, wait_nanos=0, run=run) for number, run in some]
+            for message in messages_of(raw_run_pb2.RawPutRequest(**known, puts=puts).SerializeToString()):
                 yield message
 
     async with ground.channel(ground.host) as channel:

@@ -28,7 +28,7 @@ from stampede_rt.wire.runs import encode_run
 from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground, all_of, for_ever
 from tests.benchmarks.attacks.memory import MIB, NAME, STREAMS, everything, put_all, stub
 
-ITEMS, RUN_ITEMS, GETTERS = 50_000, 250, 8
+ITEMS, GETTERS = 50_000, 8
 SUBSCRIPTIONS, SUBSCRIPTIONS_OF_ONE_CONNECTION = 3000, 1000
 CREATORS = 16
 WATCHES = 2000
@@ -38,7 +38,7 @@ async def large_gets(ground: Ground, under_way: Callable[[], None]) -> None:
     """8 callers get all of 50,000 items, again and again."""
     async with ground.connect() as rt:
         await rt.channel(NAME, max_items=ITEMS)
-        await put_all(ground, NAME, [encode_run([b"x" * 20], times=None)] * ITEMS)
+        await put_all(ground, NAME, [encode_run([b"x" * 20], times=None)] * ITEMS, runs_per_request=100)
         known = await ground.bound(NAME)
         under_way()
         await all_of(*(_get_again_and_again(ground, known) for _ in range(GETTERS)))
