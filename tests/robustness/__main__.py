@@ -1,8 +1,8 @@
 """The robustness suite: `python -m tests.robustness --report out/robustness.md` (also `make robustness`).
 
-Needs root and iproute2. A failure of a seed is replayed with
-`python -m tests.robustness.directory.simulate --first SEED --seeds 1`; the order and the choices of the real faults
-come back with the same --seed.
+Needs root and iproute2. To repeat a simulated seed that failed, run
+`python -m tests.robustness.directory.simulate --first SEED --seeds 1`. To inject the real faults in the same order and
+with the same random choices again, give the same --seed.
 """
 
 from __future__ import annotations
@@ -36,18 +36,20 @@ SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, WEATHER_SHARE = 0.3, 0.25, 0.3, 0.15
 
 
 def arguments() -> argparse.Namespace:
-    """What the caller wants."""
+    """Return the parsed command line."""
     parser = argparse.ArgumentParser(prog="python -m tests.robustness", description=__doc__)
-    where = "where the page goes; docs/robustness.md keeps what stands above its last run"
+    where = "file for the report; text above an earlier report in this file stays, as in docs/robustness.md"
     parser.add_argument("--report", type=Path, default=Path("out/robustness.md"), help=where)
-    parser.add_argument("--minutes", type=float, default=14.0, help="about so long for the real processes")
-    parser.add_argument("--seeds", type=int, default=200, help="of the simulated directory")
-    parser.add_argument("--seed", type=int, default=1, help="of the order and the choices of the real faults")
+    parser.add_argument("--minutes", type=float, default=14.0, help="approximate time for the faults in real processes")
+    parser.add_argument("--seeds", type=int, default=200, help="how many seeds the simulated directory runs")
+    parser.add_argument(
+        "--seed", type=int, default=1, help="random seed for the order and the choices of the real faults"
+    )
     return parser.parse_args()
 
 
 async def real_faults(minutes: float, seed: int) -> list[Findings]:
-    """All campaigns, one after the other."""
+    """Run all campaigns, one after the other."""
     seconds = minutes * 60
     with tempfile.TemporaryDirectory(prefix="robustness-") as place:
         folder = Path(place)
@@ -87,7 +89,7 @@ async def real_faults(minutes: float, seed: int) -> list[Findings]:
 
 
 def main() -> int:
-    """Run everything and write the page; returns 1 if a promise was broken, 2 if the machine does not allow it."""
+    """Run everything and write the report; return 1 if a promise was broken, 2 if this machine cannot run the suite."""
     wanted = arguments()
     if why := unavailable_because():
         print(f"cannot run: {why}", file=sys.stderr)
@@ -109,7 +111,7 @@ def main() -> int:
 
 
 def write_page(place: Path, page: str) -> None:
-    """Write the page, in the place of the run before it in that file; what stands above that one stays."""
+    """Write the report into the file. It replaces the earlier report there; the text above that report stays."""
     place.parent.mkdir(parents=True, exist_ok=True)
     above, title, _ = place.read_text().partition(TITLE) if place.exists() else ("", "", "")
     place.write_text((above if title else "") + page)

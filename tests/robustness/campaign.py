@@ -21,7 +21,7 @@ from tests.robustness.cluster import Cluster, running_cluster
 from tests.robustness.histories.channel_model import acknowledged_writes, violations
 from tests.robustness.histories.operations import Operation, Recorder
 from tests.robustness.histories.ownership_model import Judged, judge_items
-from tests.robustness.placed_process import DidNotBite
+from tests.robustness.placed_process import FaultHadNoEffect
 from tests.robustness.probe import ChannelWrites, Probe, Write, register_probe_host, with_background
 from tests.robustness.scene import Fault, Outcome, Scene
 from tests.robustness.traffic import Traffic
@@ -51,13 +51,13 @@ WEATHERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
-    """What came of one campaign, judged."""
+    """The results of one campaign, with the judgement of its histories."""
 
     title: str
     outcomes: list[Outcome]
     operations: list[Operation]
     names: int
-    violations: tuple[str, ...]  # histories that nothing explains, and promises that were seen broken
+    violations: tuple[str, ...]  # histories that no order of the calls explains, and errors that ended the campaign
     items: Judged | None  # of the channel hosts, where there were any
     item_calls_failed: int
     not_done: int
@@ -65,7 +65,7 @@ class Findings:
     registrations: int
     gap_s: float  # the longest time without an acknowledged write while a majority was alive and connected
     gap_in: str
-    stalled_s: float  # the longest that this process was itself kept from looking
+    stalled_s: float  # the longest time when this process itself did not run
     seconds: float
 
     @property
@@ -124,7 +124,7 @@ async def run_weathers(folder: Path, title: str, *, seed: int, each_s: float) ->
 
 
 async def _weather(scene: Scene, kind: str, each_s: float) -> None:
-    """One kind of bad network before every supernode. Raises DidNotBite if the relays did nothing of it."""
+    """One kind of bad network before every supernode. Raises FaultHadNoEffect if the relays did nothing of it."""
     supernodes = scene.cluster.supernodes
     began = time.monotonic()
     for one in supernodes:
@@ -140,11 +140,11 @@ async def _weather(scene: Scene, kind: str, each_s: float) -> None:
     chunks, stalled, waited_millis, cuts = (sum(column) for column in zip(*counts, strict=True))
     _, _, stall_share, cut_share = WEATHERS[kind]
     if not waited_millis or (stall_share and not stalled) or (cut_share and not cuts):
-        raise DidNotBite(
+        raise FaultHadNoEffect(
             f"of {chunks} chunks {stalled} were stalled, {waited_millis} ms in all, {cuts} connections cut"
         )
-    bite = f"{chunks} chunks waited {waited_millis / chunks:.0f} ms on average, {stalled} stalled; {cuts} resets"
-    scene.ended(f"relay: {kind}, and kill -9 of the leader", began, recovery, majority=False, bite=bite)
+    evidence = f"{chunks} chunks waited {waited_millis / chunks:.0f} ms on average, {stalled} stalled; {cuts} resets"
+    scene.ended(f"relay: {kind}, and kill -9 of the leader", began, recovery, majority=False, evidence=evidence)
 
 
 class _Campaign:
@@ -163,8 +163,11 @@ class _Campaign:
         self._scene = Scene(cluster, self._probe, random.Random(seed), folder, self._traffic)
 
     async def attempt(self, name: str, fault: Fault) -> None:
-        """One fault. That it did not bite, or that something did not come back in time, fails the campaign at its end;
-        a broken promise ends it."""
+        """Inject one fault.
+
+        If it had no effect, or something did not come back in time, the campaign goes on and counts as failed. A broken
+        promise ends the campaign.
+        """
         began = time.monotonic()
         try:
             await fault(self._scene)
@@ -172,9 +175,9 @@ class _Campaign:
                 if not one.running:
                     raise TimeoutError(f"{one.name} has ended: {one.last_words()!r}")
             await self._cluster.all_serve()
-        except (TimeoutError, OSError, DidNotBite, StampedeError, grpc.aio.AioRpcError) as error:
-            what = "did not bite" if isinstance(error, DidNotBite) else "did not come back in time"
-            self._scene.ended(name, began, majority=False, bite="-", note=f"{what}: {error}", failed=True)
+        except (TimeoutError, OSError, FaultHadNoEffect, StampedeError, grpc.aio.AioRpcError) as error:
+            what = "had no effect" if isinstance(error, FaultHadNoEffect) else "did not come back in time"
+            self._scene.ended(name, began, majority=False, evidence="-", note=f"{what}: {error}", failed=True)
             await asyncio.gather(*(one.start() for one in self._cluster.processes() if not one.running))
             await self._cluster.all_serve()
 

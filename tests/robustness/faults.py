@@ -1,5 +1,7 @@
-"""Processes killed and stopped, networks cut. Each does its harm, sees that it is done, waits for what must hold, and
-heals."""
+"""Faults that kill and stop processes and cut networks.
+
+Each one injects the fault, checks that it took effect, waits until the directory serves again, and heals the fault.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from contextlib import asynccontextmanager
 import grpc
 
 from stampede_rt_local.namespaces import NetworkNamespace
-from tests.robustness.placed_process import DidNotBite, PlacedProcess
+from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
 from tests.robustness.scene import (
     FROZEN_LEADER_SECONDS_MAX,
     PATIENCE_SECONDS,
@@ -32,7 +34,7 @@ async def kill_leader(scene: Scene) -> None:
     await leader.kill()
     recovery = await scene.recovery(began)
     await leader.start()
-    scene.ended("kill -9 of the leader", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=KILLED)
+    scene.ended("kill -9 of the leader", began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=KILLED)
 
 
 async def kill_follower(scene: Scene) -> None:
@@ -41,11 +43,11 @@ async def kill_follower(scene: Scene) -> None:
     await follower.kill()
     recovery = await scene.recovery(began)
     await follower.start()
-    scene.ended("kill -9 of a follower", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=KILLED)
+    scene.ended("kill -9 of a follower", began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=KILLED)
 
 
 async def kill_all(scene: Scene) -> None:
-    """All at once, started again at once: the recovery includes the start of the processes, told apart."""
+    """Kill all at once and start them again at once: the recovery includes their start, which is reported apart."""
     began = time.monotonic()
     for one in scene.cluster.supernodes:
         one.signal(signal.SIGKILL)
@@ -62,7 +64,7 @@ async def kill_all(scene: Scene) -> None:
         limit_s=RECOVERY_SECONDS_MAX,
         start_s=majority_up,
         majority=False,
-        bite=KILLED,
+        evidence=KILLED,
         note=f"a majority of the processes was up after {majority_up:.2f} s, the last after {max(up):.2f} s",
     )
 
@@ -82,7 +84,7 @@ async def freeze_leader(scene: Scene) -> None:
         _check_stopped(leader)
     finally:
         leader.thaw()
-    scene.ended("SIGSTOP of the leader", began, recovery, limit_s=FROZEN_LEADER_SECONDS_MAX, bite=STOPPED)
+    scene.ended("SIGSTOP of the leader", began, recovery, limit_s=FROZEN_LEADER_SECONDS_MAX, evidence=STOPPED)
 
 
 async def freeze_follower(scene: Scene) -> None:
@@ -95,12 +97,12 @@ async def freeze_follower(scene: Scene) -> None:
         _check_stopped(follower)
     finally:
         follower.thaw()
-    scene.ended("SIGSTOP of a follower", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=STOPPED)
+    scene.ended("SIGSTOP of a follower", began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=STOPPED)
 
 
 def _check_stopped(one: PlacedProcess) -> None:
     if one.kernel_state() != "T":
-        raise DidNotBite(f"{one.name} went on by itself: it is in kernel state {one.kernel_state()}")
+        raise FaultHadNoEffect(f"{one.name} went on by itself: it is in kernel state {one.kernel_state()}")
 
 
 Pairs = Sequence[tuple[NetworkNamespace, NetworkNamespace]]
@@ -108,7 +110,7 @@ Pairs = Sequence[tuple[NetworkNamespace, NetworkNamespace]]
 
 @asynccontextmanager
 async def cut(scene: Scene, pairs: Pairs) -> AsyncIterator[str]:
-    """Nothing passes from the first to the second of each pair; gives what was seen of that. Raises DidNotBite."""
+    """Block the traffic from the first to the second of each pair; yields the evidence. Raises FaultHadNoEffect."""
     network = scene.cluster.network
     try:
         for sender, receiver in pairs:
@@ -119,7 +121,7 @@ async def cut(scene: Scene, pairs: Pairs) -> AsyncIterator[str]:
 
 
 def _check_ways(scene: Scene, pairs: Pairs) -> str:
-    """Sends a datagram each way between all supernodes and what else is cut: it arrives where it should, alone."""
+    """Send a datagram each way between all supernodes and cut processes; check that exactly the uncut ways work."""
     namespaces = {namespace for pair in pairs for namespace in pair} | {
         one.namespace for one in scene.cluster.supernodes
     }
@@ -127,17 +129,17 @@ def _check_ways(scene: Scene, pairs: Pairs) -> str:
     every = set(itertools.permutations(namespaces, 2))
     if arrived != every - set(pairs):
         wrong = [f"{sender.address} to {receiver.address}" for sender, receiver in arrived ^ (every - set(pairs))]
-        raise DidNotBite(f"not as it should be on the way from {', from '.join(wrong)}")
-    return f"datagrams vanish on {len(pairs)} of {len(every)} ways"
+        raise FaultHadNoEffect(f"wrongly open or blocked: from {', from '.join(wrong)}")
+    return f"datagrams do not arrive on {len(pairs)} of {len(every)} directed links"
 
 
 async def _partition(scene: Scene, kind: str, pairs: Sequence[tuple[Supernode, Supernode]]) -> None:
-    """Callers reach everybody all the while."""
+    """Cut the pairs. Callers still reach all supernodes."""
     began = time.monotonic()
-    async with cut(scene, [(sender.namespace, receiver.namespace) for sender, receiver in pairs]) as bite:
+    async with cut(scene, [(sender.namespace, receiver.namespace) for sender, receiver in pairs]) as evidence:
         recovery = await scene.recovery(began)
         await asyncio.sleep(scene.rng.uniform(3.0, 6.0))
-    scene.ended(kind, began, recovery, bite=bite)
+    scene.ended(kind, began, recovery, evidence=evidence)
 
 
 async def split_off_leader(scene: Scene) -> None:
@@ -174,12 +176,12 @@ async def unplug_leader(scene: Scene) -> None:
     network.plug(leader.namespace, in_=False)
     try:
         if await asyncio.to_thread(network.ways, (other.namespace, leader.namespace)):
-            raise DidNotBite(f"{leader.name} is reached although its link is down")
+            raise FaultHadNoEffect(f"{leader.name} is reached although its link is down")
         recovery = await scene.recovery(began)
         await asyncio.sleep(scene.rng.uniform(1.0, 3.0))
     finally:
         network.plug(leader.namespace, in_=True)
-    scene.ended("the leader's link down", began, recovery, bite="datagrams to it vanish")
+    scene.ended("the leader's link down", began, recovery, evidence="no datagram reaches the leader")
 
 
 async def past_compaction(scene: Scene) -> None:
@@ -193,13 +195,20 @@ async def past_compaction(scene: Scene) -> None:
         await _grow(scene, leader, index + 1000)
         kept = await asyncio.to_thread(leader.first_index_kept)
         if kept <= left_at + 1:
-            raise DidNotBite(f"{leader.name} has its log from {kept} on, and {away.name} needs it from {left_at + 1}")
+            raise FaultHadNoEffect(
+                f"{leader.name} has its log from {kept} on, and {away.name} needs it from {left_at + 1}"
+            )
     healed = time.monotonic()
     _, target = await leader.members_seen()
     await _grow(scene, away, target, write=False)
     took = time.monotonic() - healed
-    bite = f"it had applied up to {left_at}, and the leader's log began at {kept}"
-    scene.ended("partition past log compaction", began, bite=bite, note=f"level again {took:.1f} s after it healed")
+    evidence = f"the follower had applied the log up to {left_at}, and the leader's log began at {kept}"
+    scene.ended(
+        "partition past log compaction",
+        began,
+        evidence=evidence,
+        note=f"the follower had caught up {took:.1f} s after the partition healed",
+    )
 
 
 async def _grow(scene: Scene, one: Supernode, target: int, *, write: bool = True) -> None:

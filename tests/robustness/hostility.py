@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tests.robustness.placed_process import DidNotBite, PlacedProcess
+from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
 from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
 from tests.robustness.supernode import Supernode
 
@@ -30,7 +30,7 @@ async def full_disk(scene: Scene) -> None:
             pass
     free = os.statvfs(victim.data_dir).f_bavail
     if free:
-        raise DidNotBite(f"the disk of {victim.name} has {free} blocks left")
+        raise FaultHadNoEffect(f"the disk of {victim.name} has {free} blocks left")
     recovery = await scene.recovery(began)
     for _ in range(30):  # its write-ahead log has some room of its own; writes enough to need more
         if not victim.running:
@@ -41,11 +41,11 @@ async def full_disk(scene: Scene) -> None:
     if died:
         await victim.start()
     note = f"it ended ({victim.last_words()[:120]!r}) and was started again" if died else "it went on"
-    scene.ended("full disk", began, recovery, bite="no block was free", note=note)
+    scene.ended("full disk", began, recovery, evidence="the disk had no free block", note=note)
 
 
 async def _has_ended(one: Supernode, *, within_s: float) -> bool:
-    """Whether it ends by then: what writes its last words takes a moment."""
+    """Whether it ends within that time: a process that writes its last words needs a moment."""
     try:
         async with asyncio.timeout(within_s):
             await one.ended()
@@ -62,20 +62,23 @@ async def _damage(scene: Scene, kind: str, harm: Callable[[Path], str]) -> None:
     with tempfile.TemporaryDirectory(dir=scene.folder) as folder:
         spare = Path(shutil.copytree(victim.data_dir, Path(folder, "spare")))
         note = await _damaged(scene, victim, spare, harm)
-    scene.ended(kind, began, await scene.recovery(began), bite="the file differs from its copy", note=note)
+    scene.ended(kind, began, await scene.recovery(began), evidence="the file differs from its copy", note=note)
 
 
 async def _damaged(scene: Scene, victim: Supernode, spare: Path, harm: Callable[[Path], str]) -> str:
-    """Damage a file and start on it; afterwards the store is as in `spare` if it was refused. Gives what came of it."""
+    """Damage a file and start the supernode with it; return what happened.
+
+    If the supernode refused the store, the store is as in `spare` afterwards.
+    """
     files = [file for file in sorted(victim.data_dir.rglob("*")) if file.is_file() and file.stat().st_size > 0]
-    # Half of the time the largest, which holds the log; else any, the small ones being the strange ones.
+    # In half of the cases the largest file, which holds the log; else any file, so that small ones are damaged, too.
     chosen = scene.rng.choice([max(files, key=lambda file: file.stat().st_size), scene.rng.choice(files)])
     what = harm(chosen)
     if chosen.read_bytes() == (spare / chosen.relative_to(victim.data_dir)).read_bytes():
-        raise DidNotBite(f"{chosen.name} is as it was")
+        raise FaultHadNoEffect(f"{chosen.name} is as it was")
     started = await victim.start()
     note = f"{what}: " + ("harmless, it serves" if started else f"refused: {victim.last_words()[:160]!r}")
-    await asyncio.sleep(2.0)  # what it would say wrong, the callers hear now
+    await asyncio.sleep(2.0)  # if it serves wrong data, the callers see them in this time
     if not started or not victim.running:
         await victim.end()
         for file in victim.data_dir.iterdir():
@@ -107,7 +110,7 @@ async def truncate(scene: Scene) -> None:
 
 
 async def step_clock(scene: Scene) -> None:
-    """Of the leader, or of all services, and by so much that certificates, where there are any, stay valid."""
+    """Step the clock of the leader or of all services. Certificates, where there are any, stay valid."""
     secured = scene.cluster.certificates is not None
     seconds = scene.rng.choice([-120.0, HOUR, 30 * DAY] if secured else [-HOUR, HOUR, -3650 * DAY, 3650 * DAY])
     leader = await scene.cluster.leader()
@@ -120,18 +123,18 @@ async def step_clock(scene: Scene) -> None:
         await asyncio.sleep(3.0)
         seen = await leader.wall_clock_nanos() / 1e9 - time.time()
         if abs(seen - seconds) > CLOCK_TOLERANCE_SECONDS:
-            raise DidNotBite(f"{leader.name} says that its clock is off by {seen:+.0f} s, not {seconds:+.0f} s")
+            raise FaultHadNoEffect(f"{leader.name} says that its clock is off by {seen:+.0f} s, not {seconds:+.0f} s")
         recovery = max(recovery, await scene.recovery(time.monotonic()))
     finally:
         for one in victims:
             one.step_wall_clock(0)
-    bite = f"the leader's answers were off by {seen:+.0f} s"
+    evidence = f"the leader's answers were off by {seen:+.0f} s"
     note = f"{seconds:+.0f} s at {len(victims)} of {len(scene.cluster.processes())} processes"
-    scene.ended("wall clock step", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite, note=note)
+    scene.ended("wall clock step", began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence, note=note)
 
 
 async def exhaust_descriptors(scene: Scene) -> None:
-    """A service may open three files more, and many callers connect to it."""
+    """Let a service open only three more files while many callers connect to it."""
     victim = scene.rng.choice(scene.cluster.processes())
     began = time.monotonic()
     limit = victim.limit_descriptors(3)
@@ -146,14 +149,16 @@ async def exhaust_descriptors(scene: Scene) -> None:
         if victim.running:
             victim.limit_descriptors(None)
     if most < limit:
-        raise DidNotBite(f"{victim.name} had {most} of {limit} descriptors open with 40 callers waiting")
+        raise FaultHadNoEffect(f"{victim.name} had {most} of {limit} descriptors open with 40 callers waiting")
     died = not victim.running
     if died:
         await victim.start()
     fresh = await asyncio.to_thread(_answers, victim)
     note = f"{victim.name} {'ended and was started again' if died else 'went on'}; new connections: {fresh}"
-    bite = f"all {limit} descriptors were open"
-    scene.ended("file descriptors exhausted", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite, note=note)
+    evidence = f"all {limit} descriptors were open"
+    scene.ended(
+        "file descriptors exhausted", began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence, note=note
+    )
 
 
 def _connect(one: PlacedProcess) -> socket.socket:
@@ -164,7 +169,7 @@ def _connect(one: PlacedProcess) -> socket.socket:
 
 
 def _answers(one: PlacedProcess) -> str:
-    """Whether a new connection is accepted and kept; the listener must have survived."""
+    """Whether a new connection is accepted and kept, that is, whether the service still listens."""
     with socket.create_connection((one.namespace.address, one.port), timeout=10) as connection:
         connection.settimeout(1.0)
         if one.tls is None:

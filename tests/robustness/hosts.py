@@ -21,7 +21,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from tests.robustness.cluster import Host
 from tests.robustness.faults import KILLED, STOPPED, cut
-from tests.robustness.placed_process import DidNotBite, PlacedProcess
+from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
 from tests.robustness.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
 from tests.robustness.supernode import LEASE_TTL_SECONDS
 from tests.robustness.traffic import CLIENT, Traffic
@@ -47,10 +47,10 @@ async def kill_host(scene: Scene) -> None:
     began = time.monotonic()
     await pinned.host.kill()
     recovery = await _put_again(scene, pinned, began)
-    bite = f"{KILLED}; {_reopened(pinned)}"
+    evidence = f"{KILLED}; {_reopened(pinned)}"
     await _started(pinned.host)
     await _read(scene, pinned)
-    scene.ended("host: kill -9, its channels go elsewhere", began, recovery, bite=bite)
+    scene.ended("host: kill -9, its channels go elsewhere", began, recovery, evidence=evidence)
 
 
 async def restart_host(scene: Scene) -> None:
@@ -61,9 +61,9 @@ async def restart_host(scene: Scene) -> None:
     await _started(pinned.host)
     recovery = await _put_again(scene, pinned, began)
     await _read(scene, pinned)
-    start = f"of which its start {pinned.host.start_seconds:.2f} s"
-    bite = f"{KILLED}; {_reopened(pinned)}"
-    scene.ended("host: kill -9 and a restart", began, recovery, bite=bite, note=start)
+    start = f"the host needed {pinned.host.start_seconds:.2f} s to start"
+    evidence = f"{KILLED}; {_reopened(pinned)}"
+    scene.ended("host: kill -9 and a restart", began, recovery, evidence=evidence, note=start)
 
 
 async def kill_all_hosts(scene: Scene) -> None:
@@ -76,9 +76,16 @@ async def kill_all_hosts(scene: Scene) -> None:
     recovery = await _put_again(scene, pinned, began)
     await _read(scene, pinned)
     slowest = max(host.start_seconds for host in scene.cluster.hosts)
-    bite = f"{KILLED}; {_reopened(pinned)}"
+    evidence = f"{KILLED}; {_reopened(pinned)}"
     kind = "host: kill -9 of all"
-    scene.ended(kind, began, recovery, bite=bite, majority=False, note=f"of which the start {slowest:.2f} s")
+    scene.ended(
+        kind,
+        began,
+        recovery,
+        evidence=evidence,
+        majority=False,
+        note=f"the slowest host needed {slowest:.2f} s to start",
+    )
 
 
 async def kill_frontend(scene: Scene) -> None:
@@ -91,7 +98,7 @@ async def kill_frontend(scene: Scene) -> None:
     recovery = time.monotonic() - began
     await _started(frontend)
     note = f"a channel was made and a put acknowledged at {pinned.host.name} without it"
-    scene.ended("front-end: kill -9", began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=KILLED, note=note)
+    scene.ended("front-end: kill -9", began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=KILLED, note=note)
 
 
 async def kill_everything(scene: Scene) -> None:
@@ -107,9 +114,9 @@ async def kill_everything(scene: Scene) -> None:
     up = time.monotonic() - began
     recovery = await _put_again(scene, pinned, began)
     await _read(scene, pinned)
-    bite = f"{KILLED}, {len(scene.cluster.processes())} times; {_reopened(pinned)}"
-    note = f"all processes were up, the hosts registered, after {up:.2f} s"
-    scene.ended("everything: kill -9 of all processes", began, recovery, bite=bite, majority=False, note=note)
+    evidence = f"{KILLED}, {len(scene.cluster.processes())} times; {_reopened(pinned)}"
+    note = f"all processes were ready, and the hosts registered, after {up:.2f} s"
+    scene.ended("everything: kill -9 of all processes", began, recovery, evidence=evidence, majority=False, note=note)
 
 
 async def freeze_host(scene: Scene) -> None:
@@ -117,7 +124,7 @@ async def freeze_host(scene: Scene) -> None:
     pinned = await _pin(scene)
     async with _direct(scene, pinned.host) as connection:
         if not await _accepted(connection, pinned):
-            raise DidNotBite(f"{pinned.host.name} takes no put under the epoch that is in force")
+            raise FaultHadNoEffect(f"{pinned.host.name} takes no put under the epoch that is in force")
         began = time.monotonic()
         await pinned.host.freeze()
         try:
@@ -130,9 +137,10 @@ async def freeze_host(scene: Scene) -> None:
         finally:
             pinned.host.thaw()
         _check_refused(pinned, await asyncio.gather(*waiting, *late, _accepted(connection, pinned)))
-    bite = f"{STOPPED} for {time.monotonic() - began:.1f} s; {_reopened(pinned)}"
-    note = f"{2 * STALE_PUTS + 1} puts under the old epoch were refused, some sent {given_away - began:.1f} s into it"
-    scene.ended("host: SIGSTOP beyond its lease", began, recovery, bite=bite, note=note)
+    evidence = f"{STOPPED} for {time.monotonic() - began:.1f} s; {_reopened(pinned)}"
+    count, sent_after = 2 * STALE_PUTS + 1, given_away - began
+    note = f"{count} puts under the old epoch were refused, some sent {sent_after:.1f} s after the stop"
+    scene.ended("host: SIGSTOP beyond its lease", began, recovery, evidence=evidence, note=note)
 
 
 async def cut_off_host(scene: Scene) -> None:
@@ -152,9 +160,12 @@ async def cut_off_host(scene: Scene) -> None:
             _check_refused(pinned, [await _accepted(connection, pinned)])
         if last > given_away:
             raise AssertionError(f"{pinned.host.name} took a put after {pinned.channel.host} had taken one")
-    bite = f"{seen}; {_reopened(pinned)}"
-    note = f"it took its last put {last - began:.2f} s into it; the new owner took one at {given_away - began:.2f} s"
-    scene.ended("host: cut off from all supernodes", began, recovery, bite=bite, note=note)
+    evidence = f"{seen}; {_reopened(pinned)}"
+    note = (
+        f"the old owner acknowledged its last put {last - began:.2f} s after the cut; "
+        f"the new owner acknowledged its first one after {given_away - began:.2f} s"
+    )
+    scene.ended("host: cut off from all supernodes", began, recovery, evidence=evidence, note=note)
 
 
 def _traffic(scene: Scene) -> Traffic:
@@ -169,7 +180,7 @@ async def _pin(scene: Scene) -> Pinned:
     channel = await traffic.open(f"robust-pinned/{time.monotonic_ns()}", host=host.name)
     item = await traffic.put(channel)
     if channel.host != host.name:
-        raise DidNotBite(f"the channel is at {channel.host}, not at {host.name}")
+        raise FaultHadNoEffect(f"the channel is at {channel.host}, not at {host.name}")
     return Pinned(channel, host, channel.info, item.incarnation)
 
 

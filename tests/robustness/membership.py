@@ -13,7 +13,7 @@ import grpc
 from stampede_rt.v1 import directory_service_pb2 as pb
 from tests.robustness.cluster import serves
 from tests.robustness.faults import cut
-from tests.robustness.placed_process import DidNotBite
+from tests.robustness.placed_process import FaultHadNoEffect
 from tests.robustness.scene import PATIENCE_SECONDS, RECOVERY_SECONDS_MAX, Fault, Scene
 from tests.robustness.supernode import Supernode
 
@@ -31,8 +31,9 @@ async def grow_and_shrink(scene: Scene) -> None:
         leaver = next(one for one in scene.cluster.others(leader) if one not in (newcomer, troubled))
         await _remove(scene, leaver)
     recovery = await scene.recovery(began)
-    bite = await _listed(scene, newcomer, leaver)
-    scene.ended("membership: one joins, a follower is removed", began, recovery, bite=bite, note=f"beside {trouble}")
+    evidence = await _listed(scene, newcomer, leaver)
+    kind, note = "membership: one joins, a follower is removed", f"at the same time, {trouble}"
+    scene.ended(kind, began, recovery, evidence=evidence, note=note)
 
 
 async def remove_leader(scene: Scene) -> None:
@@ -43,9 +44,9 @@ async def remove_leader(scene: Scene) -> None:
     removed = time.monotonic()
     await _remove(scene, leader)
     recovery = await scene.recovery(removed)
-    bite = await _listed(scene, newcomer, leader)
+    evidence = await _listed(scene, newcomer, leader)
     kind = "membership: one joins, the leader is removed"
-    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence)
 
 
 async def replace_dead(scene: Scene) -> None:
@@ -58,10 +59,10 @@ async def replace_dead(scene: Scene) -> None:
     await scene.cluster.forget(dead)
     async with _trouble(scene, scene.rng.choice(scene.cluster.supernodes)) as trouble:
         newcomer = await _join(scene)
-    bite = await _listed(scene, newcomer, dead)
+    evidence = await _listed(scene, newcomer, dead)
     kind = "membership: a dead one is replaced by one that joins"
-    note = f"beside {trouble}, when only two were left, both of which are needed"
-    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, majority=False, bite=bite, note=note)
+    note = f"at the same time, {trouble}, while only two supernodes were left, both of which are needed for a majority"
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, majority=False, evidence=evidence, note=note)
 
 
 async def volunteer_leaves(scene: Scene) -> None:
@@ -70,8 +71,8 @@ async def volunteer_leaves(scene: Scene) -> None:
     newcomer = await _join(scene)
     await _remove(scene, newcomer)
     recovery = await scene.recovery(began)
-    bite = await _listed(scene, None, newcomer)
-    scene.ended("membership: a volunteer joins and leaves", began, recovery, bite=bite)
+    evidence = await _listed(scene, None, newcomer)
+    scene.ended("membership: a volunteer joins and leaves", began, recovery, evidence=evidence)
 
 
 async def _join(scene: Scene) -> Supernode:
@@ -91,14 +92,14 @@ async def _join(scene: Scene) -> Supernode:
 
 
 async def _remove(scene: Scene, one: Supernode) -> None:
-    """It is removed, and ends by itself when it hears of it. Raises DidNotBite if it goes on."""
+    """It is removed, and ends by itself when it hears of it. Raises FaultHadNoEffect if it goes on."""
     await _command(scene, "remove", one.name)
     scene.cluster.supernodes.remove(one)
     try:
         async with asyncio.timeout(REMOVED_SECONDS):
             await one.ended()
     except TimeoutError:
-        raise DidNotBite(f"{one.name} was removed {REMOVED_SECONDS} s ago and still runs") from None
+        raise FaultHadNoEffect(f"{one.name} was removed {REMOVED_SECONDS} s ago and still runs") from None
     finally:
         await scene.cluster.forget(one)
 
@@ -117,7 +118,7 @@ async def _command(scene: Scene, verb: str, *words: str) -> None:
 
 
 async def _listed(scene: Scene, newcomer: Supernode | None, leaver: Supernode) -> str:
-    """All members name the newcomer, and none the leaver. Raises DidNotBite."""
+    """All members name the newcomer, and none the leaver. Raises FaultHadNoEffect."""
     wanted = {one.name for one in scene.cluster.supernodes}
     assert newcomer is None or newcomer.name in wanted
     assert leaver.name not in wanted
@@ -126,7 +127,7 @@ async def _listed(scene: Scene, newcomer: Supernode | None, leaver: Supernode) -
         seen: set[str] = set()
         while seen != wanted:
             if time.monotonic() > deadline:
-                raise DidNotBite(f"{one.name} takes {sorted(seen)} for the members, which are {sorted(wanted)}")
+                raise FaultHadNoEffect(f"{one.name} takes {sorted(seen)} for the members, which are {sorted(wanted)}")
             with contextlib.suppress(grpc.aio.AioRpcError):
                 listed = await one.stub.ListSupernodes(pb.ListSupernodesRequest(), timeout=2)
                 seen = {record.supernode_id for record in listed.supernodes}
@@ -137,7 +138,7 @@ async def _listed(scene: Scene, newcomer: Supernode | None, leaver: Supernode) -
 
 @asynccontextmanager
 async def _trouble(scene: Scene, victim: Supernode) -> AsyncIterator[str]:
-    """Soon after the block began `victim` is killed, stopped or cut off for a moment; gives which."""
+    """Kill, stop or cut off `victim` for a moment, soon after the block began; yields the text which says what."""
     kinds: dict[str, Callable[[Scene, Supernode], Awaitable[None]]] = {
         "kill -9": _kill_for_a_moment,
         "SIGSTOP": _freeze_for_a_moment,

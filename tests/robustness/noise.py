@@ -25,7 +25,7 @@ from stampede_rt.v1 import (
     raft_service_pb2,
 )
 from stampede_rt_runtime.identity import Role
-from tests.robustness.placed_process import DidNotBite, PlacedProcess
+from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
 from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
 
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
@@ -78,10 +78,10 @@ async def noise(scene: Scene) -> None:
     worst = max(grown, key=lambda name: grown[name])
     if grown[worst] > MEMORY_BYTES_MAX:
         raise AssertionError(f"{worst} grew by {grown[worst] / 2**20:.0f} MiB for noise")
-    bite = f"{refused} connections and calls were refused at {len(victims)} ports"
-    note = f"the memory of {worst} grew most, by {grown[worst] / 2**20:.0f} MiB"
+    evidence = f"{refused} connections and calls were refused at {len(victims)} ports"
+    note = f"the memory of {worst} grew the most, by {grown[worst] / 2**20:.0f} MiB"
     kind = "noise at every port: random bytes, pickles, HTTP/1, half TLS hellos, giant frames"
-    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite, note=note)
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence, note=note)
 
 
 def _memory_from_now(one: PlacedProcess) -> int:
@@ -115,7 +115,7 @@ def giant_message() -> bytes:
 
 @contextlib.contextmanager
 def half_hellos(one: PlacedProcess) -> Iterator[None]:
-    """While entered, callers have said half of a TLS hello, and nothing since. Raises DidNotBite if none was let in."""
+    """Hold connections that sent half of a TLS hello and nothing more. Raises FaultHadNoEffect if none was let in."""
     outgoing = ssl.MemoryBIO()
     hello = ssl.create_default_context().wrap_bio(ssl.MemoryBIO(), outgoing, server_hostname="stampede")
     with contextlib.suppress(ssl.SSLWantReadError):
@@ -130,11 +130,11 @@ def half_hellos(one: PlacedProcess) -> Iterator[None]:
 
 
 def _send_all(one: PlacedProcess, payloads: Sequence[bytes], insider: TlsFiles | None) -> int:
-    """Returns how many connections the service ended. Raises DidNotBite if it ended none."""
+    """Returns how many connections the service ended. Raises FaultHadNoEffect if it ended none."""
     contexts: list[ssl.SSLContext | None] = [None] if insider is None else [None, tls_context(insider)]
     ended = sum(_send(one, payload, context) for payload in payloads for context in contexts)
     if not ended:
-        raise DidNotBite(f"{one.name} hung up on none of {len(payloads)} connections full of noise")
+        raise FaultHadNoEffect(f"{one.name} hung up on none of {len(payloads)} connections full of noise")
     return ended
 
 

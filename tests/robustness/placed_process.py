@@ -22,8 +22,8 @@ READY_SECONDS = 30.0
 SEEN_SECONDS = 2.0
 
 
-class DidNotBite(AssertionError):
-    """A fault was injected and its effect was not seen: the campaign would prove nothing by it."""
+class FaultHadNoEffect(AssertionError):
+    """A fault was injected, but its effect was not observed, so the campaign would prove nothing."""
 
 
 class PlacedProcess:
@@ -108,18 +108,18 @@ class PlacedProcess:
         return await self._process.wait()
 
     async def kill(self) -> None:
-        """kill -9, and wait until it is gone. Raises DidNotBite if it had ended by itself."""
+        """kill -9, and wait until it is gone. Raises FaultHadNoEffect if it had ended by itself."""
         self.signal(signal.SIGKILL)
         if self._process is not None and await self.ended() != -signal.SIGKILL:
-            raise DidNotBite(f"{self.name} had ended before it was killed: {self.last_words()!r}")
+            raise FaultHadNoEffect(f"{self.name} had ended before it was killed: {self.last_words()!r}")
 
     async def freeze(self) -> None:
-        """SIGSTOP; returns when the kernel shows it as stopped. Raises DidNotBite if it never does."""
+        """SIGSTOP; returns when the kernel shows it as stopped. Raises FaultHadNoEffect if it never does."""
         self.signal(signal.SIGSTOP)
         deadline = time.monotonic() + SEEN_SECONDS
         while self.kernel_state() != "T":
             if time.monotonic() > deadline:
-                raise DidNotBite(f"{self.name} is in state {self.kernel_state()} after SIGSTOP")
+                raise FaultHadNoEffect(f"{self.name} is in state {self.kernel_state()} after SIGSTOP")
             await asyncio.sleep(0.01)
 
     def thaw(self) -> None:

@@ -14,13 +14,13 @@ from tests.robustness.campaign import Findings
 from tests.robustness.scene import Outcome
 
 TITLE = "# A run of "
-NOTES_MAX = 4  # of one kind
-VIOLATION_CHARS_MAX = 3000  # the whole history of a name may be long
+NOTES_MAX = 4  # for each kind of fault
+VIOLATION_CHARS_MAX = 3000  # a violation quotes the whole history of a name, which may be long
 
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """What came of the seeds."""
+    """The results of the simulated runs, one for each seed."""
 
     seeds: int
     failed: Sequence[int]
@@ -43,13 +43,13 @@ class Run:
 
     @property
     def outcomes(self) -> list[Outcome]:
-        """What became of all faults."""
+        """The results of the faults of all campaigns."""
         return [outcome for findings in self.findings for outcome in findings.outcomes]
 
 
 def write_report(run: Run) -> str:
-    """The page, in Markdown."""
-    parts = [_head(run), _verdict(run), _summary(run), _faults(run.outcomes), _campaigns(run), _bites(run.outcomes)]
+    """Return the report as Markdown text."""
+    parts = [_head(run), _verdict(run), _summary(run), _faults(run.outcomes), _campaigns(run), _evidence(run.outcomes)]
     return "\n".join(part for part in [*parts, _notes(run.outcomes), _violations(run)] if part)
 
 
@@ -79,14 +79,23 @@ def _summary(run: Run) -> str:
         ("faults injected into real processes", len(run.outcomes)),
         ("kinds of faults", len({outcome.kind for outcome in run.outcomes})),
         ("calls of the directory, recorded and judged", len(operations)),
-        ("names (each a history of its own)", sum(findings.names for findings in run.findings)),
-        ("calls whose outcome their caller never heard", sum(operation.ambiguous for operation in operations)),
-        ("calls refused for want of a majority, certainly not done", sum(one.not_done for one in run.findings)),
+        ("names of channels and peers, each with its own history", sum(findings.names for findings in run.findings)),
+        (
+            "calls whose caller does not know whether they took effect",
+            sum(operation.ambiguous for operation in operations),
+        ),
+        (
+            "calls refused because no majority was available, certainly without effect",
+            sum(one.not_done for one in run.findings),
+        ),
         ("acknowledged writes", sum(findings.acknowledged for findings in run.findings)),
-        ("**acknowledged writes lost, undone, read stale or done twice, and other violations**", f"**{unexplained}**"),
+        (
+            "**acknowledged writes that were lost, undone or done twice, stale reads, and other violations**",
+            f"**{unexplained}**",
+        ),
         ("lease renewals / registrations of hosts without items", _leases(run.findings)),
         (
-            "longest time without service, a majority alive and its links good",
+            "longest time without service while a majority was alive and connected",
             f"{worst.gap_s:.2f} s ({worst.gap_in})" if worst else "-",
         ),
         ("longest time that the measuring process itself did not run", f"{stalled:.2f} s"),
@@ -103,11 +112,14 @@ def _item_rows(findings: Sequence[Findings]) -> list[tuple[str, object]]:
     return [
         ("channels with items / acknowledged puts", f"{_sum(judged, 'channels')} / {_sum(judged, 'acknowledged')}"),
         (
-            "**acknowledged items lost while their host lived / shown twice**",
+            "**acknowledged items lost although their host lived / stored twice**",
             f"**{_sum(judged, 'lost')} / {_sum(judged, 'doubled')}**",
         ),
-        ("items gone with a killed or fenced host, readers being told", _sum(judged, "gone_with_host")),
-        ("puts and reads that ended with an error, told to their caller", _sum(findings, "item_calls_failed")),
+        (
+            "items lost with a killed or fenced host (the new incarnation informs the readers)",
+            _sum(judged, "gone_with_host"),
+        ),
+        ("puts and reads that failed, with an error to their caller", _sum(findings, "item_calls_failed")),
     ]
 
 
@@ -131,15 +143,23 @@ def _leases(real: Sequence[Findings]) -> str:
 
 
 def _faults(outcomes: Iterable[Outcome]) -> str:
-    """Recovery counts from the harm to the acknowledgement of a write that was begun after it."""
+    """Return the table of the kinds of faults, with their recovery times."""
     rows = [_fault_row(kind, members) for kind, members in sorted(_by_kind(outcomes).items())]
     title = (
-        "## Faults by kind\n\nServed again: from the harm to the acknowledgement of a write of the directory begun "
-        "after it; for hosts, of a put under a new owner or incarnation. Longest without a write: the longest that the "
-        "directory acknowledged none from the harm until all was healed. Waiting for a processor: the start of Python "
-        "processes, and pauses of the one that measures.\n\n"
+        "## Faults by kind\n\nRecovery: the time from the fault to the acknowledgement of a write in the directory "
+        "that began after the fault; for hosts, of a put under a new owner or a new incarnation. Longest time without "
+        "a write: how long at most the directory acknowledged no write, from the fault until it was healed. Waiting "
+        "for the CPU: the start of Python processes, and times when the measuring process did not run.\n\n"
     )
-    header = ("fault", "times", "served again, median", "worst", "longest without a write", "limit", "verdict")
+    header = (
+        "fault",
+        "times",
+        "median recovery",
+        "longest recovery",
+        "longest time without a write",
+        "limit",
+        "verdict",
+    )
     return title + _table(header, rows)
 
 
@@ -168,10 +188,10 @@ def _row_verdict(members: Sequence[Outcome], limit: float | None) -> str:
     if failed := sum(one.failed for one in members):
         return f"**{failed} of {len(members)} failed**"
     if late := sum(one.late for one in members):
-        return f"**{late} of {len(members)} over it**"
+        return f"**{late} of {len(members)} over the limit**"
     if excused := [one for one in members if one.over_limit]:
         slowest = max(one.excused_s for one in excused)
-        return f"kept, but for up to {slowest:.1f} s of waiting for a processor ({len(excused)} of {len(members)})"
+        return f"kept, but for up to {slowest:.1f} s of waiting for the CPU ({len(excused)} of {len(members)})"
     return "-" if limit is None else "kept"
 
 
@@ -187,14 +207,17 @@ def _campaigns(run: Run) -> str:
         )
         for one in run.findings
     ]
-    header = ("campaign", "took", "faults", "calls", "acknowledged writes", "longest without service")
+    header = ("campaign", "took", "faults", "calls", "acknowledged writes", "longest time without service")
     return "## Campaigns\n\n" + _table(header, rows) if rows else ""
 
 
-def _bites(outcomes: Iterable[Outcome]) -> str:
-    """A fault whose effect was not seen fails the run; here is what was seen of the last of each kind."""
-    rows = [(kind, members[-1].bite) for kind, members in sorted(_by_kind(outcomes).items())]
-    return "## What showed that the harm was done\n\n" + _table(("fault", "the last time"), rows) if rows else ""
+def _evidence(outcomes: Iterable[Outcome]) -> str:
+    """Return the table with the effect that the run observed of the last fault of each kind.
+
+    A fault whose effect was not observed makes the run fail.
+    """
+    rows = [(kind, members[-1].evidence) for kind, members in sorted(_by_kind(outcomes).items())]
+    return "## Evidence that each fault took effect\n\n" + _table(("fault", "the last time"), rows) if rows else ""
 
 
 def _notes(outcomes: Iterable[Outcome]) -> str:
@@ -204,7 +227,7 @@ def _notes(outcomes: Iterable[Outcome]) -> str:
         lines += [f"- {kind}: {note}" for note in notes[:NOTES_MAX]]
         if len(notes) > NOTES_MAX:
             lines.append(f"- {kind}: {len(notes) - NOTES_MAX} more like these")
-    return "## What came of it\n\n" + "\n".join(lines) + "\n" if lines else ""
+    return "## Observations\n\n" + "\n".join(lines) + "\n" if lines else ""
 
 
 def _violations(run: Run) -> str:
@@ -219,8 +242,11 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def broken_promises(run: Run) -> list[str]:
-    """Histories that nothing explains, recoveries that took longer than promised or did not come, faults that did not
-    bite or were not reached, seeds that failed. A line each."""
+    """Return one line for each broken promise.
+
+    These are: histories that no order of the calls explains, recoveries that took longer than promised or never
+    happened, faults that had no effect or were not injected, and simulated seeds that failed.
+    """
     broken = [f"{one.title}: {text.splitlines()[0]}" for one in run.findings for text in one.violations]
     broken += limits_broken(run.outcomes)
     if run.simulated is not None:
@@ -229,10 +255,11 @@ def broken_promises(run: Run) -> list[str]:
 
 
 def limits_broken(outcomes: Iterable[Outcome]) -> list[str]:
-    """The recoveries that took longer than promised, and those that did not come at all."""
+    """Return one line for each recovery that took longer than promised or never happened, and each fault without
+    effect."""
     outcomes = list(outcomes)
     late = [
-        f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s ({one.excused_s:.2f} s of it start or pause)"
+        f"{one.kind}: {one.recovery_s:.2f} s, promised {one.limit_s:.0f} s (waited {one.excused_s:.2f} s for the CPU)"
         for one in outcomes
         if one.late
     ]

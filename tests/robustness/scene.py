@@ -20,11 +20,12 @@ PATIENCE_SECONDS = 40.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What became of one fault. Times in seconds.
+    """The result of one fault. Times are in seconds.
 
-    `recovery_s`: from the harm to the acknowledgement of a write begun after it. `start_s`: how much of that it took
-    to start processes; `stall_s`: the longest that the measuring process itself did not run in it. `gap_s`: the longest
-    without an acknowledged write until the fault had ended. `bite`: what showed that the harm was done.
+    `recovery_s`: from the fault to the acknowledgement of a write that began after it. `start_s`: how much of that time
+    the start of processes took. `stall_s`: the longest time in it when the measuring process itself did not run.
+    `gap_s`: the longest time without an acknowledged write until the fault had ended. `evidence`: the observation that
+    shows that the fault took effect.
     """
 
     kind: str
@@ -36,7 +37,7 @@ class Outcome:
     stall_s: float = 0.0
     gap_s: float = 0.0
     majority: bool = True  # of the supernodes was alive and connected all the time
-    bite: str = ""
+    evidence: str = ""
     note: str = ""
     failed: bool = False
 
@@ -78,15 +79,15 @@ class Scene:
         return leader, first, second
 
     def ended(self, kind: str, began: float, recovery_s: float | None = None, **facts: Any) -> None:
-        """Take the fault down, which ends now; `facts` are the other fields of Outcome."""
+        """Record the fault, which ends now; `facts` are the other fields of Outcome."""
         ended = time.monotonic()
         gap_s = self.probe.longest_gap_s(began, ended)
         stall_s = self.probe.stalled_s(began, began + (recovery_s or 0.0))
         facts |= {"recovery_s": recovery_s, "gap_s": gap_s, "stall_s": stall_s}
         outcome = Outcome(kind=kind, began=began, ended=ended, **facts)
         self.outcomes.append(outcome)
-        measured = "" if recovery_s is None else f" served again after {recovery_s:.2f} s"
-        print(f"{outcome.ended:10.1f}  {kind}{measured} [{outcome.bite}] {outcome.note}", flush=True)
+        measured = "" if recovery_s is None else f" recovered after {recovery_s:.2f} s"
+        print(f"{outcome.ended:10.1f}  {kind}{measured} [{outcome.evidence}] {outcome.note}", flush=True)
 
 
 Fault = Callable[[Scene], Awaitable[None]]

@@ -15,7 +15,7 @@ from stampede_rt.security.tls import TlsFiles
 from stampede_rt_runtime.identity import Role
 from tests.robustness.certificates import Certificates
 from tests.robustness.noise import tls_context
-from tests.robustness.placed_process import DidNotBite, PlacedProcess
+from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
 from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
 
 SEEN_SECONDS = 15.0
@@ -31,13 +31,13 @@ async def rotate(scene: Scene) -> None:
         former = _copied(certificates.files(Role.CLIENT, "stranger"), Path(namespace))
         await _rotated(certificates, victims, former)
     recovery = await scene.recovery(time.monotonic())
-    bite = f"all {len(victims)} services show new certificates and refuse the former"
+    evidence = f"all {len(victims)} services show new certificates and refuse the former"
     kind = "rotation of all certificates and of the authority"
-    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence)
 
 
 async def _rotated(certificates: Certificates, victims: list[PlacedProcess], former: TlsFiles) -> None:
-    """Each step waits until every service has taken it. Raises DidNotBite."""
+    """Each step waits until every service has taken it. Raises FaultHadNoEffect."""
     certificates.take_over()
     newcomer = certificates.files(Role.CLIENT, f"newcomer-{time.monotonic_ns()}")
     await _each(victims, lambda one: accepts(one, newcomer), "trusts the new authority")
@@ -62,14 +62,17 @@ async def strangers(scene: Scene) -> None:
         }
         for one in scene.cluster.processes():
             if not await asyncio.to_thread(accepts, one, right):
-                raise DidNotBite(f"{one.name} refuses the right certificate, so that a refusal says nothing")
+                raise FaultHadNoEffect(f"{one.name} refuses the right certificate, so that a refusal says nothing")
             for kind, files in wrong.items():
                 if await asyncio.to_thread(accepts, one, files, certificates.ca):
                     raise AssertionError(f"{one.name} lets in a caller with {kind} certificate")
                 refused += 1
     recovery = await scene.recovery(began)
-    bite = f"{refused} of {refused} callers were refused, and the right one was let in everywhere"
-    scene.ended(KIND_REFUSED, began, recovery, limit_s=RECOVERY_SECONDS_MAX, bite=bite)
+    evidence = (
+        f"{refused} of {refused} callers were refused, "
+        "and the caller with the right certificate was accepted everywhere"
+    )
+    scene.ended(KIND_REFUSED, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence)
 
 
 def _certificates(scene: Scene) -> Certificates:
@@ -84,12 +87,12 @@ def _copied(files: TlsFiles, folder: Path) -> TlsFiles:
 
 
 async def _each(victims: list[PlacedProcess], holds: Callable[[PlacedProcess], bool], what: str) -> None:
-    """Wait until it holds for every service. Raises DidNotBite."""
+    """Wait until it holds for every service. Raises FaultHadNoEffect."""
     deadline = time.monotonic() + SEEN_SECONDS
     for one in victims:
         while not await asyncio.to_thread(holds, one):
             if time.monotonic() > deadline:
-                raise DidNotBite(f"not so {SEEN_SECONDS} s after the change: {one.name} {what}")
+                raise FaultHadNoEffect(f"not so {SEEN_SECONDS} s after the change: {one.name} {what}")
             await asyncio.sleep(0.1)
 
 

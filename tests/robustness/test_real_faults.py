@@ -120,14 +120,14 @@ def test_a_recovery_over_its_limit_breaks_the_promise_and_shows_in_the_report() 
     [broken] = limits_broken(outcomes)
     assert broken.startswith("kill -9 of the leader: 5.50 s, promised 5 s")
     page = write_report(run(findings(*outcomes)))
-    assert "| kill -9 of the leader | 2 | 3.50 s | 5.50 s | 0.00 s | 5 s | **1 of 2 over it** |" in page
+    assert "| kill -9 of the leader | 2 | 3.50 s | 5.50 s | 0.00 s | 5 s | **1 of 2 over the limit** |" in page
     assert "Broken promises" in page
 
 
 def test_a_limit_missed_for_the_start_of_processes_alone_is_no_lost_service_and_is_told() -> None:
     slow = outcome("kill -9 of all", 0, 9, 6.5, start_s=4.0)
     assert limits_broken([slow]) == []
-    assert "kept, but for up to 4.0 s of waiting for a processor (1 of 1)" in write_report(run(findings(slow)))
+    assert "kept, but for up to 4.0 s of waiting for the CPU (1 of 1)" in write_report(run(findings(slow)))
     assert limits_broken([replace(slow, start_s=1.0)]) != []
     assert limits_broken([replace(slow, start_s=0.0, stall_s=2.0)]) == []
 

@@ -88,9 +88,13 @@ def step(state: Owned, operation: Operation) -> Owned | None:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What came of the histories. `lost`: acknowledged and not shown to a later reader of the same incarnation;
-    `doubled`: shown twice; `unexplained`: neither put by anybody, or two owners, or stale, see `violations`.
-    `gone_with_host`: acknowledged under an incarnation that is over, as the promise allows and readers are told."""
+    """The judgement of the histories.
+
+    `lost`: items that were acknowledged, but that a later reader of the same incarnation did not see. `doubled`: items
+    that a reader saw twice. `gone_with_host`: items that were acknowledged under an incarnation which has ended; the
+    promise allows this loss, and the new incarnation informs the readers. `violations` describes everything that the
+    model does not allow: lost and doubled items, items that nobody put, two owners, and stale reads.
+    """
 
     channels: int
     acknowledged: int
@@ -109,7 +113,7 @@ def judge_items(operations: Iterable[Operation]) -> Judged:
         missing, twice, strange = _shown_wrong(history)
         lost, doubled = lost + len(missing), doubled + len(twice)
         violations += [f"{name}: {payload!r} was acknowledged and is lost" for payload in sorted(missing)]
-        violations += [f"{name}: {payload!r} was taken twice" for payload in sorted(twice)]
+        violations += [f"{name}: {payload!r} was stored twice" for payload in sorted(twice)]
         violations += [f"{name}: {payload!r} was put by nobody" for payload in sorted(strange)]
         try:
             check_linearizable([one for one in history if not one.ambiguous], Owned(), step)
@@ -122,7 +126,7 @@ def judge_items(operations: Iterable[Operation]) -> Judged:
 
 
 def _acknowledged(history: Sequence[Operation]) -> dict[int, list[Operation]]:
-    """The acknowledged puts of each incarnation, in the order in which those were first heard of."""
+    """The acknowledged puts of each incarnation; the incarnations in the order of their first acknowledgement."""
     found: dict[int, list[Operation]] = defaultdict(list)
     for one in sorted(history, key=lambda one: one.returned):
         if isinstance(one.answer, Accepted):
@@ -131,7 +135,7 @@ def _acknowledged(history: Sequence[Operation]) -> dict[int, list[Operation]]:
 
 
 def _shown_wrong(history: Sequence[Operation]) -> tuple[set[bytes], set[bytes], set[bytes]]:
-    """The payloads that complete readings show to be lost, doubled, and of nobody."""
+    """Return the payloads that complete readings show to be lost, to be doubled, and to be put by nobody."""
     acknowledged = _acknowledged(history)
     put = {one.call.payload for one in history if isinstance(one.call, Put)}
     lost: set[bytes] = set()

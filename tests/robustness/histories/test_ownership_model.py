@@ -66,8 +66,8 @@ def test_a_history_with_one_owner_at_a_time_is_accepted(history: list[Operation]
         ([FIRST, SECOND, newest(4, A, 1)], "no order of these operations"),
         # An acknowledged item is lost, though its owner is still there and has newer ones.
         ([FIRST, SECOND, listed(4, A, (2, b"2"))], "b'1' was acknowledged and is lost"),
-        # A put that was tried again was taken twice.
-        ([FIRST, SECOND, listed(4, A, (1, b"1"), (2, b"2"), (3, b"2"))], "b'2' was taken twice"),
+        # A put that was tried again was stored twice.
+        ([FIRST, SECOND, listed(4, A, (1, b"1"), (2, b"2"), (3, b"2"))], "b'2' was stored twice"),
         # An item of the lost incarnation shows up in the new one.
         ([FIRST, put(b"2", 2, B, 1), listed(4, B, (1, b"2"), (2, b"ghost"))], "b'ghost' was put by nobody"),
     ],
