@@ -18,7 +18,7 @@ from stampede_rt_bench.tables import Table
 from stampede_rt_runtime.garbage import GarbageCollection
 from tests.benchmarks.longest_pause.client import ask
 from tests.benchmarks.longest_pause.groups import group_readers, late_items
-from tests.benchmarks.longest_pause.leases import elsewhere, fence, registration
+from tests.benchmarks.longest_pause.leases import elsewhere, fence, registration, touched
 from tests.benchmarks.longest_pause.queues import batches
 from tests.benchmarks.longest_pause.reads import given_up_get, large_get, listing, page, subscription
 from tests.benchmarks.longest_pause.retention import (
@@ -72,6 +72,7 @@ CASES: dict[str, tuple[Case, int]] = {
     "fence": (fence, HELD_CHANNELS),
     "registration": (registration, HELD_CHANNELS),
     "elsewhere": (elsewhere, HELD_CHANNELS),
+    "touched": (touched, HELD_CHANNELS),
 }
 
 

@@ -52,6 +52,15 @@ async def elsewhere(rig: Rig, channels: int) -> tuple[str, Work]:
     return f"{channels:,} channels and as many queues went elsewhere when the host registers again", work
 
 
+async def touched(rig: Rig, channels: int) -> tuple[str, Work]:
+    """As after a put into each of them within half a second."""
+    adopt(rig, channels)
+    store = rig.host.store
+    for hosted in store.all():
+        store.sweep.touch(hosted)
+    return f"the sweep looks at {channels:,} changed channels", store.sweep.sweep
+
+
 def adopt(rig: Rig, channels: int) -> None:
     """Serve channels and queues without asking the directory."""
     for number in range(channels):

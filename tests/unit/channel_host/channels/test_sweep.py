@@ -175,3 +175,13 @@ async def test_a_put_of_one_byte_with_large_attributes_is_charged_with_what_it_k
     run = IncomingRun(encoded, producer_id=0, first_number=1, wait_nanos=None)
     channel.puts.put(run, host.clock.time_unix_nano())
     assert host.memory.used_bytes > 10_000
+
+
+async def test_a_step_of_the_sweep_looks_at_a_bounded_number_of_changed_channels() -> None:
+    host = Host()
+    for _ in range(4 * sweep.CHANNELS_PER_STEP_MAX):
+        host.sweep.touch(host.open(Policy()))
+    counts = [0]
+    while host.sweep._step():
+        counts.append(host.sweep.looked_at)
+    assert [later - earlier for earlier, later in pairwise(counts)] == [sweep.CHANNELS_PER_STEP_MAX] * 4

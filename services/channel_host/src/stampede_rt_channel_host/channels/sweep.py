@@ -7,6 +7,7 @@ costs nothing.
 from __future__ import annotations
 
 import asyncio
+from collections import OrderedDict
 from collections.abc import Callable
 from typing import NoReturn
 
@@ -14,9 +15,10 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.core.deadlines import Deadlines
 
 ROUND_SECONDS = 0.5
-CHANNELS_PER_STEP_MAX = 256
+CHANNELS_PER_STEP_MAX = 32
 ENTRIES_PER_STEP_MAX = 64  # a step ends after it has freed this many entries of the indexes of channels
 STEPS_PER_RECLAIM = 8
+CHANNELS_PER_RECLAIM_STEP_MAX = 256  # more, because changed channels come before those with outdated items
 
 
 class Sweep:
@@ -28,7 +30,8 @@ class Sweep:
 
     def __init__(self, now: Callable[[], int]) -> None:
         self._now = now
-        self._touched: dict[HostedChannel, None] = {}
+        # a dict walks over the places of all deleted keys before it finds its first key
+        self._touched: OrderedDict[HostedChannel, None] = OrderedDict()
         self._deadlines: Deadlines[HostedChannel] = Deadlines()
         self.looked_at = 0
 
@@ -55,13 +58,13 @@ class Sweep:
     def reclaim(self) -> None:
         """Collect a bounded part in due channels before this call returns, because a put needs the memory."""
         for _ in range(STEPS_PER_RECLAIM):
-            if not self._step():
+            if not self._step(CHANNELS_PER_RECLAIM_STEP_MAX):
                 return
 
-    def _step(self) -> bool:
+    def _step(self, channels_max: int = CHANNELS_PER_STEP_MAX) -> bool:
         """Collect a bounded part, however many channels are due. Returns True if more may be due now."""
         freed_entries = 0
-        for _ in range(CHANNELS_PER_STEP_MAX):
+        for _ in range(channels_max):
             hosted = next(iter(self._touched), None) or self._deadlines.pop(self._now())
             if hosted is None:
                 return False
