@@ -109,7 +109,7 @@ class ReplicaDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ReportReplicaLoads(self, request, context):
-        """Between hosts and supernodes only: a host tells the load of its copies, about every 2 s. The leader keeps it in
+        """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
         memory and not in the log. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

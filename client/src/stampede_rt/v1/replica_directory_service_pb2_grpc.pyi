@@ -58,7 +58,7 @@ class ReplicaDirectoryServiceStub:
     another boot).
     """
     ReportReplicaLoads: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ReportReplicaLoadsRequest, _replica_directory_service_pb2.ReportReplicaLoadsResponse]
-    """Between hosts and supernodes only: a host tells the load of its copies, about every 2 s. The leader keeps it in
+    """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
     memory and not in the log. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED.
     """
     ListReplicas: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ListReplicasRequest, _replica_directory_service_pb2.ListReplicasResponse]
@@ -96,7 +96,7 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     another boot).
     """
     ReportReplicaLoads: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ReportReplicaLoadsRequest, _replica_directory_service_pb2.ReportReplicaLoadsResponse]  # type: ignore[assignment]
-    """Between hosts and supernodes only: a host tells the load of its copies, about every 2 s. The leader keeps it in
+    """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
     memory and not in the log. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED.
     """
     ListReplicas: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ListReplicasRequest, _replica_directory_service_pb2.ListReplicasResponse]  # type: ignore[assignment]
@@ -155,7 +155,7 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _replica_directory_service_pb2.ReportReplicaLoadsRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_replica_directory_service_pb2.ReportReplicaLoadsResponse, _abc.Awaitable[_replica_directory_service_pb2.ReportReplicaLoadsResponse]]:
-        """Between hosts and supernodes only: a host tells the load of its copies, about every 2 s. The leader keeps it in
+        """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
         memory and not in the log. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED.
         """
 

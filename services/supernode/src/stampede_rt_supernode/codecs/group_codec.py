@@ -17,7 +17,7 @@ _OLDEST = (group_pb2.GROUP_REFERENCE_UNSPECIFIED, group_pb2.GROUP_REFERENCE_OLDE
 
 
 def group_spec_from(spec: group_pb2.GroupSpec) -> GroupSpec:
-    """The set-up in a message.
+    """The members and settings in a message.
 
     Raises InvalidArgument if the reference or bound is unknown, or if the message has a `reference_channel_id` although
     no channel is the reference.
@@ -49,7 +49,7 @@ def _reference_from(spec: group_pb2.GroupSpec) -> bytes | None:
 
 
 def group_spec_message(spec: GroupSpec) -> group_pb2.GroupSpec:
-    """The message of a set-up. Leaves out fields that are None."""
+    """The message of the members and settings. Leaves out fields that are None."""
     by_channel = spec.reference_channel_id is not None
     return group_pb2.GroupSpec(
         channel_ids=spec.channel_ids,

@@ -29,7 +29,7 @@ _SPEC_FIELDS = (
 
 
 def queue_spec_from(spec: queue_pb2.QueueSpec) -> QueueSpec:
-    """The set-up in a message. Raises InvalidArgument for an unknown value of on_full."""
+    """The policy in a message. Raises InvalidArgument for an unknown value of on_full."""
     if spec.on_full not in _ON_FULL_FROM_WIRE:
         raise InvalidArgument(
             f"on_full is {spec.on_full}, which this version does not know; see QueueOnFull for the values"
@@ -39,7 +39,7 @@ def queue_spec_from(spec: queue_pb2.QueueSpec) -> QueueSpec:
 
 
 def queue_spec_message(spec: QueueSpec) -> queue_pb2.QueueSpec:
-    """The message of a set-up. Leaves out fields that are None."""
+    """The message of a policy. Leaves out fields that are None."""
     others: dict[str, Any] = {name: getattr(spec, name) for name in _SPEC_FIELDS}
     return queue_pb2.QueueSpec(on_full=_ON_FULL_TO_WIRE[spec.on_full], **others)
 

@@ -95,7 +95,7 @@ class ChannelRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupSpec:
-    """The set-up of a group (paper, section 3.3). A field is None if it was not stated.
+    """The members and settings of a group (paper, section 3.3). A field is None if it was not stated.
 
     `channel_ids`: the members, each once, in any order. `reference_channel_id`: the member that is the reference; if it
     is None, the group has the smallest cut of all members. `bound`: "start" or "end". For the other fields see
@@ -152,7 +152,7 @@ class ReplicaRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueSpec:
-    """The set-up of a queue (paper, section 3.5). A field is None if it was not stated.
+    """The policy of a queue (paper, section 3.5). A field is None if it was not stated.
 
     `on_full`: "block", "reject" or "drop_oldest".
     """

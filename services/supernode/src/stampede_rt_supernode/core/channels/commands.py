@@ -26,7 +26,7 @@ class OpenChannel(Creation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UpdateChannel(Operation):
-    """Change the stated fields of a channel's set-up. `epoch`: the present epoch, as the caller knows it."""
+    """Change the stated fields of a channel's policy. `epoch`: the present epoch, as the caller knows it."""
 
     channel_id: bytes
     epoch: int

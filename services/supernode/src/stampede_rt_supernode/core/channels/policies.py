@@ -1,4 +1,4 @@
-"""Checks which channel set-ups are possible, and whether two of them agree (paper, section 3.4). Pure.
+"""Checks which policies of a channel are possible, and whether two of them agree (paper, section 3.4). Pure.
 
 A field that is None was never stated. A stated value holds from then on. A later open may repeat it or leave it out.
 Only an update changes it.
@@ -67,7 +67,7 @@ def out_of_range(field: str, value: int, allowed: str) -> str:
 
 
 def check_policy(channel: str, policy: Policy) -> None:
-    """Raises InvalidArgument if `policy` is not possible as the whole set-up of `channel`."""
+    """Raises InvalidArgument if `policy` is not possible as the whole policy of `channel`."""
     check_ranges(channel, policy)
     if policy.on_full == "block" and policy.max_age_nanos is None and policy.consumers is None:
         text = 'on_full="block" waits for ever if nothing makes room; state max_age or consumers with it'
@@ -101,7 +101,7 @@ def _invalid(channel: str, field: str, text: str) -> InvalidArgument:
 
 
 def agree(channel: str, held: Policy, asked: Policy) -> Policy:
-    """The set-up of `channel` after an open with the policy `asked`. Raises ChannelExists with the contradicting field.
+    """The policy of `channel` after an open with the policy `asked`. Raises ChannelExists with the contradicting field.
 
     A stated field must be repeated or left out. A field that was never stated is taken over while the channel is
     provisional. Later it must equal the value in effect, because another value would collect items of other callers

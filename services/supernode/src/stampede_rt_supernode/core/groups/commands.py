@@ -10,7 +10,11 @@ from stampede_rt_supernode.core.records import GroupRecord, GroupSpec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OpenGroup(Creation):
-    """Get or create a group. If `spec` is None, any set-up will do. The `new_` fields are used if it is created."""
+    """Get or create a group.
+
+    If `spec` is None, an existing group may have any members and settings. The `new_` fields are used if the group is
+    created.
+    """
 
     name: str
     spec: GroupSpec | None

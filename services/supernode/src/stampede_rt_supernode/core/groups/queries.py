@@ -14,7 +14,7 @@ from stampede_rt_supernode.core.validation import check_id
 
 @dataclass(frozen=True, slots=True)
 class GroupView:
-    """A group, its existing members in the order of its set-up, and their owners, each once."""
+    """A group, its existing members in the order of its spec, and their owners, each once."""
 
     group: GroupRecord
     channels: tuple[ChannelRecord, ...]

@@ -1,4 +1,4 @@
-"""Checks which set-ups of a group are possible, and whether two of them mean the same (paper, section 3.3). Pure."""
+"""Checks which specs of a group are possible, and whether two specs mean the same (paper, section 3.3). Pure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BOUNDS = ("start", "end")
 
 
 def check_spec(group: str, spec: GroupSpec) -> None:
-    """Raises InvalidArgument if the set-up is not possible. `group`: its name."""
+    """Raises InvalidArgument if `spec` is not possible. `group`: its name."""
     members = spec.channel_ids
     if not 1 <= len(members) <= MEMBERS_MAX:
         raise _invalid(group, "channel_ids", f"it would have {len(members)} members; 1 to {MEMBERS_MAX} are allowed")
@@ -42,7 +42,7 @@ def _invalid(group: str, field: str, text: str) -> InvalidArgument:
 
 
 def same_spec(one: GroupSpec, other: GroupSpec) -> bool:
-    """Whether two set-ups mean the same. The order of members does not count, nor whether a default is stated."""
+    """Whether two specs mean the same. The order of members does not count, nor whether a default is stated."""
     return _plain(one) == _plain(other)
 
 

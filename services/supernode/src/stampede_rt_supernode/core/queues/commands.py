@@ -26,7 +26,7 @@ class OpenQueue(Creation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UpdateQueue(Operation):
-    """Change the stated fields of a queue's set-up. `epoch`: the present epoch, as the caller knows it."""
+    """Change the stated fields of a queue's policy. `epoch`: the present epoch, as the caller knows it."""
 
     queue_id: bytes
     epoch: int

@@ -1,4 +1,4 @@
-"""Checks which set-ups of a queue are possible, and whether two of them agree (paper, section 3.5). Pure.
+"""Checks which policies of a queue are possible, and whether two of them agree (paper, section 3.5). Pure.
 
 The rules are those of channels. A field that is None was never stated. A stated value holds from then on. A later open
 may repeat it or leave it out. Only an update changes it.
@@ -16,7 +16,7 @@ from stampede_rt_supernode.core.validation import check_id
 
 ON_FULL = ("block", "reject", "drop_oldest")
 LIMITS = ("max_items", "max_bytes")
-# The set-up of a mailbox for which the peer states none.
+# The policy of a mailbox for which the peer states none.
 MAILBOX_UNSTATED = QueueSpec(max_items=1024)
 # The values of unstated fields. content_type is not here: unstated, it has no effect on messages.
 IN_EFFECT_UNSTATED = {
@@ -62,7 +62,7 @@ def _invalid(queue: str, field: str, text: str) -> InvalidArgument:
 
 
 def stated(spec: QueueSpec) -> dict[str, int | str | bytes]:
-    """The stated fields of a set-up, by name."""
+    """The stated fields of a policy, by name."""
     named = {field.name: getattr(spec, field.name) for field in fields(spec)}
     return {name: value for name, value in named.items() if value is not None}
 
@@ -73,7 +73,7 @@ def merge(held: QueueSpec, changes: QueueSpec) -> QueueSpec:
 
 
 def agree(queue: str, held: QueueSpec, asked: QueueSpec) -> QueueSpec:
-    """The set-up of `queue` after an open with the set-up `asked`. Raises QUEUE_EXISTS with the contradicting field.
+    """The policy of `queue` after an open with the policy `asked`. Raises QUEUE_EXISTS with the contradicting field.
 
     A stated field must be repeated or left out. A field that was never stated is taken over while no limit was stated.
     Later it must equal the value in effect, because another value would affect other producers and takers.

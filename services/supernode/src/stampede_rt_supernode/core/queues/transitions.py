@@ -84,7 +84,7 @@ def _agreed(tables: Tables, queue: QueueRecord, asked: QueueSpec) -> QueueRecord
 
 
 def _with_spec(tables: Tables, queue: QueueRecord, spec: QueueSpec) -> QueueRecord:
-    """`queue` with this set-up, and with a new version if the set-up differs."""
+    """`queue` with this policy, and with a new version if the policy differs."""
     if spec == queue.spec:
         return queue
     check_dead_letter(tables, queue.queue_id, queue.name or queue.queue_id.hex(), spec)
@@ -122,7 +122,7 @@ def check_room(tables: Tables, queue: str) -> None:
 def check_dead_letter(tables: Tables, queue_id: bytes, shown: str, spec: QueueSpec) -> None:
     """Check that the dead-letter queue exists, is no mailbox, and does not lead back to the queue.
 
-    `queue_id`, `shown`: the id and the shown name of the queue whose set-up `spec` is. Raises QUEUE_NOT_FOUND or
+    `queue_id`, `shown`: the id and the shown name of the queue whose policy is `spec`. Raises QUEUE_NOT_FOUND or
     InvalidArgument.
     """
     following = spec.dead_letter_queue_id
@@ -158,7 +158,8 @@ def _check_epoch(queue: QueueRecord, epoch: int) -> None:
     if epoch != queue.epoch:
         shown = queue.name or queue.queue_id.hex()
         raise StaleBinding(
-            f"queue {shown} is at epoch {queue.epoch}, not {epoch}: it has another host now; resolve it again",
+            f"queue {shown} is at epoch {queue.epoch}, not {epoch}: its host has changed or restarted; "
+            "resolve it again",
             reason="WRONG_EPOCH",
             metadata={"queue": shown, "epoch": str(queue.epoch)},
         )

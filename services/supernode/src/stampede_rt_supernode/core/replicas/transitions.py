@@ -54,7 +54,7 @@ def check_epoch(channel: ChannelRecord, epoch: int) -> None:
     """Raises StaleBinding with reason WRONG_EPOCH if the channel has another epoch."""
     if epoch != channel.epoch:
         raise StaleBinding(
-            f"channel {channel.name} is at epoch {channel.epoch}, not {epoch}: it has another host now; "
+            f"channel {channel.name} is at epoch {channel.epoch}, not {epoch}: its host has changed or restarted; "
             "resolve it again",
             reason="WRONG_EPOCH",
             metadata={"channel": channel.name, "epoch": str(channel.epoch)},

@@ -56,17 +56,17 @@ class LeadershipTransfer:
         """Whether the leader looks for a successor."""
         return self._leaving is not None
 
-    def begin(self, wish: HandOver) -> None:
+    def begin(self, request: HandOver) -> None:
         """Begin to look for a successor, or add the caller to those that wait for one.
 
         Answers True without a search if this node does not lead, and False if no other member votes.
         """
         if not self._node.is_leader or not self._node.voter_ids():
-            self._answer([wish], not self._node.is_leader)
+            self._answer([request], not self._node.is_leader)
             return
         if self._leaving is None:
             self._leaving = _Leaving(self._clock() + HAND_OVER_SECONDS)
-        self._leaving.callers.append(wish)
+        self._leaving.callers.append(request)
 
     def advance(self) -> None:
         """Take the next step, if the leader looks for a successor."""

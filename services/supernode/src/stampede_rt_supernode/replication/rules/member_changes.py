@@ -138,9 +138,9 @@ class MemberChanges:
                 self._make_way(self._addition, change.member.member_id)
             self._introduce(change)
 
-    def hand_over(self, wish: HandOver) -> None:
+    def hand_over(self, request: HandOver) -> None:
         """Begin to look for a successor."""
-        self._transfer.begin(wish)
+        self._transfer.begin(request)
 
     def advance(self) -> None:
         """Take the next step of all changes and of the hand-over that are under way."""
