@@ -20,6 +20,8 @@ from pathlib import Path
 from stampede_rt_local.namespaces import unavailable_because
 from tests.robustness.campaign import (
     HOST_FAULTS,
+    HOSTILE_FAULTS,
+    HOSTS,
     RARELY_COMPACTED_FAULTS,
     SECURED_FAULTS,
     WEATHERS,
@@ -32,7 +34,7 @@ from tests.robustness.directory.simulate import run_seeds
 from tests.robustness.report import TITLE, Run, broken_promises, write_report
 
 # How the minutes are divided.
-SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, WEATHER_SHARE = 0.3, 0.25, 0.3, 0.15
+SECURED_SHARE, OPEN_SHARE, HOSTS_SHARE, HOSTILE_SHARE, WEATHER_SHARE = 0.25, 0.2, 0.25, 0.2, 0.1
 
 
 def arguments() -> argparse.Namespace:
@@ -60,7 +62,6 @@ async def real_faults(minutes: float, seed: int) -> list[Findings]:
                 in_rounds(SECURED_FAULTS, seed, seconds * SECURED_SHARE),
                 seed=seed,
                 secured=True,
-                with_hosts=False,
             ),
             await run_campaign(
                 folder / "open",
@@ -68,7 +69,6 @@ async def real_faults(minutes: float, seed: int) -> list[Findings]:
                 in_rounds(RARELY_COMPACTED_FAULTS, seed + 1, seconds * OPEN_SHARE),
                 seed=seed + 1,
                 secured=False,
-                with_hosts=False,
                 compacts_early=False,
             ),
             await run_campaign(
@@ -77,7 +77,16 @@ async def real_faults(minutes: float, seed: int) -> list[Findings]:
                 in_rounds(HOST_FAULTS, seed + 2, seconds * HOSTS_SHARE),
                 seed=seed + 2,
                 secured=True,
-                with_hosts=True,
+                hosts=HOSTS,
+            ),
+            await run_campaign(
+                folder / "hostile",
+                "Hostile clients beside good ones",
+                in_rounds(HOSTILE_FAULTS, seed + 4, seconds * HOSTILE_SHARE),
+                seed=seed + 4,
+                secured=False,
+                hosts=1,
+                compacts_early=False,
             ),
             await run_weathers(
                 folder / "weather",

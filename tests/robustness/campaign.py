@@ -15,7 +15,8 @@ from pathlib import Path
 import grpc
 
 from stampede_rt.errors import StampedeError
-from tests.robustness import faults, hostility, hosts, membership, noise, strangers
+from tests.robustness import faults, hostile_callers, hostility, membership, noise, strangers
+from tests.robustness import hosts as host_faults
 from tests.robustness.callers import Caller, HostActor
 from tests.robustness.cluster import Cluster, running_cluster
 from tests.robustness.histories.channel_model import acknowledged_writes, violations
@@ -32,12 +33,13 @@ SECURED_FAULTS: dict[str, Fault] = {**OPEN_FAULTS, **strangers.FAULTS}
 RARELY_COMPACTED_FAULTS = {name: fault for name, fault in OPEN_FAULTS.items() if name != "past_compaction"}
 OF_THE_DIRECTORY = ("kill_leader", "kill_all", "freeze_leader", "split_off_leader", "exhaust_descriptors", "step_clock")
 HOST_FAULTS: dict[str, Fault] = {
-    **hosts.FAULTS,
+    **host_faults.FAULTS,
     **noise.FAULTS,
     **strangers.FAULTS,
     **{name: fault for name, fault in OPEN_FAULTS.items() if name in OF_THE_DIRECTORY},
 }
-EVERY_FAULT: dict[str, Fault] = {**SECURED_FAULTS, **HOST_FAULTS}
+HOSTILE_FAULTS: dict[str, Fault] = hostile_callers.FAULTS
+EVERY_FAULT: dict[str, Fault] = {**SECURED_FAULTS, **HOST_FAULTS, **HOSTILE_FAULTS}
 CALLERS, HOST_ACTORS, WORKERS, HOSTS = 6, 3, 4, 3
 # (delay, jitter, share of chunks that are retransmitted, share at which the connection is reset)
 WEATHERS = {
@@ -94,12 +96,11 @@ async def run_campaign(
     *,
     seed: int,
     secured: bool,
-    with_hosts: bool,
+    hosts: int = 0,
     compacts_early: bool = True,
     quiet_s: float = 0.5,
 ) -> Findings:
     """Faults by name, in this order, each followed by `quiet_s` in which everybody serves again."""
-    hosts = HOSTS if with_hosts else 0
     async with running_cluster(folder, secured=secured, hosts=hosts, compacts_early=compacts_early) as cluster:
         campaign = _Campaign(cluster, folder, seed)
 

@@ -115,6 +115,11 @@ class Cluster:
         assert self.frontend is not None
         return Host(name, namespace, self.folder, self._files(Role.HOST, name, namespace), self.frontend)
 
+    @property
+    def outside(self) -> NetworkNamespace:
+        """A namespace in which no service runs, as long as no supernode is about to join."""
+        return self._spare[-1]
+
     def newcomer(self) -> Supernode:
         """A supernode that has yet to join, under an id that was never used, in the place that is free."""
         self._made += 1

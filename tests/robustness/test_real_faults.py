@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from stampede_rt_local.namespaces import unavailable_because
-from tests.robustness.campaign import Findings, in_rounds, longest_gap, run_campaign
+from tests.robustness.campaign import HOSTS, Findings, in_rounds, longest_gap, run_campaign
 from tests.robustness.histories.channel_model import Delete, Deleted, Open, Resolve, Seen, Update, violations
 from tests.robustness.histories.operations import Operation
 from tests.robustness.histories.ownership_model import Judged
@@ -24,7 +24,7 @@ needs_namespaces = pytest.mark.skipif(WHY_NOT is not None, reason=WHY_NOT or "")
 @pytest.mark.timeout(180)
 async def test_a_directory_whose_leader_is_killed_and_removed_loses_nothing(tmp_path: Path) -> None:
     faults = ["kill_leader", "remove_leader"]
-    found = await run_campaign(tmp_path, "short", faults, seed=7, secured=False, with_hosts=False, quiet_s=0.1)
+    found = await run_campaign(tmp_path, "short", faults, seed=7, secured=False, quiet_s=0.1)
     assert found.violations == ()
     assert not [outcome for outcome in found.outcomes if outcome.failed]
     assert len(found.outcomes) == len(faults)
@@ -73,7 +73,7 @@ def doubled_claim(history: list[Operation]) -> list[Operation]:
 @pytest.mark.timeout(180)
 async def test_a_secured_cluster_whose_host_is_killed_has_one_owner_at_a_time(tmp_path: Path) -> None:
     faults = ["restart_host", "strangers"]
-    found = await run_campaign(tmp_path, "short", faults, seed=7, secured=True, with_hosts=True, quiet_s=0.1)
+    found = await run_campaign(tmp_path, "short", faults, seed=7, secured=True, hosts=HOSTS, quiet_s=0.1)
     assert found.violations == ()
     assert not [outcome for outcome in found.outcomes if outcome.failed]
     assert found.items is not None
@@ -156,3 +156,14 @@ def test_every_fault_is_injected_once_before_any_is_injected_again() -> None:
 
 def test_a_round_that_takes_much_too_long_is_cut() -> None:
     assert list(in_rounds(["kill_leader"], 3, -1.0)) == []
+
+
+@needs_namespaces
+@pytest.mark.timeout(180)
+async def test_hostile_clients_and_used_up_quotas_cost_good_clients_no_call_and_no_lease(tmp_path: Path) -> None:
+    faults = ["attack_unfinished-puts", "quota_streams", "quota_channels"]
+    found = await run_campaign(tmp_path, "short", faults, seed=7, secured=False, hosts=1, quiet_s=0.1)
+    assert found.violations == ()
+    assert [outcome.note for outcome in found.outcomes if outcome.failed] == []
+    assert len(found.outcomes) == len(faults)
+    assert found.item_calls_failed == 0

@@ -17,6 +17,7 @@ from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
 from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
 
 GOOD_CHANNEL = "good"
+NAME_VARIABLE = "STAMPEDE_ATTACK_NAME"  # the attacker names its things so
 OPTIONS = [
     ("grpc.max_receive_message_length", -1),
     ("grpc.use_local_subchannel_pool", 1),  # each has a connection of its own

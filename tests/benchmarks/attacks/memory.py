@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import suppress
 from typing import Any
@@ -20,10 +21,10 @@ from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt.wire.runs import encode_run
-from tests.benchmarks.attacks.ground import Ground, all_of, for_ever
+from tests.benchmarks.attacks.ground import NAME_VARIABLE, Ground, all_of, for_ever
 
 MIB = 2**20
-NAME = "hostile"
+NAME = os.environ.get(NAME_VARIABLE, "hostile")
 STREAMS, GETS, REFUSED, TWICE = 60, 1280, 800, 150
 UNKNOWN_BYTES = 200 * 2**10
 WAITING, WAITING_BYTES = 40, 15 * MIB
@@ -97,7 +98,7 @@ async def waiting_puts(ground: Ground, under_way: Callable[[], None]) -> None:
         await put_all(ground, NAME, [encode_run([b"first"], times=None)])
         run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
         request = pb.PutRequest(**known, puts=[pb.PutRun(first_number=1, run=run)])
-        await _write_and_stay(ground, PUT_METHOD, request, under_way)
+        await _put_and_wait(ground, PUT_METHOD, request, under_way)
 
 
 async def waiting_enqueues(ground: Ground, under_way: Callable[[], None]) -> None:
@@ -107,7 +108,7 @@ async def waiting_enqueues(ground: Ground, under_way: Callable[[], None]) -> Non
         known = await queue_known(ground)
         run = item_pb2.ItemRun.FromString(encode_run([bytes(WAITING_BYTES)], times=None))
         request = queue_pb.EnqueueRequest(**known, runs=[queue_pb.EnqueueRun(first_number=1, run=run)])
-        await _write_and_stay(ground, ENQUEUE_METHOD, request, under_way)
+        await _put_and_wait(ground, ENQUEUE_METHOD, request, under_way)
 
 
 async def queue_known(ground: Ground) -> dict[str, Any]:
@@ -119,7 +120,7 @@ async def queue_known(ground: Ground) -> dict[str, Any]:
     return {"queue_id": record.queue_id, "epoch": record.epoch}
 
 
-async def _write_and_stay(ground: Ground, method: str, request: Any, under_way: Callable[[], None]) -> None:
+async def _put_and_wait(ground: Ground, method: str, request: Any, under_way: Callable[[], None]) -> None:
     under_way()
     await all_of(*(_write(ground, method, request.SerializeToString()) for _ in range(WAITING)))
     await for_ever()
@@ -139,7 +140,9 @@ async def silent_subscriptions(ground: Ground, under_way: Callable[[], None]) ->
         opened = pb.SubscribeOpen(**await ground.bound(NAME), start=time_pb2.Bound(instant_unix_nano=MIN_INSTANT))
         request = pb.SubscribeRequest(open=opened, credit_bytes=2**60)
         calls = [stub(ground, ChannelServiceStub).Subscribe(metadata=ground.metadata) for _ in range(STREAMS)]
-        await _write_and_stay(calls, request, under_way)
+        under_way()
+        await all_of(*(call.write(request) for call in calls))
+        await for_ever()
 
 
 async def silent_gets(ground: Ground, under_way: Callable[[], None]) -> None:

@@ -87,6 +87,15 @@ async def _create(ground: Ground, numbers: itertools.count[int]) -> None:
             await open_channel(request, metadata=ground.metadata, timeout=10)
 
 
+async def new_queues(ground: Ground, under_way: Callable[[], None]) -> None:
+    """Queues are made one after the other."""
+    async with ground.connect() as rt:
+        under_way()
+        for number in itertools.count():
+            with suppress(st.StampedeError):
+                await rt.queue(f"{NAME}/{number}")
+
+
 async def silent_watches(ground: Ground, under_way: Callable[[], None]) -> None:
     """2000 watches of the directory and 2000 of its peers that nobody reads, while channels are made and deleted."""
     calls: list[Any] = []

@@ -29,6 +29,7 @@ FOLLOW = "/stampede_rt.v1.DirectoryService/Follow"
 HOLD = "/stampede_rt.v1.DirectoryService/Hold"
 READ = "/stampede_rt.v1.DirectoryService/Read"
 SECRET = Secret(text="right", path=Path("secret"))
+FIRST = asyncio.FIRST_COMPLETED
 NO_REQUEST = b"\xff\xff\xff"
 
 
@@ -128,6 +129,37 @@ async def test_a_call_without_its_request_ends_and_gives_its_slot_back(
             grpc.StatusCode.INVALID_ARGUMENT,
             f"{method} was called without a request; send one",
         )
+
+
+async def test_a_server_reads_only_a_few_unfinished_requests_of_a_caller_at_the_same_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("stampede_rt_runtime.requests.READS_MAX", 3)
+    limits = Limits(request_bytes_max=2**20)
+    async with port(limits=limits) as one:
+        raw = await RawConnection.open(one.address)
+        await raw.greeted.wait()
+        streams = [await raw.call(LIST) for _ in range(10)]
+        sending = [
+            asyncio.create_task(raw.send_as_allowed(stream, limits.request_bytes_max, limits.request_bytes_max - 1))
+            for stream in streams
+        ]
+
+        async def read(number: int) -> list[int]:
+            """The streams that are read, as soon as there are that many."""
+            async with asyncio.timeout(20):
+                while sum(task.done() for task in sending) < number:
+                    await asyncio.wait({task for task in sending if not task.done()}, return_when=FIRST)
+            return [stream for stream in streams if raw.allowed_bytes[stream] > limits.unread_bytes_max]
+
+        first = await read(3)
+        assert len(first) == 3
+        for stream in first:
+            await raw.reset(stream)
+        assert len(await read(6)) == 6
+        for task in sending:
+            task.cancel()
+        await raw.aclose()
 
 
 @pytest.mark.parametrize("method", [LIST, WATCH, FOLLOW])

@@ -12,17 +12,39 @@ import contextlib
 import inspect
 from collections.abc import AsyncIterator, Callable
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import grpc
 
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.status import abort
+from stampede_rt_runtime.access.control import current_account
 from stampede_rt_runtime.handlers import behavior_of
+from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.rpc import Context
 
 REQUEST_SECONDS_MAX = 10.0
+READS_MAX = 32
+"""The most single requests of one caller that gRPC reads at the same time. Further calls of the caller wait.
+
+gRPC keeps each request in memory until it is complete, up to 4 MiB at a supernode, and no quota counts this memory.
+"""
 
 Parse = Callable[[bytes], Any]
+
+
+_turns: WeakKeyDictionary[Account, asyncio.Semaphore] = WeakKeyDictionary()
+
+
+def _turn_to_read() -> contextlib.AbstractAsyncContextManager[Any]:
+    """A context in which the present caller reads one request. Members of the cluster and operators never wait."""
+    account = current_account()
+    if account is unlimited():
+        return contextlib.nullcontext()
+    turn = _turns.get(account)
+    if turn is None:
+        turn = _turns[account] = asyncio.Semaphore(READS_MAX)
+    return turn
 
 
 def reading_late(method: str, handler: Any) -> Any:
@@ -57,7 +79,7 @@ def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | 
 
     async def read(context: Context) -> Any:
         try:
-            async with asyncio.timeout(REQUEST_SECONDS_MAX):
+            async with asyncio.timeout(REQUEST_SECONDS_MAX), _turn_to_read():
                 raw = await context.read()
         except TimeoutError:
             raise DeadlineExceeded(

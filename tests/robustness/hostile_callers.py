@@ -1,0 +1,219 @@
+"""Clients that attack a host or supernode, and clients that use up a quota, while good clients use the same cluster.
+
+The attacks are those of `tests.benchmarks.attacks`. Each attacker is a process in a namespace of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import statistics
+import sys
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt.administration.running_cluster import PartUse, reached
+from stampede_rt.v1 import quota_pb2, quota_service_pb2
+from stampede_rt_runtime.quotas.limits import Quota
+from stampede_rt_runtime.quotas.messages import KINDS, quota_from
+from tests.benchmarks.attacks.attacker import UNDER_WAY
+from tests.benchmarks.attacks.catalogue import CASES
+from tests.benchmarks.attacks.ground import GOOD_CHANNEL, NAME_VARIABLE, Ground
+from tests.robustness.cluster import request_id
+from tests.robustness.placed_process import FaultHadNoEffect, PlacedProcess
+from tests.robustness.scene import RECOVERY_SECONDS_MAX, Fault, Scene
+from tests.support.supernode.processes import clean_environment
+
+ATTACK_SECONDS, UNDER_WAY_SECONDS, END_SECONDS = 4.0, 120.0, 10.0
+PERIOD_SECONDS, CALL_SECONDS = 0.02, 10.0
+ATTACKER = "attacker"
+LEASE_LOST = "the lease has ended"
+TOKEN_NANOS = 3600 * 10**9
+MIB = 2**20
+# An attack that uses up each quota, with a limit that it meets soon. Nothing is refused beyond `cpu-percent`.
+QUOTAS: dict[Quota, tuple[str, int]] = {
+    Quota.STREAMS: ("many-streams", 100),
+    Quota.SUBSCRIPTIONS: ("many-subscriptions", 100),
+    Quota.WAITING_CALLS: ("blocked-gets", 100),
+    Quota.BYTES_IN_FLIGHT: ("waiting-puts", 4 * MIB),
+    Quota.CHANNELS: ("new-channels", 20),
+    Quota.QUEUES: ("new-queues", 20),
+    Quota.CHANGES_PER_SECOND: ("new-channels", 5),
+    Quota.BYTES_HELD: ("held-bytes", 4 * MIB),
+    Quota.CPU_PERCENT: ("busy-puts", 10),
+}
+_numbers = itertools.count(1)
+
+
+@dataclass
+class Puts:
+    """The puts of a good client beside an attack: how long each took."""
+
+    took_ms: list[float] = field(default_factory=list)
+
+    async def run(self, channel: Any) -> None:
+        """Put until cancelled. Raises StampedeError: no put of a good client may fail."""
+        while True:
+            began = time.perf_counter()
+            await channel.put(b"x" * 100, timeout=CALL_SECONDS)
+            self.took_ms.append((time.perf_counter() - began) * 1000)
+            await asyncio.sleep(PERIOD_SECONDS)
+
+    def __str__(self) -> str:
+        cuts = statistics.quantiles(self.took_ms, n=100, method="inclusive")
+        return f"{len(self.took_ms)} good puts, p50 {cuts[49]:.1f} ms, p99 {cuts[98]:.1f} ms"
+
+
+async def attack(scene: Scene, name: str, quota: Quota | None = None) -> None:
+    """Let the attacker of that name work for a while; with `quota`, its limit is low, and something must be refused.
+
+    Raises FaultHadNoEffect, StampedeError for a failed good put, and AssertionError if a host lost its lease.
+    """
+    host, supernode = scene.cluster.hosts[0], scene.cluster.supernodes[0]
+    watched: PlacedProcess = host if CASES[name].watched == "host" else supernode
+    assert scene.traffic is not None
+    channel = await scene.traffic.rt.channel(GOOD_CHANNEL, max_age="10s")
+    leases, connections = _leases_lost(scene), watched.descriptors()
+    watched.forget_memory_peak()
+    before, thing, puts, began = watched.memory_peak_bytes(), f"hostile-{next(_numbers)}", Puts(), time.monotonic()
+    earlier = await asyncio.to_thread(_used, scene)
+    async with _limited(scene, quota), _attacking(scene, name, thing):
+        good = asyncio.create_task(puts.run(channel))
+        try:
+            recovery = await scene.recovery(began)
+            await asyncio.wait({good}, timeout=ATTACK_SECONDS)
+            while len(puts.took_ms) < 2 and not good.done():
+                await asyncio.wait({good}, timeout=PERIOD_SECONDS)
+            most, used = watched.descriptors(), await asyncio.to_thread(_used, scene)
+        finally:
+            good.cancel()
+            with suppress(asyncio.CancelledError):
+                await good
+    peak = watched.memory_peak_bytes()
+    await _forget(scene, thing)
+    if _leases_lost(scene) > leases:
+        raise AssertionError(f"a host lost its lease during the attack {name}")
+    evidence = _refusals(earlier, used, quota) if quota else f"{most - connections} connections of the attacker"
+    if not quota and most <= connections and not used:
+        raise FaultHadNoEffect(f"the attacker of {name} has no connection to {watched.name}, and uses nothing")
+    note = f"{puts}; {watched.name} had {before / MIB:.0f} MiB, at most {peak / MIB:.0f}"
+    kind = f"quota {quota} used up by {name}" if quota else f"attack {name}"
+    scene.ended(kind, began, recovery, limit_s=RECOVERY_SECONDS_MAX, evidence=evidence, note=note)
+
+
+def _leases_lost(scene: Scene) -> int:
+    return sum(host.log_file.read_text(errors="replace").count(LEASE_LOST) for host in scene.cluster.hosts)
+
+
+@asynccontextmanager
+async def _attacking(scene: Scene, name: str, thing: str) -> AsyncIterator[None]:
+    """The attacker at work, on things whose names begin with `thing`."""
+    ground = await asyncio.to_thread(_ground, scene)
+    words = (sys.executable, "-m", "tests.benchmarks.attacks.attacker", name)
+    process = await asyncio.create_subprocess_exec(
+        *scene.cluster.outside.command(*words),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        env=clean_environment() | {NAME_VARIABLE: thing, "PYTHONPATH": os.getcwd()},
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write(ground.to_line().encode() + b"\n")
+        line = b""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(UNDER_WAY_SECONDS):
+                line = await process.stdout.readline()
+        if line.decode().strip() != UNDER_WAY:
+            raise FaultHadNoEffect(f"the attacker of {name} failed, or was not ready after {UNDER_WAY_SECONDS:g} s")
+        yield
+        if process.returncode is not None:
+            raise FaultHadNoEffect(f"the attacker of {name} ended by itself")
+    finally:
+        process.stdin.close()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(END_SECONDS):
+                await process.wait()
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+
+
+def _ground(scene: Scene) -> Ground:
+    cluster = scene.cluster
+    assert cluster.frontend is not None
+    with reached(cluster.frontend.address, None) as operator:
+        token = operator.issue_client_token(ATTACKER, ["client"], valid_nanos=TOKEN_NANOS).token
+    return Ground(
+        frontend=cluster.frontend.address,
+        supernode=cluster.supernodes[0].address,
+        host=cluster.hosts[0].address,
+        secret=token,
+    )
+
+
+@asynccontextmanager
+async def _limited(scene: Scene, quota: Quota | None) -> AsyncIterator[None]:
+    """Sets a low limit of that quota for the attacker."""
+    if quota is None:
+        yield
+        return
+    setting = quota_pb2.QuotaSetting(who=ATTACKER, kind=KINDS[quota], limit=QUOTAS[quota][1])
+    one = quota_service_pb2.SetQuotasRequest(request_id=request_id(), settings=[setting])
+    await asyncio.to_thread(_ask, scene, "SetQuotas", one)
+    try:
+        yield
+    finally:
+        other = quota_service_pb2.RemoveQuotasRequest(request_id=request_id(), who=ATTACKER)
+        await asyncio.to_thread(_ask, scene, "RemoveQuotas", other)
+
+
+def _ask(scene: Scene, rpc: str, request: Any) -> None:
+    assert scene.cluster.frontend is not None
+    with reached(scene.cluster.frontend.address, None) as operator:
+        operator.ask_quotas(rpc, request)
+
+
+def _used(scene: Scene) -> list[PartUse]:
+    """What the attacker uses at each part of the cluster, and what was refused."""
+    assert scene.cluster.frontend is not None
+    with reached(scene.cluster.frontend.address, None) as operator:
+        return [part for who in (ATTACKER, f"@{scene.cluster.outside.address}") for part in operator.quota_uses(who)]
+
+
+def _refusals(earlier: list[PartUse], told: list[PartUse], quota: Quota) -> str:
+    """What showed that the attacker met its limit. Raises FaultHadNoEffect."""
+    before = {part: use.refused for part, use in _uses(earlier, quota)}
+    for part, use in _uses(told, quota):
+        refused = use.refused - before.get(part, 0)
+        if refused or (quota is Quota.CPU_PERCENT and use.used):
+            return f"{part}: {use.used} of {use.limit} used, {refused} refused"
+    raise FaultHadNoEffect(f"nobody was refused anything by the quota {quota}")
+
+
+def _uses(told: list[PartUse], quota: Quota) -> Iterator[tuple[str, quota_pb2.QuotaUse]]:
+    yield from ((part.part, use) for part in told for use in part.uses if quota_from(use.kind) is quota)
+
+
+async def _forget(scene: Scene, thing: str) -> None:
+    """Delete the large things that the attacker has made."""
+    assert scene.traffic is not None
+    rt = scene.traffic.rt
+    handles = [partial(rt.group, thing), partial(rt.queue, thing, create=False)]
+    handles += [partial(rt.channel, name, create=False) for name in (thing, f"{thing}/left", f"{thing}/right")]
+    for handle in handles:
+        with suppress(st.ChannelNotFound, st.QueueNotFound, st.GroupNotFound):
+            await (await handle()).delete()
+
+
+FAULTS: dict[str, Fault] = {
+    **{f"attack_{name}": partial(attack, name=name) for name in CASES},
+    **{f"quota_{quota}": partial(attack, name=name, quota=quota) for quota, (name, _) in QUOTAS.items()},
+}
