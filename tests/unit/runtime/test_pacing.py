@@ -10,9 +10,12 @@ from typing import Any
 import grpc
 import pytest
 
+from stampede_rt_runtime import pacing
 from stampede_rt_runtime.pacing import STREAMS_PER_TURN, PacedContext, PacingInterceptor, TurnGate
+from stampede_rt_runtime.quotas import turns as caller_turns
 from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import DEFAULTS
+from stampede_rt_runtime.quotas.working import CallerWork
 
 STREAMS = 200
 ONE, OTHER = Account("one", DEFAULTS), Account("other", DEFAULTS)
@@ -139,6 +142,59 @@ async def _handler(behavior: Any) -> Any:
         return grpc.stream_stream_rpc_method_handler(behavior)
 
     return (await PacingInterceptor().intercept_service(found, None)).stream_stream  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("kind", ["unary", "stream", "responses"])
+async def test_every_kind_of_call_is_charged_what_its_work_costs(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    """Of every service: a supernode's list with a pattern counts more than one without."""
+    now = 10**9
+    monkeypatch.setattr("time.thread_time_ns", lambda: now)
+    caller = Account("one", DEFAULTS, turns=caller_turns.Turns(lambda: now, lambda delay_s, call: None))
+    monkeypatch.setattr(pacing, "current_account", lambda: caller)
+    monkeypatch.setattr(pacing, "current_work", lambda: CallerWork(caller))
+
+    def work() -> None:
+        nonlocal now
+        now += 3 * 10**8
+
+    async def call(_request: Any, _context: Any) -> None:
+        work()
+
+    async def responses(_request: Any, _context: Any) -> AsyncIterator[bytes]:
+        work()
+        yield b"one"
+
+    if kind == "unary":
+
+        async def found(_: Any) -> Any:
+            return grpc.unary_unary_rpc_method_handler(call)
+
+        handler = (await PacingInterceptor().intercept_service(found, None)).unary_unary  # type: ignore[arg-type]
+    else:
+        handler = await _handler(call if kind == "stream" else responses)
+    await handler(None, Stream())
+    now += 10**9
+    assert caller.turn is not None
+    assert caller.turn.used_percent() == 30
+
+
+async def test_responses_that_are_yielded_wait_for_the_turn_of_their_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+    caller = Account("one", DEFAULTS, turns=caller_turns.Turns(lambda: 10**9, lambda delay_s, call: None))
+    waiting = CallerWork(caller)
+    monkeypatch.setattr(pacing, "current_work", lambda: waiting)
+    assert caller.turn is not None
+    caller.turn.stand(lambda: None)  # a step of another stream
+
+    async def responses(_request: Any, _context: Any) -> AsyncIterator[bytes]:
+        yield b"one"
+
+    stream = Stream()
+    call = asyncio.create_task((await _handler(responses))(None, stream))
+    for _ in range(5):
+        await asyncio.sleep(0)
+    assert stream.written == []
+    call.cancel()
+    await asyncio.wait({call})
 
 
 async def test_streams_that_are_cancelled_again_while_they_wait_for_their_turn_to_end_also_end() -> None:
