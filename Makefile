@@ -34,6 +34,7 @@ test: setup  ## the whole test suite
 
 explore: setup  ## stories that the suite does not play, drawn anew each time, against the oracles
 	STAMPEDE_PROPERTY_EXAMPLES=5000 $(RUN)/pytest -n 2 --hypothesis-profile=explore --timeout=0 $(PROPERTY_TESTS)
+	STAMPEDE_HOSTILE_SEEDS=400 $(RUN)/pytest -n 2 --timeout=0 tests/robustness/replication/test_hostile_peers.py
 
 fuzz: fuzz-cancels fuzz-parsers fuzz-ports  ## all of the next three, for about 75 minutes; exit code 2 if anything is found
 

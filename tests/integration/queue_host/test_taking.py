@@ -125,13 +125,13 @@ async def test_a_stream_whose_caller_has_closed_its_side_ends_when_its_credit_is
     assert await taker.ended() == grpc.StatusCode.OK
 
 
-async def test_a_thousand_waiting_takers_are_served_in_turn(rig: QueueRig) -> None:
+async def test_hundreds_of_waiting_takers_are_served_in_turn(rig: QueueRig) -> None:
     queue = rig.open()
-    calls = [await queue.take(taker_id=number, credit=1).open() for number in range(1, 1001)]
-    await queue.until(lambda status: status.waiting_takers == 1000)
-    await queue.enqueue(*[run_of(*[b"%d" % (part * 250 + place) for place in range(250)]) for part in range(4)])
+    calls = [await queue.take(taker_id=number, credit=1).open() for number in range(1, 301)]
+    await queue.until(lambda status: status.waiting_takers == 300)
+    await queue.enqueue(*[run_of(*[b"%d" % (part * 100 + place) for place in range(100)]) for part in range(3)])
     found = [(await call.items(1))[0].payload for call in calls]
-    assert found == [b"%d" % number for number in range(1000)]
+    assert found == [b"%d" % number for number in range(300)]
     assert (await queue.status()).waiting_takers == 0
 
 

@@ -39,7 +39,7 @@ from tests.robustness.replication.simulate import Storm, calm, weather_of
 from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import World
 
-SEEDS = range(int(os.environ.get("STAMPEDE_HOSTILE_SEEDS", "40")))
+SEEDS = range(int(os.environ.get("STAMPEDE_HOSTILE_SEEDS", "15")))
 MESSAGES = 400
 
 

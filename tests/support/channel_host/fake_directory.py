@@ -28,7 +28,7 @@ class FakeDirectory(
 ):
     """A fake directory. `refuse[method]` makes a method fail; `calls` counts the calls; `target` is its address."""
 
-    def __init__(self, *, lease_ttl_nanos: int = 5 * 10**9) -> None:
+    def __init__(self, *, lease_ttl_nanos: int = 60 * 10**9) -> None:
         self.lease_ttl_nanos = lease_ttl_nanos
         self.hosts: dict[bytes, directory_pb2.HostRecord] = {}
         self.channels: dict[bytes, channel_pb2.ChannelRecord] = {}

@@ -58,7 +58,10 @@ class FakeQueueDirectory(FakeDirectory, queue_directory_service_pb2_grpc.QueueDi
         return pb.ResolveQueueResponse(queue=record, host=self.hosts.get(record.host_id))
 
     async def Watch(self, request: Any, context: Any) -> AsyncIterator[directory_service_pb2.WatchResponse]:  # noqa: N802
-        assert request.include_queues
+        if not request.include_queues:  # another part of the host watches other things
+            async for response in super().Watch(request, context):
+                yield response
+            return
         changes: asyncio.Queue[queue_pb2.QueueRecord | None] = asyncio.Queue()
         self._watchers.append(changes)
         await self._begin("Watch", context)
