@@ -173,12 +173,12 @@ class World:
                 if one.own is None or one.member is None or not host.is_up:
                     continue
                 if one.owner == at:
-                    host.board.tell_own(channel_id, one.own.times(one.epoch), one.own.silent_since)
+                    host.board.enter_own(channel_id, one.own.times(one.epoch), one.own.silent_since)
                     host.oracle_board.own(channel_id, one.member)
                 elif channel_id in host.deaf_owner_of:
                     stale = ChannelTimes(one.epoch - 1, one.pair.incarnation, 2**61, 2**62, 2**61)
                     if (known := host.board.find(channel_id)) is not None and known.times.epoch >= one.epoch:
-                        host.board.tell_own(channel_id, stale, self.clock)
+                        host.board.enter_own(channel_id, stale, self.clock)
             if host.is_up:
                 host.confirm(set(self.up) - {at})
                 host.look(self.clock)

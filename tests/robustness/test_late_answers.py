@@ -61,7 +61,7 @@ async def test_an_answer_from_before_a_registration_is_not_served() -> None:
     store = store_over(directory)
     binding = asyncio.create_task(store.bind(CHANNEL, 1))
     late = await directory.questions.get()
-    run_to_end(store.registering([], all_told=True))  # the lease had ended, and the channel went elsewhere meanwhile
+    run_to_end(store.registering([], is_complete=True))  # the lease had ended, and the channel went elsewhere meanwhile
     late.set_result(record(ME, 1))
     again = await asyncio.wait_for(directory.questions.get(), 5)
     again.set_result(record(OTHER, 2, incarnation=8))
@@ -79,7 +79,7 @@ async def test_a_change_whose_answer_is_older_than_a_registration_does_not_bring
         store.configure(CHANNEL, 1, policy_change(channel_pb2.ChannelSpec()), b"r" * 16, time.monotonic())
     )
     late = await directory.questions.get()
-    run_to_end(store.registering([], all_told=True))
+    run_to_end(store.registering([], is_complete=True))
     late.set_result(record(ME, 1))
     again = await asyncio.wait_for(directory.questions.get(), 5)
     again.set_result(record(OTHER, 2, incarnation=8))
@@ -107,7 +107,7 @@ async def test_a_host_that_keeps_registering_gives_up_asking() -> None:
         if not question.done():
             question.cancel()
             break
-        run_to_end(store.registering([], all_told=True))
+        run_to_end(store.registering([], is_complete=True))
         question.result().set_result(record(ME, 1))
     with pytest.raises(StaleBinding, match="resolve the channel again"):
         await binding

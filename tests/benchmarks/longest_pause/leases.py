@@ -30,9 +30,9 @@ async def registration(rig: Rig, channels: int) -> tuple[str, Work]:
     async def work() -> None:
         do, last = rig.host.store.scheduler.do, channels - CHANNELS_TOLD
         told = (channel(number, epoch=2) for number in range(last, channels))
-        await do(rig.host.store.registering(told, all_told=False))
+        await do(rig.host.store.registering(told, is_complete=False))
         queues = (queue(number, epoch=2) for number in range(last, channels))
-        await do(rig.host.queues.registering(queues, all_told=False))
+        await do(rig.host.queues.registering(queues, is_complete=False))
         await idle(rig)
 
     return f"a host with {channels:,} channels and as many queues registers again", work
@@ -44,8 +44,8 @@ async def elsewhere(rig: Rig, channels: int) -> tuple[str, Work]:
 
     async def work() -> None:
         do = rig.host.store.scheduler.do
-        await do(rig.host.store.registering((), all_told=True))
-        await do(rig.host.queues.registering((), all_told=True))
+        await do(rig.host.store.registering((), is_complete=True))
+        await do(rig.host.queues.registering((), is_complete=True))
         await idle(rig)
 
     logging.getLogger("stampede_rt_channel_host").addHandler(logging.NullHandler())

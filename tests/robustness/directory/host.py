@@ -21,7 +21,7 @@ from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import Clock, DirectoryWorld
 from tests.robustness.replication.machine import PromiseBroken
 
-CHANNELS_TOLD_MAX = 1000
+CHANNELS_LISTED_MAX = 1000
 
 
 class AtOnce(PieceScheduler):
@@ -156,7 +156,7 @@ class SimHost:
         entered = await ask(self.world, "RegisterHost", request, 4.0, caller=self)
         self.epoch.note_registered()
         channels = map(recorded_channel, entered.channels)
-        run_to_end(self.store.registering(channels, all_told=len(entered.channels) < CHANNELS_TOLD_MAX))
+        run_to_end(self.store.registering(channels, is_complete=len(entered.channels) < CHANNELS_LISTED_MAX))
         self._granted(sent, entered.lease_ttl_nanos)
 
     async def _renew(self) -> None:

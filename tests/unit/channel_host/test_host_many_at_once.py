@@ -201,7 +201,7 @@ async def test_a_registration_looks_at_a_bounded_number_of_channels_in_one_piece
     records = adopt(store, 8 * CHANNELS_COMPARED_PER_PIECE)
     late = channel_pb2.ChannelRecord(channel_id=b"l" * 16, name="late", incarnation=1, epoch=1, host_id=HOST_ID)
     left = []
-    for at, _ in enumerate(store.registering(records[:10], all_told=True)):
+    for at, _ in enumerate(store.registering(records[:10], is_complete=True)):
         left.append(len(store.all()))
         if at == 0:
             store._adopt(recorded_channel(late))  # which the directory told of since

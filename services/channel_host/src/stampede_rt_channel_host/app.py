@@ -101,10 +101,10 @@ class _Service:
         """The host's name in the directory: with certificates the name in its own certificate, else `--name` or a new
         name.
         """
-        tls, told = self._credentials.tls, self._settings.name
+        tls, name = self._credentials.tls, self._settings.name
         if tls is None:
-            return told or default_name()
-        tls.require_name(told or tls.identity.name, "--name")
+            return name or default_name()
+        tls.require_name(name or tls.identity.name, "--name")
         return tls.identity.name
 
     def _names_certified(self) -> tuple[str, ...]:

@@ -44,7 +44,7 @@ from stampede_rt_runtime.quotas.limits import Quota
 
 logger = logging.getLogger(__name__)
 
-CHANNELS_TOLD_MAX = QUEUES_TOLD_MAX = 1000  # the most that the answer to a registration names
+CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the most that the answer to a registration names
 
 
 class ChannelHost:
@@ -194,9 +194,11 @@ class ChannelHost:
     async def _registered(self, response: directory_service_pb2.RegisterHostResponse) -> None:
         channels, queues, scheduler = response.channels, response.queues, self.store.scheduler
         await scheduler.do(
-            self.store.registering(map(recorded_channel, channels), all_told=len(channels) < CHANNELS_TOLD_MAX)
+            self.store.registering(map(recorded_channel, channels), is_complete=len(channels) < CHANNELS_LISTED_MAX)
         )
-        await scheduler.do(self.queues.registering(map(recorded_queue, queues), all_told=len(queues) < QUEUES_TOLD_MAX))
+        await scheduler.do(
+            self.queues.registering(map(recorded_queue, queues), is_complete=len(queues) < QUEUES_LISTED_MAX)
+        )
 
     def _lease_changed(self, held: bool) -> None:
         if not held:

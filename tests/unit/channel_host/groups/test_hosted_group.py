@@ -54,7 +54,7 @@ class Hosted:
         self.group.cut.confirm()
 
     def move_to(self, time: int) -> None:
-        self.board.tell_own(MEMBER, ChannelTimes(1, 1, time), NOW)
+        self.board.enter_own(MEMBER, ChannelTimes(1, 1, time), NOW)
         self.group.changed()
 
 

@@ -96,14 +96,14 @@ async def test_the_other_side_is_told_only_what_it_wants_to_hear_and_the_latest_
     wire = Wire(notebook)
     await wire.greet()
     assert (await wire.sent.get()).update == pb.TimesUpdate()
-    wire.link.tell_times(b"one")  # nobody has asked
+    wire.link.report_times(b"one")  # nobody has asked
     await wire.say(pb.TimesUpdate(interest=pb.TimesInterest(channel_ids=[b"one", b"two"])))
     update = (await wire.sent.get()).update
     assert [told.channel_id for told in update.times] == [b"one", b"two"]
     wire.may_write.clear()
     for notebook.newest in range(2, 100):
-        wire.link.tell_times(b"one")
-        wire.link.tell_floor(b"group")
+        wire.link.report_times(b"one")
+        wire.link.report_floor(b"group")
         await asyncio.sleep(0)
     wire.may_write.set()
     said = [(await wire.sent.get()).update]

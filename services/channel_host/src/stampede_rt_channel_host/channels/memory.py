@@ -67,9 +67,9 @@ class MemoryBudget:
 
         Writes a log line every few seconds at most.
         """
-        untold = self.overload.note(items, self._steady_nanos())
-        if untold is not None:
-            logger.warning("puts are refused", extra={"items": untold, "last_for": name, "why": error.message})
+        unreported = self.overload.note(items, self._steady_nanos())
+        if unreported is not None:
+            logger.warning("puts are refused", extra={"items": unreported, "last_for": name, "why": error.message})
 
     def refused_ago_nanos(self) -> int | None:
         """The time since the last refusal, in nanoseconds; None: there was no refusal."""

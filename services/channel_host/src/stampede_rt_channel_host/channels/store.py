@@ -154,30 +154,31 @@ class ChannelStore:
             return await self.bind(channel_id, record.epoch, record.spec_version)
         return self._adopt(record)
 
-    def registering(self, records: Iterable[RecordedChannel], *, all_told: bool) -> Pieces[None]:
+    def registering(self, records: Iterable[RecordedChannel], *, is_complete: bool) -> Pieces[None]:
         """Take in the directory's answer to a registration, in pieces. The host does not hold the lease meanwhile.
 
-        The store drops the channels that went elsewhere, and takes over new epochs. `all_told` False: the answer does
-        not name all channels of the host. The store then serves an unnamed channel again only after its next `bind`.
+        The store drops the channels that went elsewhere, and takes over new epochs. `is_complete` False: the answer
+        does not name all channels of the host. The store then serves an unnamed channel again only after its next
+        `bind`.
         """
         self._registrations += 1
         registration = self._registrations
-        told: dict[bytes, RecordedChannel] = {}
+        listed: dict[bytes, RecordedChannel] = {}
         unread = iter(records)
         while part := [*islice(unread, RECORDS_PER_PIECE)]:
-            told.update((record.channel_id, record) for record in part)
+            listed.update((record.channel_id, record) for record in part)
             yield
         for names in batched_keys(self._names, CHANNELS_COMPARED_PER_PIECE):
             left: list[Pieces[None]] = []
             for _, channel_id in names:
                 hosted = self._channels.get(channel_id)
-                if hosted is not None and hosted.registration < registration:  # else told of since
-                    self._compare(hosted, told.get(channel_id), left, all_told=all_told)
+                if hosted is not None and hosted.registration < registration:  # else a newer record has come meanwhile
+                    self._compare(hosted, listed.get(channel_id), left, is_complete=is_complete)
             self.scheduler.begin(one_after_another(left))  # one work for all: each has a task
             yield
 
     def _compare(
-        self, hosted: HostedChannel, record: RecordedChannel | None, left: list[Pieces[None]], *, all_told: bool
+        self, hosted: HostedChannel, record: RecordedChannel | None, left: list[Pieces[None]], *, is_complete: bool
     ) -> None:
         """Adopt the directory's record of a channel that has not changed since the registration.
 
@@ -186,7 +187,7 @@ class ChannelStore:
         """
         if record is not None:
             self._adopt(record)
-        elif all_told:
+        elif is_complete:
             logger.warning("channel went elsewhere", extra={"channel": hosted.record.name})
             error = refusals.not_here(self._identity.name, hosted.record.channel_id)
             left += self._drop(hosted.record.channel_id, error)

@@ -96,9 +96,9 @@ class Subscription(ChangeObserver):
         # whether the reader began with held items, and must still get the progress that tells the end of those items
         self._owes_progress = False
         # the latest advance, cursor and count of skipped items that the reader has got
-        self._told_advance: int | None = None
-        self._told_cursor: SavedCursor | None = None
-        self._told_skipped = 0
+        self._sent_advance: int | None = None
+        self._sent_cursor: SavedCursor | None = None
+        self._sent_skipped = 0
         self._work = current_work()
         self._owes_cursor = False  # whether the reader must get the next cursor as soon as there is one
         self._credit = Credit(self._look)
@@ -189,7 +189,7 @@ class Subscription(ChangeObserver):
             await self._write(self._standing(cursor))
         elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news(self._silent_at_s):
             self._owes_progress = False
-            self._told_advance = self._hosted.channel.advanced_to  # all items from before the advance are sent
+            self._sent_advance = self._hosted.channel.advanced_to  # all items from before the advance are sent
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
             await self._write(progress.SerializeToString() + self._standing(cursor))
 
@@ -209,7 +209,7 @@ class Subscription(ChangeObserver):
         about = pb.SubscribeResponse()
         if part.gap is not None:
             about.gap.CopyFrom(_gap(part.gap))
-        if part.gap is not None or cursor.skipped != self._told_skipped:
+        if part.gap is not None or cursor.skipped != self._sent_skipped:
             about.progress.CopyFrom(self._progress(cursor, now))
         return about.SerializeToString() + self._standing(cursor)
 
@@ -217,22 +217,22 @@ class Subscription(ChangeObserver):
         """The cursor as an encoded response, if it is not the one that the reader got last; else no bytes."""
         saved = cursor.saved
         self._owes_cursor = saved is None  # a group has no cursor while it shows the items up to a new cut
-        if saved is None or saved == self._told_cursor:
+        if saved is None or saved == self._sent_cursor:
             return b""
-        self._told_cursor = saved
+        self._sent_cursor = saved
         return pb.SubscribeResponse(cursor=saved_to(saved)).SerializeToString()
 
     def _progress(self, cursor: Cursor, now: int) -> pb.SubscriptionProgress:
         progress = cursor.progress(now)
-        self._told_skipped = progress.skipped
+        self._sent_skipped = progress.skipped
         progress.host_time_unix_nano = now
-        if self._told_advance is not None:
-            progress.advance_unix_nano = self._told_advance
+        if self._sent_advance is not None:
+            progress.advance_unix_nano = self._sent_advance
         return progress
 
     def _advance_is_news(self) -> bool:
         """Whether there is an advance that the reader does not know. After an advance, earlier items come no more."""
-        return self._hosted.channel.advanced_to != self._told_advance
+        return self._hosted.channel.advanced_to != self._sent_advance
 
     async def _wait_for_news(self, until_s: float | None) -> bool:
         """Wait for news. Returns True when news comes, False at the loop time `until_s`. None: waits without limit."""

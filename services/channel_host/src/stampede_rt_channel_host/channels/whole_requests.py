@@ -65,7 +65,7 @@ class WholeRequests:
                 "items, or over a faster network"
             ) from None
         if came_bytes > whole_bytes:
-            raise InvalidArgument(f"the pieces have {came_bytes} bytes, and the first one told {whole_bytes}")
+            raise InvalidArgument(f"the pieces have {came_bytes} bytes, and the first one announced {whole_bytes}")
         return b"".join(contents)
 
     async def _next_content(self) -> memoryview:

@@ -37,7 +37,7 @@ class AccessWatch:
         self._control.tell(await self._ask())
 
     def changed_in_directory(self, change: RecordedChange) -> None:
-        """Have `keep` ask for the state if the directory tells of a change of access."""
+        """Have `keep` ask for the state if the directory reports a change of access."""
         if change.is_of_access:
             self._due.set()
 
@@ -59,14 +59,14 @@ class AccessWatch:
     async def _ask(self) -> AccessState:
         request = access_service_pb2.GetAccessStateRequest()
         try:
-            told: access_service_pb2.GetAccessStateResponse = await self._supernodes.call(
+            response: access_service_pb2.GetAccessStateResponse = await self._supernodes.call(
                 "GetAccessState", request, CALL_SECONDS_MAX, service=access_service_pb2_grpc.AccessServiceStub
             )
         except StampedeError as error:
             if not _knows_no_rules(error):
                 raise
             return AccessState()
-        return state_from(told)
+        return state_from(response)
 
 
 def _knows_no_rules(error: StampedeError) -> bool:

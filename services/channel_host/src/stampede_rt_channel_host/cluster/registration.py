@@ -74,7 +74,7 @@ class Registration:
         self._home = home or HomeCluster()
         self._epoch = RegistrationEpoch()
         self._lease = HostLease()
-        self._told_held = False  # the value that on_lease got last
+        self._reported_held = False  # the value that on_lease got last
         self._unrenewed_since_s: float | None = None  # when renewals began to fail; None: they succeed
         self._has_ended = False  # whether the lease has ended and the host has not registered since
         self._target = ""
@@ -260,8 +260,8 @@ class Registration:
         self._tell(held=left > 0)
 
     def _tell(self, *, held: bool) -> None:
-        if held is not self._told_held:
-            self._told_held = held
+        if held is not self._reported_held:
+            self._reported_held = held
             if not held:
                 text = (
                     "fenced: the lease was not renewed in time; this host refuses all calls until the lease is renewed"

@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.group import GroupDefinition
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedChannel:
-    """One channel, with its owner and set-up. `created_by`: the name of the caller that created it; empty: unknown."""
+    """One channel, with its owner and policy. `created_by`: the name of the caller that created it; empty: unknown."""
 
     channel_id: bytes
     name: str
@@ -31,7 +31,7 @@ class RecordedChannel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PolicyChange:
-    """A change of a channel's set-up. `stated` leaves out unchanged values. `message` is the change as its caller sent
+    """A change of a channel's policy. `stated` leaves out unchanged values. `message` is the change as its caller sent
     it.
 
     The directory gets the message. So the directory refuses values that this host does not know.
@@ -43,7 +43,7 @@ class PolicyChange:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedQueue:
-    """One queue, with its host and set-up.
+    """One queue, with its host and policy.
 
     A mailbox has no name. `mailbox_owner` is the caller that registered the peer, by the caller's name in rules of
     access.
@@ -73,7 +73,7 @@ class ResolvedQueue:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedGroup:
-    """One group and its set-up."""
+    """One group, with its members and settings."""
 
     group_id: bytes
     name: str
@@ -87,7 +87,7 @@ class RecordedGroup:
 
     @property
     def spec_version(self) -> int:
-        """The version of the set-up, which grows with each change."""
+        """The version of the spec, which grows with each change."""
         return self.definition.spec_version
 
 

@@ -47,5 +47,5 @@ async def _paced(work: Coroutine[Any, Any, None]) -> None:
     try:
         await work
     except StampedeError as error:
-        logger.debug("the directory does not tell of a group", extra={"why": str(error)})
+        logger.debug("the directory gives no answer about a group", extra={"why": str(error)})
     await asyncio.sleep(PAUSE_SECONDS)

@@ -19,7 +19,7 @@ from stampede_rt_channel_host.groups.peers import Dial, PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
 FLOORS_MAX = 10_000  # of groups that this host has still to look up, over all hosts
-FLOORS_MAX_PER_HOST = 1000  # of these, told by one host
+FLOORS_MAX_PER_HOST = 1000  # of these, reported by one host
 GROUPS_PER_PIECE = 16
 
 
@@ -53,7 +53,7 @@ class Exchange:
         self._members: dict[bytes, dict[bytes, list[bytes]]] = {}
         # By host: for each channel about which this host wants to hear, the number of its groups.
         self._wanted: dict[bytes, Counter[bytes]] = {}
-        self._told_all: set[bytes] = set()  # hosts that have told all their times on the present link
+        self._fully_heard: set[bytes] = set()  # hosts that have sent all their times on the present link
         # Floors of groups that this host has still to look up: by group, then by host.
         self._floors: dict[bytes, dict[bytes, CutFloor]] = {}
         self._waiting_floors: Counter[bytes] = Counter()  # the number of floors in `_floors` of each host
@@ -82,15 +82,15 @@ class Exchange:
                 self._names.pop(host_id, None)
 
     def look(self, group: HostedGroup) -> None:
-        """Confirm the group's cut if all hosts have told their cuts. Then refresh the group in any case."""
-        group.unheard = {one for one in group.unheard if one not in self._told_all or not self.peers.is_linked(one)}
+        """Confirm the group's cut if all hosts have reported their cuts. Then refresh the group in any case."""
+        group.unheard = {one for one in group.unheard if one not in self._fully_heard or not self.peers.is_linked(one)}
         if not group.unheard and not group.cut.is_confirmed:
             group.cut.confirm()
-            self.peers.tell_floor(group.record.group_id)
+            self.peers.report_floor(group.record.group_id)
         group.changed()
 
     def take_floors(self, group_id: bytes) -> dict[bytes, CutFloor]:
-        """Take out the floors of a group that other hosts have told and that waited for the directory's answer."""
+        """Take out the floors of a group that other hosts have reported and that waited for the directory's answer."""
         floors = self._floors.pop(group_id, {})
         self._waiting_floors -= Counter(floors.keys())
         return floors
@@ -115,7 +115,7 @@ class Exchange:
 
     def greeted(self, link: HostLink) -> None:
         """See `LinkHandler`."""
-        self._told_all.discard(link.host_id)
+        self._fully_heard.discard(link.host_id)
         self.peers.greeted(link)
 
     def asked_for(self, channel_ids: set[bytes]) -> None:
@@ -132,17 +132,19 @@ class Exchange:
         table, now, wanted = self._table, self._channels.now(), self.peers.wanted_of(host_id)
         table.board.confirm(wanted, now)
         news: set[bytes] = set()
-        for told in update.times:
-            if told.channel_id in wanted and table.ids_of(told.channel_id):
-                is_news = table.board.hear(told.channel_id, times_from_message(told), told.silent_nanos, now)
-                of_channel = table.ids_of(told.channel_id)
+        for reported in update.times:
+            if reported.channel_id in wanted and table.ids_of(reported.channel_id):
+                is_news = table.board.hear(
+                    reported.channel_id, times_from_message(reported), reported.silent_nanos, now
+                )
+                of_channel = table.ids_of(reported.channel_id)
                 news |= of_channel if is_news else of_channel & table.idling
         floors = map(floor_from_message, update.floors)
         news |= {floor.group_id for floor in floors if self._merge(host_id, floor)}
         if not news:  # a sign of life: channels of the other host may have become idle
             news |= {one for one in table.idling if host_id in table.groups[one].targets}
         if is_first:
-            self._told_all.add(host_id)
+            self._fully_heard.add(host_id)
             news |= {one for one, group in table.groups.items() if host_id in group.unheard}
         self._to_look_at.add(news)
 

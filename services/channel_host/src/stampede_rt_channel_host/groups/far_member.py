@@ -25,8 +25,8 @@ class FarMember:
     """One member at another host.
 
     `track` holds the keys of the member's items. `epoch` is the member's epoch, and `target` the address of its host,
-    as the directory told them last. `incarnation` is that of the member, 0 while it is unknown. Once `is_followed` is
-    True, `track` gets the key of every item that producers put.
+    as the directory last returned them. `incarnation` is that of the member, 0 while it is unknown. Once `is_followed`
+    is True, `track` gets the key of every item that producers put.
     """
 
     def __init__(self, channel_id: bytes, since: int) -> None:
@@ -103,5 +103,5 @@ class FarMember:
         if response.HasField("cursor"):
             self._cursor = response.cursor
         if response.progress.HasField("advance_unix_nano"):
-            told = ChannelTimes(0, 0, advance=response.progress.advance_unix_nano)
-            self._times = self._times.merged(told)
+            reported = ChannelTimes(0, 0, advance=response.progress.advance_unix_nano)
+            self._times = self._times.merged(reported)

@@ -86,8 +86,8 @@ class GroupServicer:
         reached = await group.reach(floor, max(0, request.wait_nanos) / 1e9)
         waiting_on = group.waiting_on()
         reached_floor = group.floor()
-        told = None if reached_floor is None else floor_to_message(reached_floor)
-        return pb.GetCutResponse(floor=told, stalled=not reached, waiting_on_channel_ids=waiting_on)
+        message = None if reached_floor is None else floor_to_message(reached_floor)
+        return pb.GetCutResponse(floor=message, stalled=not reached, waiting_on_channel_ids=waiting_on)
 
     @errors_as_status
     async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Context) -> pb.GetGroupStatusResponse:

@@ -27,8 +27,8 @@ class HostedGroup:
     """One group at this host.
 
     `record` is the latest record from the directory. `owners` gives each member's host, `targets` the addresses of the
-    live hosts. `unheard`: the live hosts that own members and have not told their cut. A new group shows nothing until
-    all of them have told it.
+    live hosts. `unheard`: the live hosts that own members and have not reported their cut. A new group shows nothing
+    until all of them have reported it.
     The group wakes `cut_observers` and `gets` when it shows more or when members or owners change. It wakes
     `news_observers` at all news of a member. `arrangement` grows whenever members, their hosts, or the members served
     here may have changed.
@@ -124,9 +124,9 @@ class HostedGroup:
         return f"held back by {', '.join(names)}" if names else "because its members have not registered again yet"
 
     def waiting_on(self) -> list[bytes]:
-        """The members that hold the cut back. While hosts have not told their cuts, the members at those hosts."""
-        untold = sorted(channel_id for channel_id, host_id in self.owners.items() if host_id in self.unheard)
-        return untold if untold and not self.cut.is_confirmed else self.cut.waiting_on(self._now())
+        """The members that hold the cut back. While hosts have not reported their cuts, the members at those hosts."""
+        unreported = sorted(channel_id for channel_id, host_id in self.owners.items() if host_id in self.unheard)
+        return unreported if unreported and not self.cut.is_confirmed else self.cut.waiting_on(self._now())
 
     def ownerless(self) -> list[bytes]:
         """The members whose host has lost its lease. Nobody can put into them until they have another host."""

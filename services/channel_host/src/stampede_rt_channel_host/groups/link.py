@@ -37,7 +37,7 @@ class LinkHandler(Protocol):
         """The group's cut at this host; None: no item is visible, or the host does not know the group."""
 
     def hear(self, host_id: bytes, update: pb.TimesUpdate, *, is_first: bool) -> None:
-        """Take in an update of the other host. `is_first`: with this update the other host has told its whole state for
+        """Take in an update of the other host. `is_first`: with this update the other host has sent its whole state for
         the first time.
         """
 
@@ -79,7 +79,7 @@ class HostLink:
         self._handler = handler
         self._message, self._write, self._read = message, write, read
         self._certified_name = certified_name
-        self._has_full_state = False  # whether the other side has told its whole state by now
+        self._has_full_state = False  # whether the other side has sent its whole state by now
         self._wanted: set[bytes] = set()  # channels of this host that the other host wants to hear of
         self._times: dict[bytes, None] = {}  # channels whose times this side has still to send
         self._floors: dict[bytes, None] = {}  # groups whose cut this side has still to send
@@ -111,13 +111,13 @@ class HostLink:
         self._interest = sorted(channel_ids)[:INTEREST_MAX]
         self._news.set()
 
-    def tell_times(self, channel_id: bytes) -> None:
+    def report_times(self, channel_id: bytes) -> None:
         """Tell the other host soon that a channel of this host has changed."""
         if channel_id in self._wanted:
             self._times[channel_id] = None
             self._news.set()
 
-    def tell_floor(self, group_id: bytes) -> None:
+    def report_floor(self, group_id: bytes) -> None:
         """Tell the other host soon that a cut has moved here, in a group that both hosts have members of."""
         self._floors[group_id] = None
         self._news.set()

@@ -19,14 +19,14 @@ def times_to_message(channel_id: bytes, times: ChannelTimes, silent_nanos: int) 
     )
 
 
-def times_from_message(told: group_pb2.ChannelTimes) -> ChannelTimes:
+def times_from_message(message: group_pb2.ChannelTimes) -> ChannelTimes:
     """The times in a message of the channel's owner."""
     return ChannelTimes(
-        epoch=told.epoch,
-        incarnation=told.incarnation,
-        newest=told.newest_unix_nano if told.HasField("newest_unix_nano") else None,
-        newest_end=told.newest_end_unix_nano if told.HasField("newest_end_unix_nano") else None,
-        advance=told.advance_unix_nano if told.HasField("advance_unix_nano") else None,
+        epoch=message.epoch,
+        incarnation=message.incarnation,
+        newest=message.newest_unix_nano if message.HasField("newest_unix_nano") else None,
+        newest_end=message.newest_end_unix_nano if message.HasField("newest_end_unix_nano") else None,
+        advance=message.advance_unix_nano if message.HasField("advance_unix_nano") else None,
     )
 
 
@@ -40,6 +40,6 @@ def floor_to_message(floor: CutFloor) -> group_pb2.CutFloor:
     )
 
 
-def floor_from_message(told: group_pb2.CutFloor) -> CutFloor:
-    """The cut of a group that another host has told in a message."""
-    return CutFloor(told.group_id, told.incarnation, told.cut_unix_nano, told.spec_version)
+def floor_from_message(message: group_pb2.CutFloor) -> CutFloor:
+    """The cut of a group that another host has sent in a message."""
+    return CutFloor(message.group_id, message.incarnation, message.cut_unix_nano, message.spec_version)

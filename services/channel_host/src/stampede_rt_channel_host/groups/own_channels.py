@@ -52,4 +52,4 @@ class OwnChannel:
 
     def tell(self) -> None:
         """Enter the channel's times on the board, under its present epoch."""
-        self._board.tell_own(self.channel_id, self._own.times(self.hosted.epoch), self._own.silent_since)
+        self._board.enter_own(self.channel_id, self._own.times(self.hosted.epoch), self._own.silent_since)

@@ -81,7 +81,7 @@ class PeerHosts:
         peer.target = peer.target if target is None else target
         self._want(peer, frozenset(wanted))
         if is_new and peer.link is not None:
-            peer.link.tell_floor(group_id)
+            peer.link.report_floor(group_id)
         if peer.task is None:
             peer.task = asyncio.create_task(self._keep(peer), name=f"link to {host_id.hex()}")
             peer.task.add_done_callback(_check)
@@ -96,17 +96,17 @@ class PeerHosts:
         peer = self._peers.get(host_id)
         return peer.wanted if peer is not None else frozenset()
 
-    def tell_times(self, channel_id: bytes) -> None:
+    def report_times(self, channel_id: bytes) -> None:
         """Tell of a change of a channel of this host. Only hosts that want to hear about that channel get it."""
         for peer in self._peers.values():
             if peer.link is not None:
-                peer.link.tell_times(channel_id)
+                peer.link.report_times(channel_id)
 
-    def tell_floor(self, group_id: bytes) -> None:
+    def report_floor(self, group_id: bytes) -> None:
         """Tell the hosts that share the group that its cut has advanced."""
         for peer in self._peers.values():
             if peer.link is not None and group_id in peer.groups:
-                peer.link.tell_floor(group_id)
+                peer.link.report_floor(group_id)
 
     def greeted(self, link: HostLink) -> None:
         """Use a link from now on, because the other host has sent its id. The link replaces an older one to that host.
@@ -118,7 +118,7 @@ class PeerHosts:
         peer.unlinked.clear()
         link.want(peer.wanted)
         for group_id in sorted(peer.groups):
-            link.tell_floor(group_id)
+            link.report_floor(group_id)
 
     async def accept(self, context: Context) -> None:
         """Serve a stream that another host opened, until it ends."""

@@ -1,7 +1,7 @@
 """Gets and subscriptions of channels that name a group (paper, section 3.3).
 
 Each host computes the cut itself, so a read costs no further round trip. The host waits for the other hosts only if a
-reader has seen a later cut, or if they have not told their cuts of a new group yet.
+reader has seen a later cut, or if they have not reported their cuts of a new group yet.
 """
 
 from __future__ import annotations

@@ -230,13 +230,13 @@ class GroupStore:
     def _adopt(self, group_id: bytes, resolved: ResolvedGroup) -> HostedGroup:
         group = self._table.groups.get(group_id)
         if group is None:
-            tell = self.exchange.peers
+            peers = self.exchange.peers
             group = HostedGroup(
                 resolved,
                 self._table.board,
                 self.channels.now,
-                on_moved=tell.tell_floor,
-                on_idle=tell.tell_times,
+                on_moved=peers.report_floor,
+                on_idle=peers.report_times,
                 begin=self.channels.scheduler.begin,
             )
             group.named_s = _now_s()
@@ -248,7 +248,7 @@ class GroupStore:
                 group.end(began_anew(resolved.group))
             if version != (resolved.group.spec_version, resolved.group.incarnation):
                 # the message has the version, so that the other hosts look up the group, too
-                self.exchange.peers.tell_floor(group_id)
+                self.exchange.peers.report_floor(group_id)
         for host_id, floor in self.exchange.take_floors(group_id).items():
             group.merge_floor(host_id, floor)
         if not group.cut.is_confirmed:
@@ -279,11 +279,11 @@ class GroupStore:
             hosted, self._table.board, self.channels.now, on_change=self._changed, on_end=self._ended
         )
         self._rearranged(channel_id)
-        self.exchange.peers.tell_times(channel_id)
+        self.exchange.peers.report_times(channel_id)
 
     def _changed(self, channel_id: bytes) -> None:
         """Report a change of a channel of this host."""
-        self.exchange.peers.tell_times(channel_id)
+        self.exchange.peers.report_times(channel_id)
         self._changed_groups.add(self._table.groups_of(channel_id))
 
     def _ended(self, channel_id: bytes) -> None:

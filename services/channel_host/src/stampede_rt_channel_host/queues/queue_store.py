@@ -94,31 +94,31 @@ class QueueStore:
         held = self._queues.get(queue_id)
         return self.find(queue_id, held.epoch if epoch is None and held else epoch or 0)
 
-    def registering(self, records: Iterable[RecordedQueue], *, all_told: bool) -> Pieces[None]:
+    def registering(self, records: Iterable[RecordedQueue], *, is_complete: bool) -> Pieces[None]:
         """Take in the directory's list of this host's queues at a registration, in pieces. The host serves nothing
         meanwhile.
 
-        If the list is complete (`all_told`), the store drops the queues that are not in it. Else it serves such a queue
-        only after the next `use` of that queue.
+        If the list is complete (`is_complete`), the store drops the queues that are not in it. Else it serves such a
+        queue only after the next `use` of that queue.
         """
         self._registrations += 1
         registration = self._registrations
-        told: dict[bytes, RecordedQueue] = {}
+        listed: dict[bytes, RecordedQueue] = {}
         unread = iter(records)
         while part := [*islice(unread, RECORDS_PER_PIECE)]:
-            told.update((record.queue_id, record) for record in part)
+            listed.update((record.queue_id, record) for record in part)
             yield
         for ids in batched_keys(self._queues, QUEUES_COMPARED_PER_PIECE):
             left: list[Pieces[None]] = []
             for queue_id in ids:
                 hosted = self._queues.get(queue_id)
-                if hosted is not None and hosted.registration < registration:  # else told of since
-                    self._compare(hosted, told.get(queue_id), left, all_told=all_told)
+                if hosted is not None and hosted.registration < registration:  # else a newer record has come meanwhile
+                    self._compare(hosted, listed.get(queue_id), left, is_complete=is_complete)
             self._scheduler.begin(one_after_another(left))  # one work for all: each has a task
             yield
 
     def _compare(
-        self, hosted: HostedQueue, record: RecordedQueue | None, left: list[Pieces[None]], *, all_told: bool
+        self, hosted: HostedQueue, record: RecordedQueue | None, left: list[Pieces[None]], *, is_complete: bool
     ) -> None:
         """Adopt the directory's record of a queue that has not changed since the registration.
 
@@ -127,7 +127,7 @@ class QueueStore:
         """
         if record is not None:
             self._adopt(record)
-        elif all_told:
+        elif is_complete:
             logger.warning("queue went elsewhere", extra={"queue": display_name(hosted.record)})
             error = refusals.not_here(self._identity.name, hosted.record.queue_id)
             left += self._drop(hosted.record.queue_id, error)

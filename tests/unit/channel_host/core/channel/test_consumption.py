@@ -354,7 +354,7 @@ def test_consumers_hear_of_what_was_collected_in_bounded_parts_and_know_all_of_i
     channel.configure(Policy(consumers=2, max_items=10, max_future_nanos=10**6), CLOCK)
     held, _ = channel.look(CLOCK)
     assert held.items == 10
-    assert held.tell_gone(1), "there is more to tell"
+    assert held.report_gone(1), "there is more to tell"
     assert held.index.has_below(held.floor), "what was not told of is not freed"
     parts = 1 + sum(1 for _ in channel.catching_up(CLOCK))
     assert parts > 10

@@ -100,17 +100,17 @@ def test_a_member_that_comes_leaves_the_cut_where_it_is_and_one_that_goes_releas
 def test_a_silent_member_is_left_out_until_it_speaks_again() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
     board = TimesBoard()
-    board.tell_own(A, at(100), 0)
-    board.tell_own(B, at(70), 0)
+    board.enter_own(A, at(100), 0)
+    board.enter_own(B, at(70), 0)
     cut = GroupCut(definition, board)
     cut.confirm()
     cut.refresh(0)
     assert (cut.cut, cut.next_idle(0)) == (70, S)
-    board.tell_own(A, at(120), S)
+    board.enter_own(A, at(120), S)
     cut.refresh(S)
     assert (cut.cut, cut.waiting_on(S), cut.next_idle(S)) == (120, [A], 2 * S)
     assert [member.is_idle for member in cut.members(S)] == [False, True]
-    board.tell_own(B, at(80), S)
+    board.enter_own(B, at(80), S)
     cut.refresh(S)
     assert (cut.cut, cut.waiting_on(S)) == (120, [A, B])
 
@@ -118,8 +118,8 @@ def test_a_silent_member_is_left_out_until_it_speaks_again() -> None:
 def test_if_all_are_silent_the_last_one_to_speak_decides() -> None:
     definition = GroupDefinition(members=frozenset((A, B)), idle_after_nanos=S)
     board = TimesBoard()
-    board.tell_own(A, at(100), 0)
-    board.tell_own(B, at(70), -1)
+    board.enter_own(A, at(100), 0)
+    board.enter_own(B, at(70), -1)
     cut = GroupCut(definition, board)
     cut.confirm()
     assert cut.refresh(5 * S)  # nobody looked in between, when only A was left
@@ -140,7 +140,7 @@ def test_a_member_of_a_host_that_is_not_heard_of_holds_the_cut_though_it_may_be_
 
 def test_what_another_host_has_shown_counts_and_nothing_is_shown_before_that_is_known() -> None:
     board = TimesBoard()
-    board.tell_own(A, at(100), 0)
+    board.enter_own(A, at(100), 0)
     cut = GroupCut(GroupDefinition(members=frozenset((A,))), board)
     assert not cut.refresh(0)
     assert cut.cut is None
@@ -182,9 +182,9 @@ def test_an_item_that_everybody_consumed_before_the_group_was_made_counts_as_one
 
 def test_a_host_that_goes_on_as_owner_without_being_it_neither_counts_nor_stops_its_ears() -> None:
     board = TimesBoard()
-    board.tell_own(A, at(50, epoch=3), 0)
+    board.enter_own(A, at(50, epoch=3), 0)
     assert board.hear(A, at(60, epoch=4), 0, 10)
-    board.tell_own(A, at(99, epoch=3), 20)  # it has not heard yet that it lost the channel
+    board.enter_own(A, at(99, epoch=3), 20)  # it has not heard yet that it lost the channel
     assert board.hear(A, at(70, epoch=4), 0, 30)
     found = board.find(A)
     assert found is not None

@@ -71,7 +71,7 @@ def test_silence_ends_with_a_late_item_and_with_an_advance_but_not_with_looking(
 def test_of_one_life_all_that_was_told_counts_and_of_another_only_what_is_told_of_it() -> None:
     board = TimesBoard()
     board.hear(A, ChannelTimes(1, INCARNATION, 50, 90, advance=10), 0, 0)
-    board.tell_own(A, ChannelTimes(2, INCARNATION, 50, 60, advance=70), 0)  # the next owner holds less of the bucket
+    board.enter_own(A, ChannelTimes(2, INCARNATION, 50, 60, advance=70), 0)  # the next owner holds less of the bucket
     assert _known(board) == ChannelTimes(2, INCARNATION, 50, 90, 70)
     board.hear(A, ChannelTimes(3, INCARNATION, 40, 99), 0, 0)
     assert _known(board) == ChannelTimes(3, INCARNATION, 50, 90, 70)
@@ -87,7 +87,7 @@ def test_whether_a_channel_is_silent_is_known_up_to_the_last_sign_of_life() -> N
     assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (5, 100)
     board.confirm([A, b"unheard of"], 150)
     assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (55, 50)
-    board.tell_own(A, ChannelTimes(2, INCARNATION, 50), silent_since=160)
+    board.enter_own(A, ChannelTimes(2, INCARNATION, 50), silent_since=160)
     heard = board.find(A)
     assert heard is not None
     assert (heard.silent_nanos(200), heard.heard_ago_nanos(200)) == (40, 0)

@@ -57,7 +57,7 @@ class HeldItems:
         self.last_cause = AGE
         self.overlap_nanos = 0
         self._on_gone: Callable[[int, int], None] | None = None  # tells the consumers; see `Holdings.tell`
-        self._reported_to: ItemKey = FIRST_KEY  # the consumers were told of all collected items below this key
+        self._reported_to: ItemKey = FIRST_KEY  # the consumers know of all collected items below this key
         self._came_up_to: int | None = None  # bounds `frontier` while no item is held
         # A time and the time of the next bucket, as of the last `next_time`; a new item resets both.
         self._following: tuple[int | None, int | None] = (None, None)
@@ -95,13 +95,13 @@ class HeldItems:
 
     @property
     def has_backlog(self) -> bool:
-        """Whether there are entries to free, now or once the consumers were told of them."""
+        """Whether there are entries to free, now or once the consumers know of them."""
         unreported = self._on_gone is not None and self._reported_to < self.floor
         return unreported or self.index.has_below(self._free_floor)
 
     @property
     def _free_floor(self) -> ItemKey:
-        """The key below which the host frees items: no snapshot shows them, and the consumers were told of them."""
+        """The key below which the host frees items: no snapshot shows them, and the consumers know of them."""
         floor = self.floor if self._on_gone is None else min(self.floor, self._reported_to)
         return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
 

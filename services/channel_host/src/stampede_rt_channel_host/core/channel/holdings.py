@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTE
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
 from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Whole
 
-TOLD_SLICES_MAX = 64
+REPORTED_SLICES_MAX = 64
 """The most collected slices of which one call tells the consumers. The next calls go on."""
 
 FREED_ENTRIES_MAX = 2048
@@ -86,7 +86,7 @@ class Holdings(HeldItems):
         for snapshot in self._snapshots:
             snapshot.detach()
         self._snapshots.clear()
-        while self.tell_gone(TOLD_SLICES_MAX) or self._free_entry(self._free_floor):
+        while self.report_gone(REPORTED_SLICES_MAX) or self._free_entry(self._free_floor):
             pass
         trimmed = self.index.trim_below(self.floor)
         if trimmed is not None:
@@ -216,16 +216,16 @@ class Holdings(HeldItems):
         if front.rest is None:
             self.newest = None
             self._came_up_to = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
-        self.tell_gone(TOLD_SLICES_MAX)
+        self.report_gone(REPORTED_SLICES_MAX)
 
     def tell(self, on_gone: Callable[[int, int], None] | None) -> None:
         """From now on call `on_gone` with the seqs of collected items: the first, and the end, exclusive."""
         self._on_gone, self._reported_to = on_gone, self.floor
 
-    def tell_gone(self, slices_max: int) -> bool:
-        """Tell `on_gone` of up to `slices_max` collected slices. Returns True if more are left.
+    def report_gone(self, slices_max: int) -> bool:
+        """Report up to `slices_max` collected slices to `on_gone`. Returns True if more are left.
 
-        The channel frees a slice only after `on_gone` was told of it.
+        The channel frees a slice only after its report to `on_gone`.
         """
         if self._on_gone is None or self._reported_to >= self.floor:
             return False

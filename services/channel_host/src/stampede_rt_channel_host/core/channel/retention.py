@@ -72,7 +72,7 @@ class Retention:
         consumers, held = self.consumers, self._held
         if consumers is None:
             return False
-        if held.tell_gone(slices_max):
+        if held.report_gone(slices_max):
             return True
         seq, end = self._unknown_from, self._unknown_to
         for _ in range(max(1, slices_max // 4) if seq < end else 0):

@@ -2,7 +2,7 @@
 
 No module here reads a clock, waits, or knows the wire. The shell of groups has these duties at each host:
 
-- It keeps one `TimesBoard`. For own channels it calls `OwnTimes.observe` after each change, then `tell_own`. For
+- It keeps one `TimesBoard`. For own channels it calls `OwnTimes.observe` after each change, then `enter_own`. For
   channels of other hosts it calls `hear` with their owners' reports, and `confirm` at each sign of life.
 - It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` once all
   live hosts have sent their cuts, and `refresh` after each change of the board and at `next_idle`. It never takes a

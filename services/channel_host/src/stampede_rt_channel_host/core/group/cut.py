@@ -16,11 +16,12 @@ _BEFORE_ALL = -(1 << 64)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupDefinition:
-    """The set-up of a group. `reference` None: the group's cut is the smallest cut of all members ("oldest").
+    """The members and settings of a group.
 
-    `by_end`: a channel's cut is the latest end by duration in its newest bucket, at most `max_lead_nanos` after the
-    bucket's time. `idle_after_nanos`: "oldest" leaves out a member that is silent for this time. `incarnation`:
-    only cuts of the same incarnation can be compared.
+    `reference` None: the group's cut is the smallest cut of all members ("oldest"). `by_end`: a channel's cut is the
+    latest end by duration in its newest bucket, at most `max_lead_nanos` after the bucket's time. `idle_after_nanos`:
+    "oldest" leaves out a member that is silent for this time. `incarnation`: only cuts of the same incarnation can be
+    compared.
     """
 
     members: frozenset[bytes]
@@ -72,8 +73,8 @@ class GroupCut:
     """The cut of one group as one host knows it. Within an incarnation it never moves back.
 
     Order of use: make the object; call `merge_floor` with the cuts of the group's other hosts; call `confirm` once all
-    live hosts have told their cuts. Before that no item is visible, because a reader may have seen a later cut. After
-    that call `refresh` after each change of the board and at `next_idle`.
+    live hosts have reported their cuts. Before that no item is visible, because a reader may have seen a later cut.
+    After that call `refresh` after each change of the board and at `next_idle`.
     """
 
     def __init__(self, definition: GroupDefinition, board: TimesBoard) -> None:
@@ -93,7 +94,7 @@ class GroupCut:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether `confirm` was called in this incarnation: all other live hosts have told their cuts."""
+        """Whether `confirm` was called in this incarnation: all other live hosts have reported their cuts."""
         return self._confirmed
 
     @property
@@ -119,7 +120,7 @@ class GroupCut:
         return True
 
     def confirm(self) -> None:
-        """Note that all other hosts have told their cuts. From now on the cut may rise and be shown."""
+        """Note that all other hosts have reported their cuts. From now on the cut may rise and be shown."""
         self._confirmed = True
 
     def refresh(self, now: int) -> bool:

@@ -42,15 +42,17 @@ class ChannelTimes(NamedTuple):
         by_item = self.newest is not None and self.newest - lateness_nanos >= instant + bool(lateness_nanos)
         return by_item or (self.advance is not None and self.advance > instant)
 
-    def merged(self, told: ChannelTimes) -> ChannelTimes:
-        """These times joined with `told`, which the same owner or a later one has told.
+    def merged(self, reported: ChannelTimes) -> ChannelTimes:
+        """These times joined with `reported`, which the same owner or a later one has sent.
 
-        Within one incarnation the later values hold. If `told` is of another incarnation, only `told` holds.
+        Within one incarnation the later values hold. If `reported` is of another incarnation, only `reported` holds.
         """
-        if told.incarnation != self.incarnation:
-            return told
-        newest, newest_end = max((self.newest, self.newest_end), (told.newest, told.newest_end), key=_order)
-        return ChannelTimes(told.epoch, told.incarnation, newest, newest_end, _later(self.advance, told.advance))
+        if reported.incarnation != self.incarnation:
+            return reported
+        newest, newest_end = max((self.newest, self.newest_end), (reported.newest, reported.newest_end), key=_order)
+        return ChannelTimes(
+            reported.epoch, reported.incarnation, newest, newest_end, _later(self.advance, reported.advance)
+        )
 
 
 def _later(one: int | None, other: int | None) -> int | None:
@@ -149,7 +151,7 @@ class TimesBoard:
         """The host's knowledge of the channel; None: the host has heard nothing of it."""
         return self._heard.get(channel_id)
 
-    def tell_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:
+    def enter_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:
         """Enter the times of a channel that the host owns. Changes nothing if the host has heard of a later owner."""
         held = self._heard.get(channel_id)
         if held is not None and times.epoch < held.times.epoch:
@@ -189,6 +191,6 @@ class TimesBoard:
         """Forget a channel that no group has any more. Idempotent."""
         self._heard.pop(channel_id, None)
 
-    def _merged(self, held: Heard, told: ChannelTimes) -> ChannelTimes:
-        self.setbacks += told.incarnation != held.times.incarnation
-        return held.times.merged(told)
+    def _merged(self, held: Heard, reported: ChannelTimes) -> ChannelTimes:
+        self.setbacks += reported.incarnation != held.times.incarnation
+        return held.times.merged(reported)

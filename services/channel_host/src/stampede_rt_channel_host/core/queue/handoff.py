@@ -160,8 +160,8 @@ def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
 def _not_leaving(queue_items: QueueItems) -> Iterator[TouchedItem]:
     """The messages with a history that do not leave."""
     for item in queue_items.touched.values():
-        told = item.returned or item.leases or item.acknowledged or item.due is not None
-        if told and not item.is_leaving:
+        has_history = item.returned or item.leases or item.acknowledged or item.due is not None
+        if has_history and not item.is_leaving:
             yield item
 
 

@@ -1,4 +1,4 @@
-"""The set-up of a queue, checked and with its defaults filled in (paper, section 3.5). Pure."""
+"""The policy of a queue, checked and with its defaults filled in (paper, section 3.5). Pure."""
 
 from __future__ import annotations
 
