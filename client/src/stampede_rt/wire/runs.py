@@ -20,7 +20,7 @@ from stampede_rt.values.model import ABSENT
 from stampede_rt.values.payloads import ITEM_BYTES_MAX
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 
-RUN_BYTES_MAX = 64 * 1024
+RUN_BYTES_MAX = 224 * 1024  # a full run with its columns fits into one message to a host
 CONTENT_TYPE_BYTES_MAX = 255
 ATTRIBUTES_BYTES_MAX = 16 * 1024
 

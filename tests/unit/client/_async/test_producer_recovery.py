@@ -239,27 +239,37 @@ def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
 async def test_runs_that_gather_while_one_waits_for_its_ack_go_out_together() -> None:
     place = Place()
     producer = producer_at(place)
-    for _ in range(110):
-        await producer.put(bytes(18_000))
+    for number in range(50):
+        await producer.put(bytes(18_000), attributes={"n": str(number)})  # each is a run of its own
     sizes = [len(request.puts) for request in place.streams[0].sent[1:]]
     assert sizes[0] == 1, "the first item did not wait"
-    assert set(sizes[1:]) == {4}, "with four runs of 54 KB no other one fits"
+    assert set(sizes[1:]) == {14}, "a message of 256 KiB has room for 14 items of 18 KB"
     assert all(request.ByteSize() <= MESSAGE_BYTES_MAX for request in place.streams[0].sent)
     sent = place.streams[0].numbers
     await place.streams[0].on_response(pb.PutResponse(acks=[accepted(number) for number in sent]))
     runs, items = [len(request.puts) for request in place.streams[0].sent], place.streams[0].items
     assert runs[-1] > 1, "the rest went out together once nothing was under way"
-    assert items == 110
+    assert items == 50
 
 
 async def test_large_items_are_gathered_up_to_the_size_of_a_message_and_larger_ones_go_alone() -> None:
     place = Place()
     producer = producer_at(place)
-    for size in [100_000] * 6 + [3 * MESSAGE_BYTES_MAX, 5]:
+    for size in [120_000] * 6 + [3 * MESSAGE_BYTES_MAX, 5]:
         await producer.put(bytes(size))
     await producer._send_all()
     assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, 2, 2, 1, 1, 1]
     assert place.streams[0].items == 8
+
+
+async def test_medium_items_fill_a_run_which_fills_a_message() -> None:
+    place = Place()
+    producer = producer_at(place)
+    for _ in range(60):
+        await producer.put(bytes(18_000))
+    full = [request.puts[0].run for request in place.streams[0].sent[2:]]
+    assert {len(run.payload_length_bytes) for run in full} == {12}
+    assert all(request.ByteSize() <= MESSAGE_BYTES_MAX for request in place.streams[0].sent)
 
 
 async def test_a_message_has_a_bounded_number_of_runs() -> None:
@@ -274,11 +284,11 @@ async def test_a_message_has_a_bounded_number_of_runs() -> None:
 async def test_after_a_break_sent_and_gathered_runs_go_out_in_full_messages_in_their_order() -> None:
     place = Place()
     producer = producer_at(place)
-    for _ in range(110):
-        await producer.put(bytes(18_000))
+    for number in range(50):
+        await producer.put(bytes(18_000), attributes={"n": str(number)})  # each is a run of its own
     await place.streams[0].on_end(st.Unavailable("broken"))
     await producer._send_all()
     runs = [len(request.puts) for request in place.streams[1].sent[1:]]
-    assert runs[:8] == [5, *[4] * 7], "the first run had one item"
+    assert runs[:3] == [14, 14, 14]
     assert place.streams[1].numbers == sorted(place.streams[1].numbers)
-    assert place.streams[1].items == 110
+    assert place.streams[1].items == 50
