@@ -17,7 +17,9 @@ from stampede_rt.cli.commands import run
 from stampede_rt.errors import Overloaded
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
+from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1.directory_service_pb2_grpc import DirectoryServiceStub
+from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
@@ -163,6 +165,29 @@ def test_a_client_at_its_quota_of_channels_or_queues_does_not_try_again(
                 make(f"quotas/too-many/{kind}")
             assert (caught.value.metadata["quota"], caught.value.retryable) == (kind, False)
             monkeypatch.undo()
+
+
+def test_a_client_has_as_many_groups_and_peers_as_its_quotas(cluster: LocalCluster, operator: Operator) -> None:
+    operator.set("grouper", "groups=1", "peers=1")
+    token = operator.token("grouper")
+    with st.connect(cluster.address, secret=token, name="quotas-p1") as rt:
+        members = [rt.channel("quotas/grouped")]
+        group = rt.group("quotas/g1", members)
+        with pytest.raises(Overloaded) as caught:
+            rt.group("quotas/g2", members)
+        assert caught.value.metadata["quota"] == "groups"
+        with grpc.insecure_channel(cluster.supernodes[0].address) as connection:
+            register: Any = PeerServiceStub(connection).RegisterPeer
+            request = peer_pb.RegisterPeerRequest(
+                request_id=secrets.token_bytes(16), peer_id=secrets.token_bytes(16), boot_incarnation=1
+            )
+            with pytest.raises(grpc.RpcError, match="grouper has registered 1 peers that still exist; its quota peers"):
+                register(request, metadata=(("authorization", f"Bearer {token}"),), timeout=10)
+        uses = [row for row in operator.rows("use", "grouper") if row["quota"] in ("groups", "peers")]
+        assert {(row["quota"], row["used"], row["limit"]) for row in uses} == {("groups", 1, 1), ("peers", 1, 1)}
+        assert {row["quota"] for row in uses if row["refused"]} == {"groups", "peers"}
+        group.delete()
+        rt.group("quotas/g2", members)
 
 
 def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operator: Operator) -> None:

@@ -184,7 +184,8 @@ class PermissionDenied(StampedeError):
 class Overloaded(StampedeError):
     """The server has reached one of its bounds, or the caller one of its quotas. Try again later.
 
-    `retryable` is False at the quotas `channels` and `queues`: no room comes until someone deletes some of these.
+    `retryable` is False at the quotas `channels`, `queues` and `groups`: no room comes until someone deletes some of
+    these.
     """
 
     reason = "OVERLOADED"
@@ -192,7 +193,7 @@ class Overloaded(StampedeError):
 
     def __init__(self, message: str, *, reason: str | None = None, metadata: Mapping[str, str] | None = None) -> None:
         super().__init__(message, reason=reason, metadata=metadata)
-        self.retryable = self.metadata.get("quota") not in ("channels", "queues")
+        self.retryable = self.metadata.get("quota") not in ("channels", "queues", "groups")
 
     @property
     def is_over_open_streams(self) -> bool:

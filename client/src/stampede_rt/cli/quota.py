@@ -15,8 +15,8 @@ from stampede_rt.errors import StampedeError
 from stampede_rt.escaping import escaped
 
 QUOTAS = (
-    "streams", "subscriptions", "waiting-calls", "bytes-in-flight", "channels", "queues", "changes-per-second",
-    "bytes-held", "cpu-percent",
+    "streams", "subscriptions", "waiting-calls", "bytes-in-flight", "channels", "queues", "groups", "peers",
+    "changes-per-second", "bytes-held", "cpu-percent",
 )  # fmt: skip
 IN_BYTES = frozenset({"bytes-in-flight", "bytes-held"})
 DEFAULT = "(default)"  # the text for the subject of a default limit

@@ -228,20 +228,22 @@ class BeginTenureCommand(_message.Message):
     def __init__(self, tenure: _Optional[int] = ..., supernode_id: _Optional[str] = ..., new_cluster_id: _Optional[str] = ..., new_lease_ttl_nanos: _Optional[int] = ..., founded_anew: bool = ..., takes_over: bool = ..., new_feature_level: _Optional[int] = ..., new_join_key: _Optional[bytes] = ..., new_token_key: _Optional[bytes] = ...) -> None: ...
 
 class OpenGroupCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation", "created_by")
+    __slots__ = ("name", "spec", "create", "new_group_id", "new_incarnation", "created_by", "created_max")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
     NEW_GROUP_ID_FIELD_NUMBER: _ClassVar[int]
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     CREATED_BY_FIELD_NUMBER: _ClassVar[int]
+    CREATED_MAX_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _group_pb2.GroupSpec
     create: bool
     new_group_id: bytes
     new_incarnation: int
     created_by: str
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_group_pb2.GroupSpec, _Mapping]] = ..., create: bool = ..., new_group_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ...) -> None: ...
+    created_max: int
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_group_pb2.GroupSpec, _Mapping]] = ..., create: bool = ..., new_group_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ..., created_max: _Optional[int] = ...) -> None: ...
 
 class UpdateGroupCommand(_message.Message):
     __slots__ = ("group_id", "add_channel_ids", "remove_channel_ids", "spec_version")
@@ -336,7 +338,7 @@ class DeleteQueueCommand(_message.Message):
     def __init__(self, queue_id: _Optional[bytes] = ...) -> None: ...
 
 class RegisterPeerCommand(_message.Message):
-    __slots__ = ("peer_id", "name", "boot_incarnation", "proof_sha256", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "new_mailbox_id", "new_incarnation", "registration_epoch", "owner")
+    __slots__ = ("peer_id", "name", "boot_incarnation", "proof_sha256", "mailbox", "mailbox_host_name", "host_id", "zone", "version", "attributes", "new_mailbox_id", "new_incarnation", "registration_epoch", "owner", "created_by", "created_max")
     class AttributesEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -358,6 +360,8 @@ class RegisterPeerCommand(_message.Message):
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
     OWNER_FIELD_NUMBER: _ClassVar[int]
+    CREATED_BY_FIELD_NUMBER: _ClassVar[int]
+    CREATED_MAX_FIELD_NUMBER: _ClassVar[int]
     peer_id: bytes
     name: str
     boot_incarnation: int
@@ -372,7 +376,9 @@ class RegisterPeerCommand(_message.Message):
     new_incarnation: int
     registration_epoch: int
     owner: str
-    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof_sha256: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., new_mailbox_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., owner: _Optional[str] = ...) -> None: ...
+    created_by: str
+    created_max: int
+    def __init__(self, peer_id: _Optional[bytes] = ..., name: _Optional[str] = ..., boot_incarnation: _Optional[int] = ..., proof_sha256: _Optional[bytes] = ..., mailbox: _Optional[_Union[_queue_pb2.QueueSpec, _Mapping]] = ..., mailbox_host_name: _Optional[str] = ..., host_id: _Optional[bytes] = ..., zone: _Optional[str] = ..., version: _Optional[str] = ..., attributes: _Optional[_Mapping[str, str]] = ..., new_mailbox_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., owner: _Optional[str] = ..., created_by: _Optional[str] = ..., created_max: _Optional[int] = ...) -> None: ...
 
 class DeregisterPeerCommand(_message.Message):
     __slots__ = ("peer_id", "boot_incarnation")
@@ -666,16 +672,18 @@ class PeersExpiredResult(_message.Message):
     def __init__(self, expired: _Optional[int] = ...) -> None: ...
 
 class PeerEntry(_message.Message):
-    __slots__ = ("record", "proof_sha256", "registered_index", "ended_index")
+    __slots__ = ("record", "proof_sha256", "registered_index", "ended_index", "created_by")
     RECORD_FIELD_NUMBER: _ClassVar[int]
     PROOF_SHA256_FIELD_NUMBER: _ClassVar[int]
     REGISTERED_INDEX_FIELD_NUMBER: _ClassVar[int]
     ENDED_INDEX_FIELD_NUMBER: _ClassVar[int]
+    CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     record: _peer_pb2.PeerRecord
     proof_sha256: bytes
     registered_index: int
     ended_index: int
-    def __init__(self, record: _Optional[_Union[_peer_pb2.PeerRecord, _Mapping]] = ..., proof_sha256: _Optional[bytes] = ..., registered_index: _Optional[int] = ..., ended_index: _Optional[int] = ...) -> None: ...
+    created_by: str
+    def __init__(self, record: _Optional[_Union[_peer_pb2.PeerRecord, _Mapping]] = ..., proof_sha256: _Optional[bytes] = ..., registered_index: _Optional[int] = ..., ended_index: _Optional[int] = ..., created_by: _Optional[str] = ...) -> None: ...
 
 class GroupEntry(_message.Message):
     __slots__ = ("record", "witness_host_ids")

@@ -18,6 +18,8 @@ class QuotaKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     QUOTA_KIND_CHANGES_PER_SECOND: _ClassVar[QuotaKind]
     QUOTA_KIND_BYTES_HELD: _ClassVar[QuotaKind]
     QUOTA_KIND_CPU_PERCENT: _ClassVar[QuotaKind]
+    QUOTA_KIND_GROUPS: _ClassVar[QuotaKind]
+    QUOTA_KIND_PEERS: _ClassVar[QuotaKind]
 QUOTA_KIND_UNSPECIFIED: QuotaKind
 QUOTA_KIND_STREAMS: QuotaKind
 QUOTA_KIND_SUBSCRIPTIONS: QuotaKind
@@ -28,6 +30,8 @@ QUOTA_KIND_QUEUES: QuotaKind
 QUOTA_KIND_CHANGES_PER_SECOND: QuotaKind
 QUOTA_KIND_BYTES_HELD: QuotaKind
 QUOTA_KIND_CPU_PERCENT: QuotaKind
+QUOTA_KIND_GROUPS: QuotaKind
+QUOTA_KIND_PEERS: QuotaKind
 
 class QuotaSetting(_message.Message):
     __slots__ = ("who", "kind", "limit")

@@ -8,18 +8,26 @@ import pytest
 
 from stampede_rt.errors import Overloaded
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.cluster.feature_levels import OWNERS_LEVEL
+from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.core.commands import Creation, Refused, Result
 from stampede_rt_supernode.core.creators import Creators
+from stampede_rt_supernode.core.groups import transitions as group_transitions
 from stampede_rt_supernode.core.tables import Tables
 from tests.support.supernode.operations import (
     Log,
     begin_tenure,
     delete,
+    delete_group,
     delete_queue,
+    deregister_peer,
+    expire_peers,
+    id_of,
     open_channel,
+    open_group,
     open_queue,
     register,
+    register_peer,
+    update_group,
 )
 
 
@@ -27,9 +35,9 @@ def by(name: str, operation: Creation, created_max: int | None = 2) -> Creation:
     return replace(operation, created_by=name, created_max=created_max)
 
 
-def log_with_a_host() -> Log:
+def log_with_a_host(feature_level: int = GROUPS_AND_PEERS_LEVEL) -> Log:
     log = Log(founded=False)
-    log.apply(replace(begin_tenure(1), new_feature_level=OWNERS_LEVEL))
+    log.apply(replace(begin_tenure(1), new_feature_level=feature_level))
     log.apply(register(1))
     return log
 
@@ -72,12 +80,82 @@ def test_queues_have_a_quota_of_their_own() -> None:
     assert not isinstance(log.apply(by("cam", open_queue("s"), 1)), Refused)
 
 
+def test_groups_have_a_quota_of_their_own_and_those_that_go_with_their_channel_make_room() -> None:
+    log = log_with_a_host()
+    log.apply(by("cam", open_channel("c"), 1))
+    channel = log.directory.tables.channel_ids["c"]
+    log.apply(by("cam", open_group("g", (channel,))))
+    log.apply(by("cam", open_group("h", (channel,))))
+    error = refusal(log.apply(by("cam", open_group("i", (channel,)))))
+    assert error.metadata == {"quota": "groups", "subject": "cam", "used": "2", "limit": "2"}
+    assert not error.retryable
+    assert not isinstance(log.apply(by("cam", open_group("g", (channel,)))), Refused), "the group exists"
+    log.apply(delete_group(log.directory.tables.groups.ids["g"]))
+    assert not isinstance(log.apply(by("cam", open_group("i", (channel,)))), Refused)
+    log.apply(delete(channel))
+    assert log.directory.tables.groups.creators["cam"] == 0
+
+
+def test_live_peers_have_a_quota_and_a_peer_that_registers_again_counts_once() -> None:
+    log = log_with_a_host()
+    log.apply(by("cam", register_peer(1, "one", proof=1)))
+    log.apply(by("cam", register_peer(2)))
+    error = refusal(log.apply(by("cam", register_peer(3))))
+    assert error.message == (
+        "cam has registered 2 peers that still exist; its quota peers is 2; let some leave, or have an operator raise "
+        "it (stampede quota set cam peers=LIMIT)"
+    )
+    assert error.retryable, "the lease of a peer may end"
+    assert not isinstance(log.apply(by("cam", register_peer(4, "one", proof=1, boot=2))), Refused)
+    assert not isinstance(log.apply(by("other", register_peer(5), 1)), Refused)
+    log.apply(deregister_peer(2))
+    assert not isinstance(log.apply(by("cam", register_peer(3))), Refused)
+    log.apply(expire_peers((3, log.directory.tables.peers.by_id[id_of(3)].registered_index)))
+    assert log.directory.tables.peers.creators["cam"] == 1
+
+
+def test_one_caller_leaves_room_for_the_groups_of_others_with_a_channel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(group_transitions, "GROUPS_PER_CHANNEL_AND_CALLER_MAX", 2)
+    log = log_with_a_host()
+    for name in ("shared", "own"):
+        log.apply(by("cam", open_channel(name), None))
+    shared, own = (log.directory.tables.channel_ids[name] for name in ("shared", "own"))
+    for name in ("a", "b"):
+        log.apply(by("cam", open_group(name, (shared,)), None))
+    assert (
+        "cam has created 2 groups with that channel"
+        in refusal(log.apply(by("cam", open_group("c", (shared,)), None))).message
+    )
+    log.apply(by("cam", open_group("c", (own,)), None))
+    group_id = log.directory.tables.groups.ids["c"]
+    assert "the limit for one caller" in refusal(log.apply(update_group(group_id, add=(shared,)))).message
+    for name, caller in (("d", "other"), ("e", "@clients"), ("f", "@clients"), ("g", "@clients")):
+        assert not isinstance(log.apply(by(caller, open_group(name, (shared,)), None)), Refused)
+    log.apply(delete_group(log.directory.tables.groups.ids["a"]))
+    assert not isinstance(log.apply(update_group(group_id, add=(shared,))), Refused)
+
+
+def test_below_their_feature_level_groups_and_peers_have_no_quota(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(group_transitions, "GROUPS_PER_CHANNEL_AND_CALLER_MAX", 0)
+    log = log_with_a_host(GROUPS_AND_PEERS_LEVEL - 1)
+    log.apply(by("cam", open_channel("c")))
+    channel = log.directory.tables.channel_ids["c"]
+    assert not isinstance(log.apply(by("cam", open_group("g", (channel,)), 0)), Refused)
+    assert not isinstance(log.apply(by("cam", register_peer(1), 0)), Refused)
+    assert log.directory.tables.peers.creators["cam"] == 0, "a replica of an earlier release does not count it"
+
+
 def test_a_snapshot_counts_as_the_state_that_it_is_of() -> None:
     log = log_with_a_host()
     log.apply(by("cam", open_channel("c")))
     log.apply(by("cam", open_queue("q")))
+    log.apply(by("cam", open_group("g", tuple(log.directory.tables.channels))))
+    log.apply(by("cam", register_peer(1, "p")))
     tables: Tables = decode_snapshot(encode_snapshot(log.directory)).tables
     assert (tables.channel_creators["cam"], tables.queues.creators["cam"]) == (1, 1)
+    assert (tables.groups.creators["cam"], tables.peers.creators["cam"]) == (1, 1)
+    [channel] = tables.channels
+    assert tables.groups.count_made_with(channel, "cam") == 1
 
 
 def test_a_limit_of_nothing_lets_nothing_be_made_and_a_name_that_is_not_known_is_not_counted() -> None:

@@ -24,6 +24,8 @@ _TEXTS: Mapping[Quota, tuple[str, str]] = {
     Quota.BYTES_IN_FLIGHT: ("bytes in flight at this port", "put and read less at once"),
     Quota.CHANNELS: ("channels", "delete some"),
     Quota.QUEUES: ("queues", "delete some"),
+    Quota.GROUPS: ("groups", "delete some"),
+    Quota.PEERS: ("peers", "let some leave"),
     Quota.CHANGES_PER_SECOND: ("changes of the directory a second", "make them more slowly"),
     Quota.BYTES_HELD: (
         "bytes held in its channels and queues here",

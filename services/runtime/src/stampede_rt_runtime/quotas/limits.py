@@ -28,6 +28,8 @@ class Quota(StrEnum):
     CHANGES_PER_SECOND = "changes-per-second"
     BYTES_HELD = "bytes-held"
     CPU_PERCENT = "cpu-percent"
+    GROUPS = "groups"
+    PEERS = "peers"
 
 
 DEFAULTS: Mapping[Quota, int] = {
@@ -40,8 +42,13 @@ DEFAULTS: Mapping[Quota, int] = {
     Quota.CHANGES_PER_SECOND: 1000,
     Quota.BYTES_HELD: LIMIT_MAX,  # a host sets its own limit
     Quota.CPU_PERCENT: 50,
+    Quota.GROUPS: 7500,  # of the 10,000 of a directory
+    # Of the 100,000 of a directory. A mailbox takes the room of a queue, and 40,000 mailboxes and 150,000 queues leave
+    # room for others.
+    Quota.PEERS: 40_000,
 }
-IN_DIRECTORY = frozenset({Quota.CHANNELS, Quota.QUEUES})  # the directory counts and refuses these
+# The directory counts and refuses these.
+IN_DIRECTORY = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.GROUPS, Quota.PEERS})
 OF_MAKERS = IN_DIRECTORY | {Quota.BYTES_HELD}
 """These quotas count the things that a caller has created, wherever it calls from.
 

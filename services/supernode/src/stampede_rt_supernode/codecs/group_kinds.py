@@ -25,6 +25,7 @@ def _open_message(operation: OpenGroup) -> pb.OpenGroupCommand:
         new_group_id=operation.new_group_id,
         new_incarnation=operation.new_incarnation,
         created_by=operation.created_by,
+        created_max=operation.created_max,
     )
 
 
@@ -36,6 +37,7 @@ def _read_open(message: pb.OpenGroupCommand) -> OpenGroup:
         new_group_id=message.new_group_id,
         new_incarnation=message.new_incarnation,
         created_by=message.created_by,
+        created_max=message.created_max if message.HasField("created_max") else None,
     )
 
 

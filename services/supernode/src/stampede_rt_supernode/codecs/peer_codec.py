@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from sys import intern
 
 from stampede_rt.v1 import directory_command_pb2 as pb
 from stampede_rt.v1 import peer_pb2
@@ -42,6 +43,7 @@ def peer_entry(peer: PeerRecord) -> pb.PeerEntry:
         proof_sha256=peer.proof_sha256,
         registered_index=peer.registered_index,
         ended_index=peer.ended_index,
+        created_by=peer.created_by,
     )
 
 
@@ -63,4 +65,5 @@ def peer_from(entry: pb.PeerEntry) -> PeerRecord:
         ended_index=entry.ended_index,
         registration_epoch=record.registration_epoch,
         owner=record.owner if record.HasField("owner") else None,
+        created_by=intern(entry.created_by),  # one string object for all records of a caller
     )

@@ -36,6 +36,8 @@ def _register_message(operation: RegisterPeer) -> pb.RegisterPeerCommand:
         new_incarnation=operation.new_incarnation,
         registration_epoch=operation.registration_epoch,
         owner=operation.owner,
+        created_by=operation.created_by,
+        created_max=operation.created_max,
     )
 
 
@@ -55,6 +57,8 @@ def _read_register(message: pb.RegisterPeerCommand) -> RegisterPeer:
         new_incarnation=message.new_incarnation,
         registration_epoch=message.registration_epoch,
         owner=message.owner if message.HasField("owner") else None,
+        created_by=message.created_by,
+        created_max=message.created_max if message.HasField("created_max") else None,
     )
 
 

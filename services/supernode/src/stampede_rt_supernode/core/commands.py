@@ -21,7 +21,8 @@ class Operation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Creation(Operation):
-    """Base of the operations that may create a channel, queue or group. `created_by`: the caller, see ChannelRecord.
+    """Base of the operations that may create a channel, queue, group or peer. `created_by`: the caller, see
+    ChannelRecord.
 
     `created_max`: how many things of the kind the caller may have; None if there is no limit.
     """

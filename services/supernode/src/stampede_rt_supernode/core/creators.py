@@ -31,14 +31,14 @@ class Creators:
             if not self._made[name]:
                 del self._made[name]
 
-    def check(self, operation: Creation, kind: str) -> None:
+    def check(self, operation: Creation, kind: str, *, created: str = "created", way_out: str = "delete some") -> None:
         """Check that the caller may create another thing. `kind`: the plural, such as "channels". Raises Overloaded."""
         made, limit = self._made[operation.created_by], operation.created_max
         if limit is None or made < limit:
             return
         name = operation.created_by
         raise Overloaded(
-            f"{name} has created {made} {kind} that still exist; its quota {kind} is {limit}; delete some, or have an "
+            f"{name} has {created} {made} {kind} that still exist; its quota {kind} is {limit}; {way_out}, or have an "
             f"operator raise it (stampede quota set {name} {kind}=LIMIT)",
             metadata={"quota": kind, "subject": name, "used": str(made), "limit": str(limit)},
         )

@@ -198,7 +198,8 @@ class PeerRecord:
     host that this peer is; None if it is no host. `owner`: the name by which rules of access know the caller that
     registered it; empty if rules do not judge that caller; None if it is unknown.
     `proof_sha256` is empty if the peer gave no proof. `registered_index`, `registration_epoch`: as for hosts.
-    `ended_index`: the log position at which its lease ended; 0 while it lives.
+    `ended_index`: the log position at which its lease ended; 0 while it lives. `created_by`: the name under which
+    quotas count it, as for channels.
     """
 
     peer_id: bytes
@@ -215,6 +216,7 @@ class PeerRecord:
     ended_index: int = 0
     owner: str | None = None
     registration_epoch: int = 0
+    created_by: str = ""
 
     @property
     def alive(self) -> bool:

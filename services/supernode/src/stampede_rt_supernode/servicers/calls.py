@@ -137,6 +137,11 @@ class DirectoryCalls:
         await check(operation)
         return await self.submit(context, operation, kind, op_id, as_of_index)
 
+    async def check_level(self, context: Context, what: str, needed: int) -> None:
+        """Raises VersionMismatch if the cluster's feature level is below `needed`. `what`: what needs the level."""
+        await self.confirm(context)
+        self._submission.check_level(what, needed)
+
     async def confirm(self, context: Context) -> None:
         """Wait until the local state includes every update acknowledged before.
 

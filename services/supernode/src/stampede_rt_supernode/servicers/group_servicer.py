@@ -10,8 +10,9 @@ from collections.abc import Iterable
 
 from stampede_rt.v1 import group_directory_service_pb2 as pb
 from stampede_rt.v1 import group_directory_service_pb2_grpc
-from stampede_rt_runtime.access.control import allowed_to, caller_name, check_known
+from stampede_rt_runtime.access.control import allowed_to, caller_name, check_known, creation_limit
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.group_codec import group_record, group_spec_from
 from stampede_rt_supernode.codecs.host_codec import host_record
@@ -53,6 +54,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
             new_group_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=secrets.randbits(64) or 1,
             created_by=caller_name(),
+            created_max=creation_limit(Quota.GROUPS),
         )
         check_operation(operation)
 

@@ -11,8 +11,17 @@ from stampede_rt.v1 import peer_pb2, peer_service_pb2_grpc
 from stampede_rt.v1 import peer_service_pb2 as pb
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt.wire.peers import clock_offset
-from stampede_rt_runtime.access.control import allowed_to, audit_change, check_access, check_known, owner_name
+from stampede_rt_runtime.access.control import (
+    allowed_to,
+    audit_change,
+    caller_name,
+    check_access,
+    check_known,
+    creation_limit,
+    owner_name,
+)
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.codecs.host_codec import host_record
 from stampede_rt_supernode.codecs.peer_codec import attributes_from, peer_record
@@ -173,5 +182,7 @@ def _entering(request: pb.RegisterPeerRequest) -> RegisterPeer:
         new_mailbox_id=secrets.token_bytes(ID_BYTES),
         new_incarnation=secrets.randbits(64) or 1,
         owner=owner_name(),
+        created_by=caller_name(),
+        created_max=creation_limit(Quota.PEERS),
         registration_epoch=request.registration_epoch,
     )

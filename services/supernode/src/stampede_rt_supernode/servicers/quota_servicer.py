@@ -3,6 +3,8 @@
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import quota_service_pb2 as pb
 from stampede_rt.v1 import quota_service_pb2_grpc
@@ -11,7 +13,11 @@ from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, Quota, check_
 from stampede_rt_runtime.quotas.messages import limit_message, quota_from, setting_from, setting_message
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, QuotasSet, RemoveQuotas, SetQuotas
+from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
+
+# Members below GROUPS_AND_PEERS_LEVEL cannot read a command about these.
+LATER_QUOTAS = frozenset({Quota.GROUPS, Quota.PEERS})
 
 
 class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
@@ -23,6 +29,7 @@ class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
     @errors_as_status
     async def SetQuotas(self, request: pb.SetQuotasRequest, context: Context) -> pb.SetQuotasResponse:
         operation = SetQuotas(settings=tuple(map(setting_from, request.settings)))
+        await self.check_known_to_all(context, [one.quota for one in operation.settings])
         done = await self._calls.submit(context, operation, QuotasSet, request.request_id)
         audit_change("set quota", ", ".join(map(str, operation.settings)), done=bool(done.changed))
         return pb.SetQuotasResponse(changed=done.changed, version=done.version)
@@ -30,9 +37,16 @@ class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
     @errors_as_status
     async def RemoveQuotas(self, request: pb.RemoveQuotasRequest, context: Context) -> pb.RemoveQuotasResponse:
         operation = RemoveQuotas(who=request.who, quotas=tuple(map(quota_from, request.kinds)))
+        await self.check_known_to_all(context, operation.quotas)
         done = await self._calls.submit(context, operation, QuotasRemoved, request.request_id)
         audit_change("remove quota", f"{operation.who} {' '.join(operation.quotas) or 'all'}", done=bool(done.removed))
         return pb.RemoveQuotasResponse(removed=done.removed, version=done.version)
+
+    async def check_known_to_all(self, context: Context, quotas: Iterable[Quota]) -> None:
+        """Check that all supernodes know these quotas. Raises VersionMismatch."""
+        later = sorted(LATER_QUOTAS.intersection(quotas))
+        if later:
+            await self._calls.check_level(context, f"the quota {later[0]}", GROUPS_AND_PEERS_LEVEL)
 
     @errors_as_status
     async def ListQuotas(self, request: pb.ListQuotasRequest, context: Context) -> pb.ListQuotasResponse:

@@ -58,6 +58,11 @@ class Submission:
             raise errors.StampedeError(f"a {type(operation).__name__} gave a {type(result).__name__}; report this")
         return result
 
+    def check_level(self, what: str, needed: int) -> None:
+        """Raises VersionMismatch if the cluster's feature level is below `needed`. `what`: what needs the level."""
+        if self._replica.feature_level < needed:
+            raise above_level(what, needed, self._log.status())
+
     def _check_level(self, encoded: bytes) -> None:
         if not self._replica.takes(encoded):
             kind = self._replica.kind_in(encoded)

@@ -34,9 +34,14 @@ def access_state(directory: DirectoryState) -> AccessState:
 
 
 def things_of_callers(directory: DirectoryState) -> list[tuple[str, Quota, int]]:
-    """The callers with the most channels or queues in the directory, with their numbers; CALLERS_TOLD_MAX of each."""
+    """The callers with the most channels, queues, groups or peers, and their numbers; CALLERS_TOLD_MAX of each."""
     tables = directory.tables
-    counted = {Quota.CHANNELS: tables.channel_creators, Quota.QUEUES: tables.queues.creators}
+    counted = {
+        Quota.CHANNELS: tables.channel_creators,
+        Quota.QUEUES: tables.queues.creators,
+        Quota.GROUPS: tables.groups.creators,
+        Quota.PEERS: tables.peers.creators,
+    }
     return [(name, quota, n) for quota, of in counted.items() for name, n in of.largest(CALLERS_TOLD_MAX)]
 
 

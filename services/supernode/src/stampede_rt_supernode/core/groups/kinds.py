@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from stampede_rt_supernode.core import late_opens
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted
-from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables, on_tables_with_creator
+from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL, OWNERS_LEVEL
+from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,
@@ -36,6 +38,19 @@ def _check_open_not_late(state: DirectoryState, operation: OpenGroup, as_of_inde
         )
 
 
+def _open(state: DirectoryState, operation: OpenGroup, time_unix_nano: int) -> GroupOpened:
+    has_limits = state.feature_level >= GROUPS_AND_PEERS_LEVEL
+    if state.feature_level < OWNERS_LEVEL:
+        operation = replace(operation, created_by="")
+    if not has_limits:
+        operation = replace(operation, created_max=None)
+    return open_group(state.tables, operation, has_shares=has_limits)
+
+
+def _update(state: DirectoryState, operation: UpdateGroup, time_unix_nano: int) -> GroupUpdated:
+    return update_group(state.tables, operation, has_shares=state.feature_level >= GROUPS_AND_PEERS_LEVEL)
+
+
 KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=OpenGroup,
@@ -44,7 +59,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         subject=lambda one: one.name,
         check=check_open_group,
         check_not_late=_check_open_not_late,
-        apply=on_tables_with_creator(open_group),
+        apply=_open,
     ),
     CommandKind(
         operation=UpdateGroup,
@@ -52,7 +67,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=lambda one: one.group_id.hex(),
         check=check_update_group,
-        apply=on_tables(update_group),
+        apply=_update,
     ),
     CommandKind(
         operation=DeleteGroup,

@@ -5,10 +5,12 @@ Every edit is atomic and keeps the invariants stated beside the attributes.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 from sortedcontainers import SortedDict
 
+from stampede_rt_supernode.core.creators import Creators
 from stampede_rt_supernode.core.records import ChangeKind, GroupRecord
 
 Note = Callable[[ChangeKind, GroupRecord], None]
@@ -28,6 +30,8 @@ class GroupTable:
         self.ids: SortedDict[str, bytes] = SortedDict()  # the group's id by its name, for all groups
         self._entries: dict[bytes, GroupWithWitnesses] = {}  # by group id; the witnesses ascend, at least one each
         self._ids_with: dict[bytes, set[bytes]] = {}  # by channel id; only channels that are in a group
+        self._made_with: Counter[tuple[bytes, str]] = Counter()  # by channel id and creator: the number of such groups
+        self.creators = Creators()
         for group, witnesses in entries:
             self._link(group, witnesses)
 
@@ -46,6 +50,10 @@ class GroupTable:
     def count_with(self, channel_id: bytes) -> int:
         """The number of groups to which a channel belongs."""
         return len(self._ids_with.get(channel_id, ()))
+
+    def count_made_with(self, channel_id: bytes, created_by: str) -> int:
+        """The number of the groups of a channel that this caller has created."""
+        return self._made_with[channel_id, created_by]
 
     def entries(self) -> Iterator[tuple[bytes, GroupWithWitnesses]]:
         """The (id, (group, its witnesses)) of each group, by name."""
@@ -75,6 +83,7 @@ class GroupTable:
     def remove(self, group: GroupRecord) -> None:
         """Delete a group that exists."""
         self._unlink_members(group)
+        self.creators.note(group.created_by, -1)
         del self.by_id[group.group_id]
         del self.ids[group.name]
         del self._entries[group.group_id]
@@ -84,6 +93,7 @@ class GroupTable:
         self.ids[group.name] = group.group_id
         self._hold(group, witnesses)
         self._link_members(group)
+        self.creators.note(group.created_by, +1)
 
     def _hold(self, group: GroupRecord, witnesses: tuple[bytes, ...]) -> None:
         self.by_id[group.group_id] = group
@@ -92,10 +102,14 @@ class GroupTable:
     def _link_members(self, group: GroupRecord) -> None:
         for channel_id in group.spec.channel_ids:
             self._ids_with.setdefault(channel_id, set()).add(group.group_id)
+            self._made_with[channel_id, group.created_by] += 1
 
     def _unlink_members(self, group: GroupRecord) -> None:
         for channel_id in group.spec.channel_ids:
             held = self._ids_with[channel_id]
             held.discard(group.group_id)
+            self._made_with[channel_id, group.created_by] -= 1
+            if not self._made_with[channel_id, group.created_by]:
+                del self._made_with[channel_id, group.created_by]
             if not held:
                 del self._ids_with[channel_id]

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from stampede_rt.errors import GroupExists, InvalidArgument, Overloaded
+from stampede_rt_runtime.quotas.limits import SHARED_NAMES
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,
@@ -26,6 +27,7 @@ from stampede_rt_supernode.core.validation import check_id, check_incarnation, c
 
 GROUPS_MAX = 10_000
 GROUPS_PER_CHANNEL_MAX = 1_000  # the deletion of the channel changes all of them at once
+GROUPS_PER_CHANNEL_AND_CALLER_MAX = 750  # so that one caller does not keep the others' groups from a channel
 
 
 def check_open_group(operation: OpenGroup) -> None:
@@ -61,11 +63,14 @@ def check_update_group(operation: UpdateGroup) -> None:
         raise InvalidArgument(text, metadata={"channel_id": min(both).hex()})
 
 
-def open_group(tables: Tables, operation: OpenGroup) -> GroupOpened:
-    """Get or create a group. The name belongs to the first operation in the log."""
+def open_group(tables: Tables, operation: OpenGroup, *, has_shares: bool = True) -> GroupOpened:
+    """Get or create a group. The name belongs to the first operation in the log.
+
+    `has_shares`: whether the groups of a channel are limited for each caller.
+    """
     check_open_group(operation)
     opened = open_group_unchanged(tables, operation)
-    return opened if opened is not None else _create(tables, operation)
+    return opened if opened is not None else _create(tables, operation, has_shares)
 
 
 def open_group_unchanged(tables: Tables, operation: OpenGroup) -> GroupOpened | None:
@@ -85,10 +90,13 @@ def open_group_unchanged(tables: Tables, operation: OpenGroup) -> GroupOpened | 
     return GroupOpened(group=group, created=False)
 
 
-def _create(tables: Tables, operation: OpenGroup) -> GroupOpened:
+def _create(tables: Tables, operation: OpenGroup, has_shares: bool) -> GroupOpened:
     spec = operation.spec
     assert spec is not None  # check_open_group refuses to create without one
     _check_members(tables, operation.name, spec.channel_ids)
+    if has_shares:
+        _check_share(tables, operation.name, operation.created_by, spec.channel_ids)
+    tables.groups.creators.check(operation, "groups")
     if len(tables.groups) >= GROUPS_MAX:
         text = f"group {operation.name} cannot be created: the directory holds {GROUPS_MAX} groups, the limit"
         raise Overloaded(f"{text}; delete some", metadata={"group": operation.name})
@@ -115,8 +123,25 @@ def _check_members(tables: Tables, name: str, channel_ids: Iterable[bytes]) -> N
             )
 
 
-def update_group(tables: Tables, operation: UpdateGroup) -> GroupUpdated:
-    """Add and remove members. The cut stays the same."""
+def _check_share(tables: Tables, name: str, created_by: str, channel_ids: Iterable[bytes]) -> None:
+    """Check that the creator of a group has not used up the groups of these channels. Raises Overloaded.
+
+    Callers with a shared name have no such limit, because nobody can tell them apart.
+    """
+    if not created_by or created_by in SHARED_NAMES:
+        return
+    for channel_id in channel_ids:
+        if tables.groups.count_made_with(channel_id, created_by) >= GROUPS_PER_CHANNEL_AND_CALLER_MAX:
+            channel = channel_by_id(tables, channel_id)
+            raise Overloaded(
+                f"channel {channel.name} cannot come into group {name}: {created_by} has created "
+                f"{GROUPS_PER_CHANNEL_AND_CALLER_MAX} groups with that channel, the limit for one caller; delete some",
+                metadata={"group": name, "channel": channel.name, "subject": created_by},
+            )
+
+
+def update_group(tables: Tables, operation: UpdateGroup, *, has_shares: bool = True) -> GroupUpdated:
+    """Add and remove members. The cut stays the same. `has_shares`: as for `open_group`."""
     check_update_group(operation)
     group = group_by_id(tables, operation.group_id)
     if operation.spec_version is not None and operation.spec_version != group.spec_version:
@@ -127,6 +152,8 @@ def update_group(tables: Tables, operation: UpdateGroup) -> GroupUpdated:
         )
     coming = [one for one in dict.fromkeys(operation.add_channel_ids) if one not in group.spec.channel_ids]
     _check_members(tables, group.name, coming)
+    if has_shares:
+        _check_share(tables, group.name, group.created_by, coming)
     staying = [one for one in group.spec.channel_ids if one not in operation.remove_channel_ids]
     return GroupUpdated(group=_with_members(tables, group, (*staying, *coming)))
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from stampede_rt_supernode.core.commands import Operation, Success
+from stampede_rt_supernode.core.commands import Creation, Operation, Success
 from stampede_rt_supernode.core.records import HostRecord, PeerRecord, QueueRecord, QueueSpec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RegisterPeer(Operation):
+class RegisterPeer(Creation):
     """A peer registers.
 
     `proof_sha256` is empty if the peer gave no proof. `mailbox` is None if the peer states no settings of its mailbox.

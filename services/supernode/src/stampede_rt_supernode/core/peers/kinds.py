@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from stampede_rt_supernode.core.cluster.feature_levels import OWNERS_LEVEL
+from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL, OWNERS_LEVEL
 from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.peers.checks import check_register_peer
 from stampede_rt_supernode.core.peers.commands import (
@@ -25,6 +25,8 @@ def _register(state: DirectoryState, operation: RegisterPeer, time_unix_nano: in
     state.check_founded()
     if state.feature_level < OWNERS_LEVEL:
         operation = replace(operation, owner=None)
+    if state.feature_level < GROUPS_AND_PEERS_LEVEL:
+        operation = replace(operation, created_by="", created_max=None)
     return register_peer(state.tables, operation, time_unix_nano, state.cluster_id)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from sortedcontainers import SortedDict, SortedSet
 
 from stampede_rt_supernode.core.change_ring import ChangeRing
+from stampede_rt_supernode.core.creators import Creators
 from stampede_rt_supernode.core.records import ChangeKind, DirectoryChange, PeerRecord
 
 DEAD_PEERS_MAX = 1000
@@ -23,6 +24,7 @@ class PeerTable:
 
     def __init__(self, peers: Iterable[PeerRecord], index: int) -> None:
         self.changes = ChangeRing(index)
+        self.creators = Creators()  # counts live peers only
         self.by_id: dict[bytes, PeerRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # the peer's id by its name, for all live peers with a name
         self.keys: SortedSet[PeerKey] = SortedSet()  # all peers, in the order of listings
@@ -69,13 +71,16 @@ class PeerTable:
         self.keys.add(key_of(peer))
         if not peer.alive:
             self._dead[peer.peer_id] = None
-        elif peer.name:
+            return
+        self.creators.note(peer.created_by, +1)
+        if peer.name:
             self.ids[peer.name] = peer.peer_id
 
     def _unlink(self, peer: PeerRecord) -> None:
         self.keys.discard(key_of(peer))
         self._dead.pop(peer.peer_id, None)
         if peer.alive:
+            self.creators.note(peer.created_by, -1)
             self.ids.pop(peer.name, None)
 
     def _note(self, index: int, kind: ChangeKind, peer: PeerRecord) -> None:

@@ -41,10 +41,7 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
     epoch = next_epoch(operation, [tables.peers.by_id.get(operation.peer_id), holder])
     if operation.host_id is not None:
         host_by_id(tables, operation.host_id)
-    if not replaced and tables.peers.live_count >= PEERS_MAX:
-        shown = operation.name or operation.peer_id.hex()
-        text = f"peer {shown} cannot register: {PEERS_MAX} peers are registered, the limit; wait until one leaves"
-        raise Overloaded(text, metadata={"peer": operation.name})
+    _check_peers_room(tables, operation, replaced)
     former = _mailbox_of(tables, holder) if holder is not None else None
     mailbox = _planned_mailbox(tables, operation, former) if operation.name else None
     for before in replaced:
@@ -60,6 +57,16 @@ def register_peer(tables: Tables, operation: RegisterPeer, now_unix_nano: int, c
         mailbox_kept=mailbox is not None and former is not None and mailbox.incarnation == former.incarnation,
         cluster_id=cluster_id,
     )
+
+
+def _check_peers_room(tables: Tables, operation: RegisterPeer, replaced: list[PeerRecord]) -> None:
+    """Check the limits of live peers: the caller's and the directory's. Raises Overloaded."""
+    if all(one.created_by != operation.created_by for one in replaced):
+        tables.peers.creators.check(operation, "peers", created="registered", way_out="let some leave")
+    if not replaced and tables.peers.live_count >= PEERS_MAX:
+        shown = operation.name or operation.peer_id.hex()
+        text = f"peer {shown} cannot register: {PEERS_MAX} peers are registered, the limit; wait until one leaves"
+        raise Overloaded(text, metadata={"peer": operation.name})
 
 
 def _replaced(tables: Tables, operation: RegisterPeer, holder: PeerRecord | None) -> list[PeerRecord]:
@@ -137,6 +144,7 @@ def _peer(tables: Tables, operation: RegisterPeer, mailbox: QueueRecord | None, 
         proof_sha256=operation.proof_sha256,
         registered_index=tables.index,
         owner=operation.owner,
+        created_by=operation.created_by,
     )
 
 
