@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -72,6 +72,34 @@ class Ground:
 
 # Attacks until it is cancelled. It calls the function once the attack is under way.
 Attack = Callable[[Ground, Callable[[], None]], Awaitable[None]]
+
+
+class Uploads:
+    """Large encoded requests on streams of their own, in pieces."""
+
+    def __init__(self, ground: Ground, method: str) -> None:
+        self._ground, self._method = ground, method
+        self._calls: list[Any] = []  # a call that nobody holds is cancelled
+        self._sent = 0
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def begin(self, messages: Sequence[bytes]) -> None:
+        """Send these messages on a new connection, as fast as the host takes them."""
+        self._tasks.append(asyncio.create_task(self._send(messages)))
+
+    async def _send(self, messages: Sequence[bytes]) -> None:
+        call: Any = self._ground.channel(self._ground.host).stream_stream(self._method)(metadata=self._ground.metadata)
+        self._calls.append(call)
+        for message in messages:
+            await call.write(message)
+            self._sent += 1
+
+    async def until_stuck(self) -> None:
+        """Return when the host has taken nothing more for a second."""
+        before = -1
+        while before < self._sent or not self._sent:
+            before = self._sent
+            await asyncio.sleep(1.0)
 
 
 async def for_ever() -> None:

@@ -21,7 +21,7 @@ from stampede_rt.v1.queue_service_pb2_grpc import QueueServiceStub
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT
 from stampede_rt.wire.request_pieces import messages_of
 from stampede_rt.wire.runs import encode_run
-from tests.benchmarks.attacks.ground import NAME_VARIABLE, Ground, all_of, for_ever
+from tests.benchmarks.attacks.ground import NAME_VARIABLE, Ground, Uploads, all_of, for_ever
 
 MIB = 2**20
 NAME = os.environ.get(NAME_VARIABLE, "hostile")
@@ -31,7 +31,6 @@ WAITING, WAITING_BYTES = 40, 15 * MIB
 HELD_ITEMS = 16
 ATTRIBUTED_ITEMS = 20_000
 HOUR_NANOS = 3600 * 10**9
-HELD: list[Any] = []  # calls that nobody holds are cancelled
 FIELD_999 = bytes(((999 << 3 | 2) & 127 | 128, (999 << 3 | 2) >> 7))  # bytes of a field that the contract lacks
 
 
@@ -121,16 +120,12 @@ async def queue_known(ground: Ground) -> dict[str, Any]:
 
 
 async def _put_and_wait(ground: Ground, method: str, request: Any, under_way: Callable[[], None]) -> None:
+    uploads, messages = Uploads(ground, method), [*messages_of(request.SerializeToString())]
+    for _ in range(WAITING):
+        uploads.begin(messages)
+    await uploads.until_stuck()
     under_way()
-    await all_of(*(_write(ground, method, request.SerializeToString()) for _ in range(WAITING)))
     await for_ever()
-
-
-async def _write(ground: Ground, method: str, request: bytes) -> None:
-    call: Any = ground.channel(ground.host).stream_stream(method)(metadata=ground.metadata)
-    HELD.append(call)
-    for message in messages_of(request):
-        await call.write(message)
 
 
 async def silent_subscriptions(ground: Ground, under_way: Callable[[], None]) -> None:

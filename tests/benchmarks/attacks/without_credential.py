@@ -5,13 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import Any
 
 import grpc
 
 from stampede_rt.transports.grpc_options import PUT_METHOD
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX, messages_of
-from tests.benchmarks.attacks.ground import Ground, all_of, for_ever
+from tests.benchmarks.attacks.ground import Ground, Uploads, all_of, for_ever
 from tests.support.raw_http2 import RawConnection
 
 CHECK = "/grpc.health.v1.Health/Check"
@@ -20,7 +19,6 @@ UNFINISHED, UNFINISHED_BYTES = 50, 20 * 2**20
 FLOOD_CONNECTIONS, FLOOD_CALLS = 10, 100
 IDLE_CONNECTIONS = 1100
 CALLERS = 8
-HELD: list[Any] = []  # calls that nobody holds are cancelled
 NO_REQUEST = b"\xff" * 77
 UNARY = {
     "host": ("GatekeeperService/Ping", "GatekeeperService/BindChannel", "ChannelService/GetChannelStatus"),
@@ -48,16 +46,12 @@ async def unfinished_health(ground: Ground, under_way: Callable[[], None]) -> No
 
 async def unfinished_puts(ground: Ground, under_way: Callable[[], None]) -> None:
     """50 streams of puts with a request of 20 MiB each, of which the last piece never comes, with a client's token."""
+    uploads, messages = Uploads(ground, PUT_METHOD), [*messages_of(bytes(UNFINISHED_BYTES))][:-1]
+    for _ in range(UNFINISHED):
+        uploads.begin(messages)
+    await uploads.until_stuck()
     under_way()
-    await all_of(*(_put_all_but_the_last_piece(ground) for _ in range(UNFINISHED)))
     await for_ever()
-
-
-async def _put_all_but_the_last_piece(ground: Ground) -> None:
-    call: Any = ground.channel(ground.host).stream_stream(PUT_METHOD)(metadata=ground.metadata)
-    HELD.append(call)
-    for message in [*messages_of(bytes(UNFINISHED_BYTES))][:-1]:
-        await call.write(message)
 
 
 async def unfinished_messages(ground: Ground, under_way: Callable[[], None]) -> None:
@@ -76,8 +70,8 @@ async def _unfinished(
     raw = await RawConnection.open(ground.host)
     await raw.greeted.wait()
     begun = [await raw.call(method, metadata) for _ in range(streams)]
-    under_way()
     await all_of(*(raw.send_as_allowed(stream, message_bytes, message_bytes - 1) for stream in begun))
+    under_way()
     await for_ever()
 
 
