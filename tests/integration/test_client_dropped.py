@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import threading
+from typing import Literal
 
 import pytest
 
@@ -36,24 +37,28 @@ def test_channels_opened_put_to_and_dropped_leave_no_streams_of_a_connection_ope
         for number in range(HANDLES):
             rt.channel(f"dropped/{number % 20}", max_items=5).put(b"x")
             most = max(most, len(streams))
-        assert most < LEFT_MAX
-        wait_until(lambda: not streams and threading.active_count() <= before)
+        assert most == 1, "all handles share the stream of this thread"
+        wait_until(lambda: threading.active_count() <= before)
 
 
 async def test_awaited_channels_opened_put_to_and_dropped_leave_no_streams_open(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
+        await (await rt.channel("dropped/first")).put(b"x")  # opens the stream of all handles
         streams, before = rt._session.put_streams._streams, len(asyncio.all_tasks())
         most = 0
         for number in range(HANDLES):
-            await (await rt.channel(f"dropped/{number % 20}", max_items=5)).put(b"x")
+            on_full: Literal["block"] | None = None if number % 2 else "block"
+            channel = await rt.channel(f"dropped/awaited/{number % 20}", max_items=500, max_age="60s", on_full=on_full)
+            await channel.put(b"x")
+            del channel
             most = max(most, len(streams))
         assert most < LEFT_MAX
-        await until(lambda: not streams and len(asyncio.all_tasks()) <= before)
+        await until(lambda: len(streams) == 1 and len(asyncio.all_tasks()) <= before)
 
 
 async def test_awaited_handles_dropped_by_another_thread_are_closed_too(cluster: LocalCluster) -> None:
     async with await aio.connect(cluster.address) as rt:
-        held = [await rt.channel("dropped/elsewhere", max_items=5)]
+        held = [await rt.channel("dropped/elsewhere", max_items=5, max_age="60s", on_full="block")]
         await held[0].put(b"x")
         dropping = threading.Thread(target=held.clear)
         dropping.start()
@@ -86,7 +91,7 @@ def test_queues_put_to_and_taken_from_and_dropped_leave_nothing_open(cluster: Lo
             assert message is not None
             message.ack()
         del queue, message
-        wait_until(lambda: not rt._session._attached and not rt._session.put_streams._streams)
+        wait_until(lambda: not rt._session._attached and len(rt._session.put_streams._streams) == 1)
         wait_until(lambda: threading.active_count() <= before)
 
 

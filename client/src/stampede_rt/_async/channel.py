@@ -70,8 +70,10 @@ class Channel(Reader):
         Unavailable if the host cannot be reached.
         """
         item = SingleItem.parse(self._state.coding, payload, time, duration, attributes, content_type)
-        renew_s = RENEW_S if self.info.policy.on_full == "block" else FIRST_WAIT_S
-        ack = await self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s)
+        on_full = self.info.policy.on_full
+        renew_s = RENEW_S if on_full == "block" else FIRST_WAIT_S
+        may_fill = on_full in ("block", "reject")
+        ack = await self._puts.put(self._numbers, item, Wait.parse(timeout), renew_s, may_fill=may_fill)
         return item.accepted_as(self._state, ack)
 
     def producer(self) -> Producer:

@@ -12,39 +12,47 @@ from stampede_rt.transports.concurrency_async import Mutex, live_thread_ids, thr
 from stampede_rt.transports.grpc_async import PutExchange
 
 STREAMS_MAX = 512  # of one connection
-LINES_MAX = 16  # streams of one handle and thread at the same time, for puts with different deadlines
+LINES_MAX = 16  # streams of one owner and thread at the same time, for puts with different deadlines
+Owner = int | tuple[object, str]
+"""Who has a stream: a handle, by its id, or all handles together, by the kind of put and the host's address."""
 _handle_ids = itertools.count(1)
 
 
 class PutStream:
     """One open stream to a host.
 
-    `puts` is the number of puts under way on the stream, and `ends_s` the time at which the last of them gives up.
+    `puts` is the number of puts under way on the stream, and `ends_s` the time at which the last of them gives up. Each
+    put names its channel or queue, so all of them at the host `target` can use the stream.
     """
 
-    __slots__ = ("binding", "ends_s", "exchange", "puts")
+    __slots__ = ("ends_s", "exchange", "puts", "target")
 
-    def __init__(self, binding: Binding, exchange: PutExchange) -> None:
-        self.binding = binding
+    def __init__(self, target: str, exchange: PutExchange) -> None:
+        self.target = target
         self.exchange = exchange
         self.puts = 0
         self.ends_s = 0.0
 
     def leads_to(self, binding: Binding) -> bool:
-        """Whether the stream is open and goes to `binding`."""
-        return (self.binding is binding or self.binding == binding) and not self.exchange.broken
+        """Whether the stream is open and goes to the host of `binding`."""
+        return self.target == binding.target and not self.exchange.broken
+
+    def is_free(self, ends_s: float) -> bool:
+        """Whether a put that gives up at `ends_s` waits for no put that gives up later."""
+        return not self.puts or (self.ends_s <= ends_s and not self.exchange.one_at_a_time)
 
 
 class PutStreams:
-    """Keeps open streams for each handle and thread. Beyond 512 streams it closes the idle stream unused for longest.
+    """Keeps one open stream for each host and thread. Beyond 512 streams it closes the idle stream unused for longest.
 
-    A put that waits for room blocks later puts on its stream. A put with an earlier deadline therefore uses another
-    stream, so that it does not wait beyond its deadline. Puts of one handle and thread with equal timeouts stay in
-    order.
+    A put that waits for room blocks later puts on its stream. A handle whose puts may wait therefore has streams of its
+    own, unless a thread has only one put under way in any case. Of these streams a put with an earlier deadline uses
+    another one, so that it does not wait beyond its deadline. Puts of one handle and thread with equal timeouts stay in
+    order (decision 0150).
     """
 
     def __init__(self) -> None:
-        self._streams: dict[tuple[int, int, int], PutStream] = {}  # the stream that was unused longest is first
+        self._streams: dict[tuple[Owner, int, int], PutStream] = {}  # the stream that was unused longest is first
         self._mutex = Mutex()
 
     def handle(self, owner: object) -> int:
@@ -55,16 +63,16 @@ class PutStreams:
 
     @contextmanager
     def use(
-        self, handle_id: int, ends_s: float, binding: Binding, open_stream: Callable[[], PutExchange]
+        self, owner: Owner, ends_s: float, binding: Binding, open_stream: Callable[[], PutExchange]
     ) -> Iterator[PutExchange]:
-        """Yield the handle's stream to `binding` for one put.
+        """Yield the owner's stream to the host of `binding` for one put.
 
         The put may wait for room until `ends_s` (monotonic clock).
         """
-        key = self._line(handle_id, ends_s)
+        key = self._line(owner, ends_s)
         stream = self._streams.get(key)
         if stream is None or not stream.leads_to(binding):
-            stream = self._replace(key, PutStream(binding, open_stream()))
+            stream = self._replace(key, PutStream(binding.target, open_stream()))
         with self._mutex:
             stream.ends_s = max(stream.ends_s, ends_s) if stream.puts else ends_s
             stream.puts += 1
@@ -79,19 +87,19 @@ class PutStreams:
             if over:  # the stream was closed during the put
                 stream.exchange.cancel()
 
-    def _line(self, handle_id: int, ends_s: float) -> tuple[int, int, int]:
+    def _line(self, owner: Owner, ends_s: float) -> tuple[Owner, int, int]:
         """Return the key of a stream on which no put waits beyond `ends_s`. The stream may not exist yet.
 
-        If all LINES_MAX streams of the handle and thread are busy with longer waits, returns the key of the last one.
+        If all LINES_MAX streams of the owner and thread are busy with longer waits, returns the key of the last one.
         """
         caller = thread_id()
         for line in range(LINES_MAX - 1):
-            stream = self._streams.get((handle_id, caller, line))
-            if stream is None or not stream.puts or stream.ends_s <= ends_s:
-                return handle_id, caller, line
-        return handle_id, caller, LINES_MAX - 1
+            stream = self._streams.get((owner, caller, line))
+            if stream is None or stream.is_free(ends_s):
+                return owner, caller, line
+        return owner, caller, LINES_MAX - 1
 
-    def _replace(self, key: tuple[int, int, int], stream: PutStream) -> PutStream:
+    def _replace(self, key: tuple[Owner, int, int], stream: PutStream) -> PutStream:
         with self._mutex:
             gone = [self._streams.pop(key, None)]  # a stream with a stale binding
             alive = live_thread_ids()
@@ -103,7 +111,7 @@ class PutStreams:
         return stream
 
     def close(self, handle_id: int) -> None:
-        """Close the handle's streams. A busy stream closes after its puts. A later put opens a new stream."""
+        """Close the handle's own streams. A busy stream closes after its puts. A later put opens a new stream."""
         with self._mutex:
             gone = [self._streams.pop(one, None) for one in tuple(self._streams) if one[0] == handle_id]
         _close(gone)

@@ -11,7 +11,7 @@ from typing import Any
 from stampede_rt._async.attempts import Locator, attempt
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.errors import Full
+from stampede_rt.errors import Full, PermissionDenied, Unavailable
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import PutExchange, ServerEndpoint
@@ -49,22 +49,35 @@ class Puts:
         self._locator = locator
         self._open_stream = open_stream
         self._handle_id = session.put_streams.handle(self)
+        self._has_been_full = False  # a put without a wait was refused for lack of room
 
     async def put(
-        self, numbers: ProducerNumbers, item: SingleItem, wait: Wait, renew_s: float = RENEW_S
+        self, numbers: ProducerNumbers, item: SingleItem, wait: Wait, renew_s: float = RENEW_S, *, may_fill: bool = True
     ) -> channel_pb.PutAck:
         """Put one item under the producer's next number, so that it is safe to repeat. Returns the ack.
 
         `wait` bounds the wait for room. The client splits a long wait into several requests, so that it notices a host
         that hangs. The first request asks for a wait of at most `renew_s`, the others of at most RENEW_S.
+
+        `may_fill` False: as far as the handle knows, the channel drops its oldest items and is never full. The put then
+        uses the stream of all handles, and asks for no wait, because a wait would block the others. If the host says
+        that the channel is full, another program has changed the policy. This put is then repeated with its wait, and
+        the handle uses streams of its own from then on.
         """
+        if not (may_fill or self._has_been_full or PutExchange.one_at_a_time):
+            try:
+                return await self._put(numbers, item, Wait(0.0), shares=True)
+            except Full:
+                self._has_been_full = True
+                if wait.seconds == 0:
+                    raise
         began_s = monotonic_s()
         while True:  # ends when the time of `wait` is over
             asked_s = monotonic_s()
             left = wait.after(asked_s - began_s)
             part = left if left.seconds is not None and left.seconds <= renew_s else Wait(renew_s)
             try:
-                return await self._put(numbers, item, part)
+                return await self._put(numbers, item, part, shares=PutExchange.one_at_a_time)
             except Full:
                 if (
                     part is left or monotonic_s() - asked_s < renew_s / 2
@@ -72,23 +85,34 @@ class Puts:
                     raise
             renew_s = RENEW_S
 
-    async def _put(self, numbers: ProducerNumbers, item: SingleItem, wait: Wait) -> channel_pb.PutAck:
+    async def _put(self, numbers: ProducerNumbers, item: SingleItem, wait: Wait, *, shares: bool) -> channel_pb.PutAck:
+        """Put over a stream of this handle, or, if it `shares`, over one that all handles use."""
         seconds = wait.seconds or 0.0
         number, ends_s = numbers.next(), monotonic_s() + seconds
+        denied: list[PermissionDenied] = []
 
         async def put_at(binding: Binding) -> channel_pb.PutAck:
             left = Wait(max(ends_s - monotonic_s(), 0.0))  # a repeated put does not wait longer
             head = put_head(binding.subject_id, binding.epoch, numbers.producer_id)
             request = put_request(head, number, item.run_parts(), left.nanos, item.message_id)
+            owner = (self._open_stream, binding.target) if shares else self._handle_id
+            blocks_until_s = 0.0 if shares else ends_s  # on a shared stream no put makes another one wait for room
             with self._session.put_streams.use(
-                self._handle_id, ends_s, binding, lambda: self._open_stream(self._session.endpoints.to(binding.target))
+                owner, blocks_until_s, binding, lambda: self._open_stream(self._session.endpoints.to(binding.target))
             ) as stream:
-                return _accepted(await stream.put(request, (left.seconds or 0.0) + CALL_TIMEOUT_S))
+                try:
+                    ack = await stream.put(request, (left.seconds or 0.0) + CALL_TIMEOUT_S, stays=shares)
+                except PermissionDenied as error:  # the stream ended: the caller lost a right, maybe of another channel
+                    if denied or not shares:
+                        raise
+                    denied.append(error)
+                    raise Unavailable(f"{binding.target} ended the stream of puts: {error.message}") from error
+            return _accepted(ack)
 
         return await attempt(self._locator, put_at, seconds + CALL_TIMEOUT_S)
 
     def close(self) -> None:
-        """Close the streams. A later put opens a new stream."""
+        """Close the streams of this handle. A later put opens a new stream."""
         self._session.put_streams.close(self._handle_id)
 
 

@@ -254,12 +254,18 @@ class PutExchange(_Exchange):
     ends after its last waiting put.
     """
 
+    one_at_a_time = False
+    """Whether a stream has at most one put under way."""
+
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
         self._waiting: deque[asyncio.Future[channel_pb.PutAck]] = deque()
         super().__init__(call, target, tasks)
 
-    async def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
-        """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`."""
+    async def put(self, request: bytes, timeout_s: float | None, *, stays: bool = False) -> channel_pb.PutAck:
+        """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
+
+        `stays`: the put waits for no room, so the stream goes on if the task is cancelled.
+        """
         if self.broken:
             raise closed(self._target)
         future: asyncio.Future[channel_pb.PutAck] = asyncio.get_running_loop().create_future()
@@ -267,8 +273,9 @@ class PutExchange(_Exchange):
         self._requests.send(request)
         try:
             return await _within(future, timeout_s, self._target)
-        except (asyncio.CancelledError, DeadlineExceeded):
-            self.broken = True
+        except (asyncio.CancelledError, DeadlineExceeded) as reason:
+            goes_on = stays and isinstance(reason, asyncio.CancelledError) and len(self._waiting) <= CALLS_MAX
+            self.broken = self.broken or not goes_on
             self._end_if_idle()
             raise
 

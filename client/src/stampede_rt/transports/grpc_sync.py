@@ -249,8 +249,15 @@ class GetExchange(_Lockstep):
 class PutExchange(_Lockstep):
     """Puts on one open stream, one at a time."""
 
-    def put(self, request: bytes, timeout_s: float | None) -> channel_pb.PutAck:
-        """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`."""
+    one_at_a_time = True
+    """Whether a stream has at most one put under way."""
+
+    def put(self, request: bytes, timeout_s: float | None, *, stays: bool = False) -> channel_pb.PutAck:
+        """Send the run in `request`, and return its ack. `timeout_s` and the errors are as in `GetExchange.get`.
+
+        `stays` is for the stream on asyncio. An interrupt ends this stream in any case, because its next answer would
+        be that of the interrupted put.
+        """
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
             self._requests.put(request)
             acks: Sequence[channel_pb.PutAck] = self._next(limit).acks
