@@ -72,7 +72,7 @@ async def test_more_gets_may_wait_at_one_connection_than_on_one_stream(cluster: 
     async with await aio.connect(cluster.address) as rt:
         channel = await rt.channel("client/crowd", max_age="60s")
         await channel.newest()
-        gets = [asyncio.ensure_future(channel.newest(timeout=60)) for _ in range(2100)]
+        gets = [asyncio.ensure_future(channel.newest(timeout=60)) for _ in range(1100)]
         while (await channel.stats()).waiting_gets < len(gets):
             assert not any(get.done() for get in gets)
         item = await channel.put(b"for all")

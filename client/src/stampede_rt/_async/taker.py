@@ -83,7 +83,7 @@ class Taker:
         self._session.check_process()
         waiter = WaitingTake()
         with self._mutex:
-            if self._session.closed:
+            if self._session.closing or self._session.closed:  # a connection closes its handles before it is closed
                 raise connection_closed()
             if self.closed:
                 raise InvalidArgument(f"this handle of {self._state.name!r} is closed; open another")

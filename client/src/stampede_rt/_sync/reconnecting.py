@@ -77,7 +77,7 @@ class Reconnecting:
             over = self._left_s() <= 0
             if over:
                 self._since_s = None  # if the program uses the stream again, a new time of `reconnect` begins
-            if over or not may_heal(error) or self._session.closed:
+            if over or not may_heal(error) or self._session.closing or self._session.closed:
                 raise
             self._tell(error)
         else:

@@ -13,7 +13,7 @@ from stampede_rt._async.reconnecting import Reconnecting, parse_reconnect
 
 
 class Session:
-    closed = False
+    closing = closed = False
 
 
 class Clock:
@@ -87,6 +87,15 @@ async def test_it_gives_up_when_its_time_is_over_and_gets_all_of_it_again_when_a
             await one.open(Opening(*[st.Unavailable("down") for _ in range(5000)]))
         assert clock.now_s - began_s == pytest.approx(2.0)
     await one.open(Opening())
+
+
+async def test_it_does_not_try_again_while_its_connection_closes(clock: Clock) -> None:
+    one = made(held=True)
+    one._session.closing = True
+    opening = Opening(st.Unavailable("this connection is closed"))
+    with pytest.raises(st.Unavailable, match="this connection is closed"):
+        await one.open(opening)
+    assert (len(opening.allowed_s), clock.slept) == (1, [])
 
 
 async def test_without_any_time_it_tries_once(clock: Clock) -> None:

@@ -381,6 +381,15 @@ async def test_what_was_prefetched_is_given_back_at_the_end() -> None:
         await taker.get(FOR_EVER)
 
 
+async def test_a_connection_that_closes_says_that_it_is_closed_and_not_its_handle() -> None:
+    host = Host()
+    taker = taker_at(host)
+    host.closing = True
+    await taker.end()
+    with pytest.raises(st.Unavailable, match="this connection is closed"):
+        await taker.get(FOR_EVER)
+
+
 async def test_more_messages_than_were_granted_are_refused_and_none_is_kept() -> None:
     host = Host()
     taker = taker_at(host, prefetch=8)
