@@ -31,8 +31,8 @@ class Told:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.internal: list[st.StampedeError] = []
         self.met = asyncio.Event()
-        for module in ("grpc_async", "streams_async"):
-            monkeypatch.setattr(f"stampede_rt.transports.{module}.from_rpc_error", self._hear)
+        for module in ("status", "transports.grpc_async"):
+            monkeypatch.setattr(f"stampede_rt.{module}.from_rpc_error", self._hear)
 
     def _hear(self, error: Any, target: str) -> st.StampedeError:
         made = from_rpc_error(error, target)

@@ -3,6 +3,7 @@ role with a token and rules of its own."""
 
 from __future__ import annotations
 
+import contextlib
 import io
 from pathlib import Path
 
@@ -23,11 +24,12 @@ SECONDS, RUNS_MAX = 4, 3
 @pytest.fixture(scope="module")
 def outcome() -> Outcome:
     """A run in which no role lagged for longer than the others wait; a busy machine needs more than one for that."""
-    for _ in range(RUNS_MAX):
-        outcome = conduct(SECONDS, Progress(io.StringIO()))
-        if outcome.report.pairs == outcome.report.pairs_possible and not outcome.report.unanswered:
-            break
-    return outcome
+    for _ in range(RUNS_MAX - 1):
+        with contextlib.suppress(DemoFailed):
+            outcome = conduct(SECONDS, Progress(io.StringIO()))
+            if outcome.report.pairs == outcome.report.pairs_possible and not outcome.report.unanswered:
+                return outcome
+    return conduct(SECONDS, Progress(io.StringIO()))
 
 
 def test_every_pair_is_found_and_none_is_wrong(outcome: Outcome) -> None:

@@ -1,5 +1,6 @@
 """The TV watcher, whole: a real film through a real cluster, for a few seconds, and its end in every case."""
 
+import contextlib
 import io
 import os
 import signal
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from stampede_rt_demos.failures import DemoFailed
 from stampede_rt_demos.staging.progress import Progress
 from stampede_rt_demos.tv_watcher.orchestrator import Outcome, conduct
 from stampede_rt_demos.tv_watcher.report import render
@@ -27,11 +29,12 @@ END_SECONDS = 30
 @pytest.fixture(scope="module")
 def outcome() -> Outcome:
     """A run in which no stream lagged for longer than the viewer waits; a busy machine needs more than one for that."""
-    for _ in range(RUNS_MAX):
-        outcome = conduct(SECONDS, Progress(io.StringIO()))
-        if all(step.complete for step in outcome.report.steps):
-            break
-    return outcome
+    for _ in range(RUNS_MAX - 1):
+        with contextlib.suppress(DemoFailed):
+            outcome = conduct(SECONDS, Progress(io.StringIO()))
+            if all(step.complete for step in outcome.report.steps):
+                return outcome
+    return conduct(SECONDS, Progress(io.StringIO()))
 
 
 def test_nothing_is_lost_between_hosts_and_readers(outcome: Outcome):
