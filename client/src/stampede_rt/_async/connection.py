@@ -101,7 +101,7 @@ class Connection(Discovery, Reference):
 
         The client measures the offset against the nearest supernode when it connects, and from time to time when it
         calls the directory. A connection with a name also measures the offset against the leader, with each renewal of
-        the peer's lease. None if no supernode has told its time.
+        the peer's lease. None if no supernode has sent its time.
         """
         return self._session.supernodes.clock
 

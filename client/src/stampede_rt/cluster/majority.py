@@ -48,8 +48,8 @@ def _is_silent(error: StampedeError) -> bool:
 
 def _how(error: StampedeError) -> str:
     if isinstance(error, WrongCluster):
-        told = f", {error.metadata['cluster_id']}" if "cluster_id" in error.metadata else ""
-        return f"is of another cluster{told}"
+        named = f", {error.metadata['cluster_id']}" if "cluster_id" in error.metadata else ""
+        return f"is of another cluster{named}"
     return "did not answer in time" if isinstance(error, DeadlineExceeded) else "cannot be reached"
 
 

@@ -35,7 +35,7 @@ def age_metadata(age_s: float) -> tuple[tuple[str, str], ...]:
 
 def request_age_nanos(metadata: Iterable[Any] | None) -> int:
     """Return the age that a call states; 0 if it states none. Raises InvalidArgument."""
-    told = next((value for key, value in metadata or () if key == METADATA_KEY), "0")
-    if not (isinstance(told, str) and told.isascii() and told.isdigit() and len(told) <= _DIGITS_MAX):
-        raise InvalidArgument(f"the metadata {METADATA_KEY} is {told!r}; it must be whole milliseconds")
-    return int(told) * 1_000_000
+    stated = next((value for key, value in metadata or () if key == METADATA_KEY), "0")
+    if not (isinstance(stated, str) and stated.isascii() and stated.isdigit() and len(stated) <= _DIGITS_MAX):
+        raise InvalidArgument(f"the metadata {METADATA_KEY} is {stated!r}; it must be whole milliseconds")
+    return int(stated) * 1_000_000

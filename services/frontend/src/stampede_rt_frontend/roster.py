@@ -96,10 +96,10 @@ class SupernodeRoster:
         if position < self._position or not members.members:
             return
         self._position = position
-        told = {one.target: one for one in members.members}
+        reported = {one.target: one for one in members.members}
         self._listed = {one.target: one.supernode_id for one in members.members}
-        wanted = [*self.seeds, *(target for target in told if target not in self.seeds)][:SUPERNODES_MAX]
-        self._nodes = {target: self._merged(target, told.get(target)) for target in wanted}
+        wanted = [*self.seeds, *(target for target in reported if target not in self.seeds)][:SUPERNODES_MAX]
+        self._nodes = {target: self._merged(target, reported.get(target)) for target in wanted}
 
     def _note_zones(self, members: MemberList) -> None:
         """Take over the zones in a member list, even in an old one.
@@ -166,10 +166,10 @@ class SupernodeRoster:
         self._failures[node.target] = why
         self._nodes[node.target] = replace(node, answered=False, healthy=False, is_leader=False)
 
-    def _merged(self, target: str, told: Supernode | None) -> Supernode:
+    def _merged(self, target: str, reported: Supernode | None) -> Supernode:
         """`target` with the data of the list. Keeps the results of probes, and the zone if the list has none."""
         node = self._nodes.get(target) or Supernode(supernode_id="", target=target)
-        if told is None:
+        if reported is None:
             return replace(node, is_leader=False)
-        zone = told.zone or node.zone
-        return replace(node, supernode_id=told.supernode_id, zone=zone, is_leader=told.is_leader)
+        zone = reported.zone or node.zone
+        return replace(node, supernode_id=reported.supernode_id, zone=zone, is_leader=reported.is_leader)

@@ -254,12 +254,12 @@ async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
 
     The log goes on, and this member still counts in it.
     """
-    told = False
+    is_logged = False
     while not server.stopping.is_set():
         await asyncio.sleep(HEALTH_SECONDS)
-        if told or not parts.log.status().diverged_at:
+        if is_logged or not parts.log.status().diverged_at:
             continue
-        told = True
+        is_logged = True
         parts.watches.close()
         name = parts.members.self_id
         logger.error(

@@ -70,14 +70,14 @@ def make_token(private_key: bytes, claims: TokenClaims) -> str:
     # Not at the top: the import takes a tenth of a service's start, and most services never see a token.
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-    told = {
+    fields = {
         "cluster": claims.cluster_id,
         "name": claims.name,
         "roles": list(claims.roles),
         "serial": claims.serial,
         "ends": claims.ends_unix_nano,
     }
-    body = _PREFIX + _encoded(json.dumps(told, sort_keys=True, separators=(",", ":")).encode())
+    body = _PREFIX + _encoded(json.dumps(fields, sort_keys=True, separators=(",", ":")).encode())
     signature = Ed25519PrivateKey.from_private_bytes(private_key).sign(body.encode())
     return f"{body}.{_encoded(signature)}"
 
@@ -114,13 +114,13 @@ def check_not_over(claims: TokenClaims, *, now_unix_nano: int) -> None:
 
 def _claims(encoded: bytes) -> TokenClaims:
     """The decoded claims. Their form needs no check, because only this cluster signs tokens."""
-    told = json.loads(encoded)
+    fields = json.loads(encoded)
     return TokenClaims(
-        cluster_id=told["cluster"],
-        name=told["name"],
-        roles=tuple(map(Role, told["roles"])),
-        serial=told["serial"],
-        ends_unix_nano=told["ends"],
+        cluster_id=fields["cluster"],
+        name=fields["name"],
+        roles=tuple(map(Role, fields["roles"])),
+        serial=fields["serial"],
+        ends_unix_nano=fields["ends"],
     )
 
 

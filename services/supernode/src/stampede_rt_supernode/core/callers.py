@@ -16,11 +16,11 @@ def check_host_caller(caller: Identity | None, *, known_as: str | None, name: st
     """
     if caller is None:
         return
-    for told in (name, known_as):
-        if told is not None and told != caller.name:
+    for stated in (name, known_as):
+        if stated is not None and stated != caller.name:
             raise PermissionDenied(
-                f"{caller} cannot speak for host {told}: its certificate must bear that name; "
-                f"issue one with `stampede certs issue --role host --name {told}`"
+                f"{caller} cannot speak for host {stated}: its certificate must bear that name; "
+                f"issue one with `stampede certs issue --role host --name {stated}`"
             )
 
 

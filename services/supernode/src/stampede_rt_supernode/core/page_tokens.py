@@ -45,8 +45,8 @@ def write_listing(listing: str, name: str | None) -> str:
 
 def read_listing(token: str, listing: str) -> str:
     """The name in a token, empty for an empty token. Raises InvalidArgument, also for a token of another listing."""
-    told, _, name = read_name(token).rpartition("\0")
-    if token and told != listing:
+    token_listing, _, name = read_name(token).rpartition("\0")
+    if token and token_listing != listing:
         raise InvalidArgument("the page token is that of another listing; ask each page with the same filters")
     return name
 

@@ -142,10 +142,10 @@ def misplaced(founding: Founding, listening_at: str, advertise: str) -> str:
 
     With --advertise there is no warning, because the user knows that calls to that address come here.
     """
-    told, here = parse_address(founding.address), parse_address(listening_at)
+    stated, here = parse_address(founding.address), parse_address(listening_at)
     is_local = is_loopback(listening_at) and is_loopback(founding.address)
-    is_elsewhere = here.host not in (*ANYWHERE, told.host) and not is_local
-    if advertise or (told.port == here.port and not is_elsewhere):
+    is_elsewhere = here.host not in (*ANYWHERE, stated.host) and not is_local
+    if advertise or (stated.port == here.port and not is_elsewhere):
         return ""
     return (
         f"supernode {founding.supernode_id} listens at {listening_at}, but the others call it at {founding.address}: "

@@ -49,8 +49,8 @@ class JoinTokens:
         return hashlib.sha256(token.encode()).hexdigest()
 
     def _proof(self, body: str, newcomer: Member) -> str:
-        told = f"stampede-rt join token\n{body}\n{newcomer.member_id}\n{newcomer.address}"
-        return hmac.new(self._join_key, told.encode(), hashlib.sha256).hexdigest()
+        signed_text = f"stampede-rt join token\n{body}\n{newcomer.member_id}\n{newcomer.address}"
+        return hmac.new(self._join_key, signed_text.encode(), hashlib.sha256).hexdigest()
 
 
 def log_cluster_of(token: str) -> str:

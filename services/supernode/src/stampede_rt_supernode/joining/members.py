@@ -70,12 +70,12 @@ class Members:
         them if others refuse it, its state differs, or its disk does not answer.
         """
         status = self._log.status()
-        told = {name: f"{why} (says {status.self_id})" for name, why in status.refused.items()}
+        refusals = {name: f"{why} (says {status.self_id})" for name, why in status.refused.items()}
         by = "; ".join(f"{why} (says {name})" for name, why in sorted(status.refused_by.items()))
         own = why_waits_for_disk(status) if status.disk_silent_seconds else by
         own = why_diverged(status) if status.diverged_at else own
         doubts = {name: why_in_doubt(name, at) for name, at in status.doubts.items()}
-        return {**doubts, **told, **({status.self_id: own} if own else {})}
+        return {**doubts, **refusals, **({status.self_id: own} if own else {})}
 
     def records(self) -> tuple[list[directory_pb2.SupernodeRecord], int]:
         """Every member, by id, and the present term."""

@@ -50,7 +50,7 @@ async def volunteer(
         logger.warning("refused before, asks again in %.0f s: %s", pause_seconds, founding.refused)
         await sleep(pause_seconds)
     addresses = list(founding.members.values())
-    pause_seconds, told = PAUSE_SECONDS, ""
+    pause_seconds, logged_message = PAUSE_SECONDS, ""
     while not _is_member(log):
         try:
             await _ask(addresses[0], founding, dial, zone=zone)
@@ -63,10 +63,11 @@ async def volunteer(
             remedy = NEWER_RELEASE if is_too_old else f"then empty {data_dir}, and join again"
             raise StampedeError(f"this supernode cannot join: {error.message}; {remedy}") from error
         except StampedeError as error:
-            if told != error.message:
-                told = error.message
+            if logged_message != error.message:
+                logged_message = error.message
                 logger.info(
-                    "waiting for the members to let this supernode join", extra={"asked": addresses[0], "cause": told}
+                    "waiting for the members to let this supernode join",
+                    extra={"asked": addresses[0], "cause": logged_message},
                 )
             addresses = _next(addresses)
             pause_seconds = min(2 * pause_seconds, PAUSE_SECONDS_MAX)

@@ -51,8 +51,8 @@ class ReplicaLoads:
 
     def of(self, channel_id: bytes, host_ids: Iterable[bytes], now: int) -> list[ReplicaLoad]:
         """The loads that these hosts reported for a channel within LOAD_AGE_NANOS_MAX, the least loaded first."""
-        told = self._loads.get(channel_id, {})
-        fresh = [told[one] for one in host_ids if one in told and now - told[one][0] <= LOAD_AGE_NANOS_MAX]
+        reported = self._loads.get(channel_id, {})
+        fresh = [reported[one] for one in host_ids if one in reported and now - reported[one][0] <= LOAD_AGE_NANOS_MAX]
         return sorted((load for _, load in fresh), key=_weight)
 
     def _sweep(self, now: int) -> None:
@@ -60,8 +60,8 @@ class ReplicaLoads:
         if now - self._swept_nanos <= LOAD_AGE_NANOS_MAX:
             return
         self._swept_nanos = now
-        for channel_id, told in list(self._loads.items()):
-            left = {one: entry for one, entry in told.items() if now - entry[0] <= LOAD_AGE_NANOS_MAX}
+        for channel_id, reported in list(self._loads.items()):
+            left = {one: entry for one, entry in reported.items() if now - entry[0] <= LOAD_AGE_NANOS_MAX}
             if left:
                 self._loads[channel_id] = left
             else:

@@ -175,9 +175,9 @@ def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord,
     """Store `channel` with these copies. Notes a change for watchers if its record differs."""
     tables.replicas.store(channel.channel_id, replicas)
     host_ids = tuple(one.host_id for one in replicas)
-    told = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
-    if told != tables.channels[channel.channel_id]:
-        tables.replace_channel(told)
+    changed = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
+    if changed != tables.channels[channel.channel_id]:
+        tables.replace_channel(changed)
 
 
 def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet:

@@ -235,7 +235,7 @@ class LibraryNode:
         """A member has opened a new stream. The library needs no action."""
 
     def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
-        """A member has told its view of the members. The library needs no action."""
+        """A member has sent its view of the members. The library needs no action."""
 
     def on_disputed(self, member_id: str, why: str) -> None:
         """A member refuses this one's store, or accepts it again. The library needs no action."""

@@ -119,7 +119,7 @@ def newly_met(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | No
     """The member that an unknown caller says it is; None if it names no address, or the cluster has no id.
 
     A member that was away while the others were replaced knows none of them, but must accept the leader's messages
-    (Ongaro's dissertation, section 4.1). A cluster without an id cannot be told from another cluster.
+    (Ongaro's dissertation, section 4.1). A cluster without an id cannot be distinguished from another cluster.
     """
     if not (settings.cluster_id and hello.address):
         return None

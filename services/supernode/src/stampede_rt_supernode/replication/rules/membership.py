@@ -257,8 +257,8 @@ class Membership(NodeState):
         It is the cluster's level, or the higher level to which the cluster is about to rise.
         """
         known = self.known_levels()
-        told = [known.get(member.member_id, 0) for member in self.configuration().members]
-        return max(self.state_machine.feature_level, min(told))
+        levels = [known.get(member.member_id, 0) for member in self.configuration().members]
+        return max(self.state_machine.feature_level, min(levels))
 
     def configuration(self) -> Configuration:
         """The present configuration."""

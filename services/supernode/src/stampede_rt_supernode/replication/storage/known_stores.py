@@ -104,8 +104,8 @@ class KnownStores:
         force_folder(self._path.parent)
 
 
-def _read(told: bytes, path: Path) -> dict[str, Any]:
-    checksum, _, body = told.rstrip(b"\n").partition(b" ")
+def _read(content: bytes, path: Path) -> dict[str, Any]:
+    checksum, _, body = content.rstrip(b"\n").partition(b" ")
     if checksum != b"%08x" % zlib.crc32(body):
         raise StoreDamaged(f"{path} fails its checksum: {REJOIN}")
     try:

@@ -57,7 +57,7 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class MembersTold:
-    """A member has told its view of the members, in its answer to a hello."""
+    """A member has sent its view of the members, in its answer to a hello."""
 
     member_id: str
     members: tuple[Member, ...]
@@ -110,7 +110,7 @@ class Handler(Protocol):
         """A member has opened a new stream to this node."""
 
     def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
-        """A member has told its view of the members."""
+        """A member has sent its view of the members."""
 
     def on_disputed(self, member_id: str, why: str) -> None:
         """A member refuses this node's store, or, with an empty `why`, accepts it again."""
@@ -129,7 +129,7 @@ class BufferedTransport:
         self._connected: set[str] = set()
         # Members, known or not, that have a stream to this node. Their answers arrive over it.
         self._heard: set[str] = set()
-        # By member id: the highest feature level of the member's release, as it told when it opened a stream.
+        # By member id: the highest feature level of the member's release, as it said when it opened a stream.
         self.highest_levels: dict[str, int] = {}
         self._outbox: list[Outgoing] = []
         self._handler: Handler | None = None
