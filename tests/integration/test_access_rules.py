@@ -6,15 +6,20 @@ tests/contract/test_access.py has each verb, and the streams that end.
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import grpc
 import pytest
 
 import stampede_rt as st
+from stampede_rt.cli.commands import run
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.credentials import call_metadata
+from stampede_rt.v1 import access_service_pb2 as access_pb
+from stampede_rt.v1 import access_service_pb2_grpc as access_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import directory_service_pb2_grpc as directory_grpc
 from stampede_rt.v1 import group_directory_service_pb2 as group_pb
@@ -205,11 +210,50 @@ def test_an_operator_is_told_what_a_rule_would_do_and_why_something_is_denied(
     operator.add("cam", "put", "video/1", "--deny")
     capsys.readouterr()
     assert operator.run("acl", "check", "cam", "put", "video/1") == 3
-    assert "may not put channel video/1: the rule: deny cam put video/1" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "may not put channel video/1: the rule: deny cam put video/1" in said
+    assert "Rules limit clients only. If cam is an operator or a part of the cluster, it may." in said
+    assert operator.run("acl", "check", "@cluster", "put", "video/1") == 0
+    assert "@cluster may put channel video/1: no rule limits it" in capsys.readouterr().out
     assert operator.run("acl", "rm", "cam", "put", "video/1", "--deny", "--dry-run") == 0
     assert "put" in capsys.readouterr().out.split("this changes for cam")[1]
     assert operator.run("acl", "add", "cam", "put", "jobs", "--kind", "queue") == 2
     assert "nobody can put a queue" in capsys.readouterr().err
+
+
+def test_doctor_says_that_rules_hide_things_from_its_caller(
+    cluster: LocalCluster,
+    operator: Operator,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It said "0, none lost" and "Everything is well", whatever was lost."""
+    things(cluster)
+    operator.add("cam", "put", "video/*")
+    secret = tmp_path / "token"
+    secret.write_text(operator.token("cam"))
+    secret.chmod(0o600)
+    monkeypatch.setenv("STAMPEDE_SECRET_FILE", str(secret))
+    capsys.readouterr()
+    assert run(["doctor", "--url", cluster.address]) == 0
+    said = capsys.readouterr().out
+    assert "0 that this caller may list, none lost" in said
+    assert "Nothing that this caller may see is wrong. Rules of access hide other channels" in said
+
+
+def test_a_serial_number_with_leading_zeros_revokes_the_certificate_that_has_it(cluster: LocalCluster) -> None:
+    """The supernode kept it as it was written, so that it matched no certificate."""
+    metadata = call_metadata(cluster.secret.text)
+    with grpc.insecure_channel(cluster.supernodes[0].address) as connection:
+        stub: Any = access_grpc.AccessServiceStub(connection)
+        for serial in ("000abc12", "00000000000abc13"):  # the second has the digits of a token's
+            request = access_pb.RevokeCredentialRequest(request_id=secrets.token_bytes(16), serial=serial)
+            stub.RevokeCredential(request, metadata=metadata, timeout=10)
+        listed = stub.ListRevokedCredentials(
+            access_pb.ListRevokedCredentialsRequest(), metadata=metadata, timeout=10
+        ).serials
+    assert {"abc12", "00000000000abc13"} <= set(listed)
 
 
 def test_denials_and_changes_are_told_in_the_logs_of_the_services(cluster: LocalCluster, operator: Operator) -> None:

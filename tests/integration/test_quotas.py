@@ -190,6 +190,11 @@ def test_a_client_has_as_many_groups_and_peers_as_its_quotas(cluster: LocalClust
         rt.group("quotas/g2", members)
 
 
+def test_a_share_of_an_event_loop_above_all_of_it_is_refused(operator: Operator) -> None:
+    said = operator.says("quota", "set", "cam", "cpu-percent=300", status=2)
+    assert "cpu-percent is 300; a service has 100 % of its event loop" in said
+
+
 def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operator: Operator) -> None:
     assert operator.set("cam-*", "streams=7", "bytes-in-flight=64MiB") == (
         "streams of cam-* is 7.\nbytes-in-flight of cam-* is 64.0 MiB.\n"

@@ -139,10 +139,14 @@ def run_check(arguments: argparse.Namespace) -> int:
     if answer.HasField("rule"):
         why = f"the rule: {_text(answer.rule)}"
     else:
-        why = "no rule allows it" if answer.rules else "there are no rules"
+        why = "there are no rules" if not answer.rules else "no rule allows it"
+        if answer.allowed and answer.rules:
+            why = "no rule limits it"
     if arguments.output == "table":
         may = "may" if answer.allowed else "may not"
-        print(f"{arguments.who} {may} {arguments.action} {kind} {arguments.name}: {why}.")
+        print(f"A client with the name {arguments.who} {may} {arguments.action} {kind} {arguments.name}: {why}.")
+        if not answer.allowed:
+            print(f"Rules limit clients only. If {arguments.who} is an operator or a part of the cluster, it may.")
     else:
         rule = _rule_row(answer.rule) if answer.HasField("rule") else None
         print_facts({"allowed": answer.allowed, "rule": rule, "why": why}, arguments.output)

@@ -13,13 +13,16 @@ from stampede_rt.cli.interrupts import interruption
 from stampede_rt.errors import ChannelNotFound, InvalidArgument, StampedeError
 from stampede_rt.escaping import TerminalParser
 from stampede_rt.values.policy import ON_FULL
-from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_instant
+from stampede_rt.values.timeline import NEWEST, NOW, OLDEST, Bound, parse_duration, parse_instant
 
 if TYPE_CHECKING:
     from stampede_rt import Channel, Connection
 
 _META = {"now": NOW, "newest": NEWEST, "oldest": OLDEST}
 _META_TEXT = re.compile(r"(now|newest|oldest)\s*(?:([+-])\s*(\d.*))?")
+
+
+_SECONDS = re.compile(r"\d+(\.\d*)?|\.\d+", re.ASCII)
 
 
 class VerbParser(TerminalParser):
@@ -42,6 +45,14 @@ class VerbParser(TerminalParser):
         if unknown:
             self.error(f"{self.prog} has no argument {' '.join(unknown)}; see {self.prog} --help")
         return parsed, unknown
+
+
+def timeout_seconds(text: str) -> float:
+    """The seconds of a duration such as "500ms", or of a bare number of seconds. Raises ArgumentTypeError."""
+    try:
+        return float(text) if _SECONDS.fullmatch(text) else parse_duration(text, "the time") / 1e9
+    except InvalidArgument as error:
+        raise argparse.ArgumentTypeError(error.message) from None
 
 
 def add_verb(

@@ -19,6 +19,7 @@ from stampede_rt.cli.arguments import (
     parse_count,
     parse_time,
     policy_of,
+    timeout_seconds,
 )
 from stampede_rt.cli.messages import add_payload, payload_of
 from stampede_rt.cli.output import item_line, item_row
@@ -67,7 +68,13 @@ def _add_put(subparsers: Any) -> None:
         metavar="KEY=VALUE",
         help="an attribute of the item; may be repeated",
     )
-    put.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait this long for room; default 1")
+    put.add_argument(
+        "--timeout",
+        type=timeout_seconds,
+        default=1.0,
+        metavar="DURATION",
+        help="wait this long for room, e.g. 500ms; default 1s",
+    )
     add_policy(put)
 
 
@@ -104,7 +111,11 @@ def _add_get(subparsers: Any) -> None:
     get.add_argument("--limit", type=parse_count, metavar="N", help="print at most N items")
     get.add_argument("--newest-first", action="store_true", help="print the latest first")
     get.add_argument(
-        "--timeout", type=float, default=0.0, metavar="SECONDS", help="wait this long for an item; default 0"
+        "--timeout",
+        type=timeout_seconds,
+        default=0.0,
+        metavar="DURATION",
+        help="wait this long for an item, e.g. 500ms; default 0s",
     )
     get.add_argument("--complete", action="store_true", help="wait until no more items can come into the interval")
     get.add_argument("--no-payloads", action="store_true", help="print times and lengths only")

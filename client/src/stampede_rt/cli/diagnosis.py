@@ -184,8 +184,9 @@ def _hosts(seen: Sequence[Observation]) -> Iterator[CheckResult]:
 
 
 def _holdings(held: Inventory) -> CheckResult:
+    count = f"{held.count} that this caller may list" if held.is_partial else f"{held.count}"
     if not held.lost:
-        return CheckResult(f"{held.kind}s", "-", f"{held.count}, none lost")
+        return CheckResult(f"{held.kind}s", "-", f"{count}, none lost")
     names = [name for name, _ in held.lost[:NAMED_MAX]]
     more = f" and {len(held.lost) - NAMED_MAX} more" if len(held.lost) > NAMED_MAX else ""
     hosts = joined(sorted({host for _, host in held.lost}))
@@ -193,7 +194,7 @@ def _holdings(held: Inventory) -> CheckResult:
         f"{', '.join(names)}{more} belonged to {hosts}, which is lost with its items; start it again, or open them at "
         f"another host: the next put into a {held.kind} does that"
     )
-    return CheckResult(f"{held.kind}s", "-", f"{len(held.lost)} of {held.count} lost", advice)
+    return CheckResult(f"{held.kind}s", "-", f"{len(held.lost)} of {count} lost", advice)
 
 
 def _quotas(seen: Sequence[Observation]) -> Iterator[CheckResult]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
 from typing import Any
 
 from stampede_rt.cli.arguments import add_verb
 from stampede_rt.cli.clock_findings import CLOCK_OFFSET_NANOS_MAX, UNKNOWN
 from stampede_rt.cli.diagnosis import diagnose
-from stampede_rt.cli.observations import PEER, CheckResult, Observation
+from stampede_rt.cli.observations import PEER, CheckResult, Inventory, Observation
 from stampede_rt.cli.output import print_rows
 from stampede_rt.escaping import escaped
 from stampede_rt.values.timeline import format_duration
@@ -43,8 +44,17 @@ def run_doctor(arguments: argparse.Namespace) -> int:
     print_rows([_row(finding, arguments.output) for finding in findings], arguments.output, none="nothing found")
     advice = [f"{_where(finding)}: {finding.advice}" for finding in findings if finding.advice]
     if arguments.output == "table":
-        print("\n" + ("\n".join(map(escaped, advice)) if advice else "Everything is well."))
+        print("\n" + ("\n".join(map(escaped, advice)) if advice else _all_well(held)))
     return 1 if advice else 0
+
+
+def _all_well(held: Sequence[Inventory]) -> str:
+    if not any(one.is_partial for one in held):
+        return "Everything is well."
+    return (
+        "Nothing that this caller may see is wrong. Rules of access hide other channels, queues and peers from it; ask "
+        "an operator to run `stampede doctor`."
+    )
 
 
 def _where(finding: CheckResult) -> str:

@@ -88,7 +88,8 @@ class Examination:
         of_channels = self._pages(supernodes, "ListChannels", channels)
         of_queues = self._pages(supernodes, "ListQueues", queues)
         found = [_holdings("channel", "channels", of_channels), _holdings("queue", "queues", of_queues)]
-        return [one for one in found if one is not None]
+        is_partial = any(one.seen.limits_caller for one in supernodes)
+        return [replace(one, is_partial=is_partial) for one in found if one is not None]
 
     def _pages(self, supernodes: Sequence[_Answer], method: str, request: Any) -> Iterator[Any]:
         """Yield the pages of a listing, or None for a page that no supernode gives."""
@@ -183,6 +184,7 @@ class Examination:
                 denied_ago_nanos=_optional(response.access, "denied_ago_nanos"),
                 quota_refusals=response.access.quota_refusals,
                 quota_refused_ago_nanos=_optional(response.access, "quota_refused_ago_nanos"),
+                limits_caller=response.access.limits_caller,
                 round_trip_nanos=round_trip,
                 clock_offset_nanos=response.time_unix_nano - (sent + round_trip // 2),
                 version=response.version,

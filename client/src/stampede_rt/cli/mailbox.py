@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute
+from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute, timeout_seconds
 from stampede_rt.cli.clock_findings import UNKNOWN, ahead, is_off
 from stampede_rt.cli.messages import (
     add_payload,
@@ -45,7 +45,11 @@ def add_verbs(subparsers: Any) -> None:
         help="an attribute of the message; may be repeated",
     )
     send.add_argument(
-        "--timeout", type=float, default=1.0, metavar="SECONDS", help="wait this long for room; default 1"
+        "--timeout",
+        type=timeout_seconds,
+        default=1.0,
+        metavar="DURATION",
+        help="wait this long for room, e.g. 500ms; default 1s",
     )
     get = add_verb(verbs, "get", "register as the peer NAME, and take messages that others send to it", run_get)
     get.add_argument("name", metavar="NAME", help="the peer name; no live peer may have it")

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Protocol
 
-from stampede_rt.cli.arguments import parse_count
+from stampede_rt.cli.arguments import parse_count, timeout_seconds
 from stampede_rt.cli.output import attributes_text, bytes_text, payload_fields, preview, print_rows
 from stampede_rt.cli.terminal import check_raw_output
 from stampede_rt.errors import InvalidArgument
@@ -180,7 +180,11 @@ def add_taking(parser: argparse.ArgumentParser) -> None:
     """Add the options for taking messages."""
     parser.add_argument("-n", "--count", type=parse_count, default=1, metavar="N", help="take N messages; default 1")
     parser.add_argument(
-        "--timeout", type=float, default=1.0, metavar="SECONDS", help="wait this long for each; default 1"
+        "--timeout",
+        type=timeout_seconds,
+        default=1.0,
+        metavar="DURATION",
+        help="wait this long for each, e.g. 500ms; default 1s",
     )
     settled = parser.add_mutually_exclusive_group()
     settled.add_argument("--keep", action="store_true", help="give the messages back instead of acknowledging them")

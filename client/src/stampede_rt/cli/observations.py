@@ -25,6 +25,7 @@ class Observation:
       the rules of access, the last one `denied_ago_nanos` ago.
     - `quota_refusals`: the number of calls that the part refused since its start because their callers were beyond a
       quota, the last one `quota_refused_ago_nanos` ago.
+    - `limits_caller`: whether rules of access limit the caller, so that listings may leave out things.
     - `is_member`: whether the supernodes list this supernode as a member.
     - `in_memory`: whether a supernode keeps the directory in memory alone.
     - `refuses_caller`: the part runs, but the caller's secret or certificate, or the part's certificate, is wrong.
@@ -52,6 +53,7 @@ class Observation:
     denied_ago_nanos: int | None = None
     quota_refusals: int = 0
     quota_refused_ago_nanos: int | None = None
+    limits_caller: bool = False
     held_bytes: int = 0
     memory_bytes_max: int = 0
     in_memory: bool = False
@@ -79,11 +81,15 @@ class Observation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Inventory:
-    """All channels, or all queues, of the directory: their number, and the names and hosts of the lost ones."""
+    """The channels, or the queues, of the directory: their number, and the names and hosts of the lost ones.
+
+    `is_partial`: rules of access limit the caller, so there may be others.
+    """
 
     kind: str
     count: int
     lost: Sequence[tuple[str, str]] = ()
+    is_partial: bool = False
 
 
 @dataclass(frozen=True, slots=True)

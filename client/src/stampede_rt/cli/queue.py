@@ -6,7 +6,15 @@ import argparse
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from stampede_rt.cli.arguments import VerbParser, add_verb, checked, connected, parse_attribute, parse_count
+from stampede_rt.cli.arguments import (
+    VerbParser,
+    add_verb,
+    checked,
+    connected,
+    parse_attribute,
+    parse_count,
+    timeout_seconds,
+)
 from stampede_rt.cli.messages import (
     add_payload,
     add_pending,
@@ -48,7 +56,13 @@ def add_verbs(subparsers: Any) -> None:
         metavar="KEY=VALUE",
         help="an attribute of the message; may be repeated",
     )
-    put.add_argument("--timeout", type=float, default=1.0, metavar="SECONDS", help="wait this long for room; default 1")
+    put.add_argument(
+        "--timeout",
+        type=timeout_seconds,
+        default=1.0,
+        metavar="DURATION",
+        help="wait this long for room, e.g. 500ms; default 1s",
+    )
     _add_policy(put)
     get = add_verb(verbs, "get", "take messages, print and acknowledge them", run_get)
     get.add_argument("queue", help="the queue's name")

@@ -62,15 +62,17 @@ class AccessRule(_message.Message):
     def __init__(self, who: _Optional[str] = ..., verbs: _Optional[_Iterable[_Union[AccessVerb, str]]] = ..., kind: _Optional[_Union[AccessKind, str]] = ..., names: _Optional[str] = ..., deny: bool = ...) -> None: ...
 
 class AccessStatus(_message.Message):
-    __slots__ = ("version", "denials", "denied_ago_nanos", "quota_refusals", "quota_refused_ago_nanos")
+    __slots__ = ("version", "denials", "denied_ago_nanos", "quota_refusals", "quota_refused_ago_nanos", "limits_caller")
     VERSION_FIELD_NUMBER: _ClassVar[int]
     DENIALS_FIELD_NUMBER: _ClassVar[int]
     DENIED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
     QUOTA_REFUSALS_FIELD_NUMBER: _ClassVar[int]
     QUOTA_REFUSED_AGO_NANOS_FIELD_NUMBER: _ClassVar[int]
+    LIMITS_CALLER_FIELD_NUMBER: _ClassVar[int]
     version: int
     denials: int
     denied_ago_nanos: int
     quota_refusals: int
     quota_refused_ago_nanos: int
-    def __init__(self, version: _Optional[int] = ..., denials: _Optional[int] = ..., denied_ago_nanos: _Optional[int] = ..., quota_refusals: _Optional[int] = ..., quota_refused_ago_nanos: _Optional[int] = ...) -> None: ...
+    limits_caller: bool
+    def __init__(self, version: _Optional[int] = ..., denials: _Optional[int] = ..., denied_ago_nanos: _Optional[int] = ..., quota_refusals: _Optional[int] = ..., quota_refused_ago_nanos: _Optional[int] = ..., limits_caller: bool = ...) -> None: ...

@@ -5,7 +5,15 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, Quota, QuotaSetting, QuotaTable, check_setting
+from stampede_rt_runtime.quotas.limits import (
+    DEFAULTS,
+    LIMIT_MAX,
+    Quota,
+    QuotaSetting,
+    QuotaTable,
+    check_effective,
+    check_setting,
+)
 
 
 def table(*settings: tuple[str, int]) -> QuotaTable:
@@ -51,3 +59,11 @@ def test_names_and_addresses_and_patterns_of_them_can_be_set(who: str) -> None:
 def test_what_matches_nobody_or_is_no_limit_is_refused(who: str, limit: int) -> None:
     with pytest.raises(InvalidArgument):
         check_setting(QuotaSetting(who, Quota.STREAMS, limit))
+
+
+def test_more_than_a_whole_event_loop_is_refused_because_it_would_have_no_effect() -> None:
+    for limit in (0, 1, 100, LIMIT_MAX):
+        check_effective(QuotaSetting("cam", Quota.CPU_PERCENT, limit))
+    check_effective(QuotaSetting("cam", Quota.STREAMS, 300))
+    with pytest.raises(InvalidArgument, match=r"cpu-percent is 300; .* give 0 to 100, or `unlimited`"):
+        check_effective(QuotaSetting("cam", Quota.CPU_PERCENT, 300))

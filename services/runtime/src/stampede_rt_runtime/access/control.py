@@ -108,6 +108,11 @@ class AccessControl:
                 self.tell(state)
         return self._state
 
+    def limits(self, caller: Caller | None) -> bool:
+        """Whether the rules limit `caller`."""
+        state = self.refresh()
+        return state is not None and caller is not None and caller.is_judged and bool(state.rules.rules)
+
     def rules(self) -> AccessRules:
         """The present rules. Raises Unavailable while there is no state."""
         return self._known().rules

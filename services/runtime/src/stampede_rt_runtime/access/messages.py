@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import access_pb2 as pb
 from stampede_rt.v1 import access_service_pb2
-from stampede_rt_runtime.access.control import AccessControl
+from stampede_rt_runtime.access.control import AccessControl, current_caller
 from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.quotas.limits import QuotaTable
@@ -87,4 +87,5 @@ def status_message(control: AccessControl) -> pb.AccessStatus:
         denied_ago_nanos=control.audit.denied_ago_nanos(),
         quota_refusals=control.accounts.refusals,
         quota_refused_ago_nanos=control.accounts.refused_ago_nanos(),
+        limits_caller=control.limits(current_caller()),
     )

@@ -86,6 +86,14 @@ def check_setting(setting: QuotaSetting) -> None:
         raise InvalidArgument(f"{setting.quota} is {setting.limit}; give a limit from 0 to {LIMIT_MAX}")
 
 
+def check_effective(setting: QuotaSetting) -> None:
+    """Raises InvalidArgument for a limit that would have no effect."""
+    if setting.quota is Quota.CPU_PERCENT and 100 < setting.limit < LIMIT_MAX:
+        raise InvalidArgument(
+            f"{setting.quota} is {setting.limit}; a service has 100 % of its event loop: give 0 to 100, or `unlimited`"
+        )
+
+
 class QuotaTable:
     """All settings of a cluster.
 

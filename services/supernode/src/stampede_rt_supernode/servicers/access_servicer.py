@@ -155,9 +155,9 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     async def RevokeCredential(
         self, request: pb.RevokeCredentialRequest, context: Context
     ) -> pb.RevokeCredentialResponse:
-        operation = commands.RevokeCredential(serial=request.serial)
+        operation = commands.RevokeCredential(serial=_plain(request.serial))
         done = await self._calls.submit(context, operation, commands.CredentialRevoked, request.request_id)
-        audit_change("revoke", request.serial, done=done.revoked)
+        audit_change("revoke", operation.serial, done=done.revoked)
         return pb.RevokeCredentialResponse(revoked=done.revoked, version=done.version)
 
     @errors_as_status
@@ -170,6 +170,14 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     @errors_as_status
     async def GetAccessState(self, request: pb.GetAccessStateRequest, context: Context) -> pb.GetAccessStateResponse:
         return state_message(await self._calls.read(context, access_state, stale_ok=request.stale_ok))
+
+
+def _plain(serial: str) -> str:
+    """A serial number in the form in which credentials have it.
+
+    That of a certificate has no leading zeros. That of a token has a fixed number of digits, so it may have some.
+    """
+    return serial if len(serial) == 2 * SERIAL_BYTES else serial.lstrip("0") or serial[:1]
 
 
 def _effect_message(effect: AccessEffect) -> pb.AccessEffect:

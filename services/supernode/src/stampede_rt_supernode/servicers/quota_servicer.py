@@ -9,7 +9,7 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import quota_service_pb2 as pb
 from stampede_rt.v1 import quota_service_pb2_grpc
 from stampede_rt_runtime.access.control import audit_change
-from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, Quota, check_who
+from stampede_rt_runtime.quotas.limits import DEFAULTS, LIMIT_MAX, Quota, check_effective, check_who
 from stampede_rt_runtime.quotas.messages import limit_message, quota_from, setting_from, setting_message
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, QuotasSet, RemoveQuotas, SetQuotas
@@ -29,6 +29,8 @@ class QuotaServicer(quota_service_pb2_grpc.QuotaServiceServicer):
     @errors_as_status
     async def SetQuotas(self, request: pb.SetQuotasRequest, context: Context) -> pb.SetQuotasResponse:
         operation = SetQuotas(settings=tuple(map(setting_from, request.settings)))
+        for setting in operation.settings:
+            check_effective(setting)
         await self.check_known_to_all(context, [one.quota for one in operation.settings])
         done = await self._calls.submit(context, operation, QuotasSet, request.request_id)
         audit_change("set quota", ", ".join(map(str, operation.settings)), done=bool(done.changed))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 
-from stampede_rt_runtime.access.caller import Caller, CallerKind
+from stampede_rt_runtime.access.caller import ALL_ROLES, Caller, CallerKind
 from stampede_rt_runtime.access.rules import VERBS_OF, AccessKind, AccessRule, AccessRules, AccessVerb
 from stampede_rt_runtime.globs import matcher
 from stampede_rt_runtime.identity import Role
@@ -29,7 +29,9 @@ class AccessEffect:
 
 
 def client_named(who: str) -> Caller:
-    """A client of that name, for questions about rules."""
+    """A client of that name, for questions about rules. Rules do not limit holders of the cluster's secret."""
+    if who == "@cluster":
+        return Caller(kind=CallerKind.CLUSTER_SECRET, roles=ALL_ROLES, name=who)
     return Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name=who)
 
 
