@@ -15,6 +15,10 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_pb2, error_pb2, gatekeeper_service_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt_channel_host.channels import holders
+from stampede_rt_channel_host.core.channel import consumption
+from stampede_rt_channel_host.core.dedup import RetryWindow
+from stampede_rt_channel_host.core.judging import Judged
 from stampede_rt_runtime.access import control
 from stampede_rt_runtime.quotas.limits import Quota
 from tests.support.channel_host.queue_rig import run_of as queue_run_of
@@ -200,3 +204,40 @@ async def test_much_work_of_one_caller_does_not_stand_before_the_puts_of_another
         for task in busy:
             task.cancel()
         await asyncio.gather(*busy, return_exceptions=True)
+
+
+async def test_a_caller_with_its_share_of_consumer_places_gets_no_further_one(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(consumption, "PLACES_OF_ONE_MAX", 1)
+    monkeypatch.setattr(holders, "owner_name", lambda: "greedy")
+    channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(consumers=3)))
+    stub: Any = ChannelServiceStub(rig.connection)
+    asked = [
+        pb.ConsumeRequest(channel_id=channel.channel_id, epoch=channel.epoch, consumer_id=one) for one in (7, 8, 9)
+    ]
+    await stub.Consume(asked[0], timeout=10)
+    with pytest.raises(grpc.aio.AioRpcError, match="greedy has 1 of the channel's 3 consumer places") as caught:
+        await stub.Consume(asked[1], timeout=10)
+    assert caught.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+    monkeypatch.setattr(holders, "owner_name", lambda: "other")
+    await stub.Consume(asked[2], timeout=10)
+
+
+async def test_the_memory_of_retries_knows_the_caller_of_each_producer(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    owners: list[str] = []
+    record = RetryWindow.record
+
+    def noting(window: RetryWindow, producer_id: int, first_number: int, outcome: Judged, owner: str = "") -> None:
+        owners.append(owner)
+        record(window, producer_id, first_number, outcome, owner)
+
+    monkeypatch.setattr(RetryWindow, "record", noting)
+    monkeypatch.setattr(holders, "owner_name", lambda: "cam")
+    channel = await rig.open()
+    await channel.put(run_of(b"x"))
+    async with running_queue_host() as queues:
+        await queues.open().put(b"x")
+    assert owners == ["cam", "cam"]

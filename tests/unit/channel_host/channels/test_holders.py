@@ -6,7 +6,7 @@ import pytest
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt_channel_host.channels import holders as module
-from stampede_rt_channel_host.channels.holders import HOLDERS_OF_ONE_MAX, Holders
+from stampede_rt_channel_host.channels.holders import HOLDERS_OF_ONE_MAX, Holders, own_name
 
 QUEUE, OTHER = b"q" * 16, b"o" * 16
 
@@ -58,3 +58,11 @@ def test_all_numbers_together_have_a_bound(caller: list[str], monkeypatch: pytes
         caller.append(f"caller-{number}")
         holders.check(QUEUE, number, "taker")
     assert len(holders) == len(holders._of_owner) == 100
+
+
+def test_callers_with_a_shared_name_have_no_share(caller: list[str]) -> None:
+    names = {}
+    for name in ("alice", "@clients", ""):
+        caller.append(name)
+        names[name] = own_name()
+    assert names == {"alice": "alice", "@clients": "", "": ""}

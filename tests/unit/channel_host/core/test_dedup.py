@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from typing import Any
 
 import pytest
 
@@ -205,3 +206,32 @@ def test_parts_whose_seqs_follow_each_other_are_one() -> None:
     judging.accept(3, 9, 2, None)
     judging.judged_items = 5
     assert judging.outcome(0).parts == (RunPart(0, 1, 3, None), RunPart(3, 9, 2, None))
+
+
+@pytest.mark.parametrize("bounds", [{"producers_max": 200}, {"bytes_max": 100_000}])
+def test_one_caller_with_very_many_producers_pushes_out_its_own_and_not_those_of_others(bounds: dict[str, int]) -> None:
+    window = RetryWindow(**bounds)
+    for producer_id in range(1, 11):
+        window.record(producer_id, 1, accepted(1, producer_id), owner="good")
+    for producer_id in range(1000, 3000):
+        window.record(producer_id, 1, accepted(1, producer_id), owner="hostile")
+    assert all(window.find(one, 1, 1, now=0) is not None for one in range(1, 11)), "they were silent longest"
+    assert window.find(1000, 1, 1, now=0) is None
+    assert window.find(2999, 1, 1, now=0) is not None
+    assert len(window) <= 200 or window.footprint_bytes <= 100_000
+
+
+def test_a_full_window_looks_at_all_producers_once_for_many_new_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    window, sheds = RetryWindow(producers_max=640), 0
+    shed = RetryWindow._shed
+
+    def counted(*arguments: Any) -> bool:
+        nonlocal sheds
+        sheds += 1
+        return shed(*arguments)
+
+    monkeypatch.setattr(RetryWindow, "_shed", counted)
+    for producer_id in range(1, 1281):
+        window.record(producer_id, 1, accepted(1, producer_id), owner="hostile")
+    assert sheds <= 64
+    assert 630 <= len(window) <= 640

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.consuming import consuming
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
+from stampede_rt_channel_host.channels.holders import own_name
 from stampede_rt_channel_host.channels.put_stream import PutStream
 from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -79,7 +80,7 @@ class ChannelServicer:
         hosted = self._store.find(request.channel_id, request.epoch)
         check_access(AccessVerb.CONSUME, AccessKind.CHANNEL, hosted.record.name)
         self._store.consumers.check(request.channel_id, request.consumer_id, "consumer")
-        return await self._store.scheduler.do(consuming(self._store, request))
+        return await self._store.scheduler.do(consuming(self._store, request, own_name()))
 
     @errors_as_status
     async def get_channel_status(

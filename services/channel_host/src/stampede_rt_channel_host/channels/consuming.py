@@ -13,12 +13,13 @@ from stampede_rt_channel_host.core.channel import LEASE_NANOS, Pieces
 SEQS_PER_PIECE = 256
 
 
-def consuming(store: ChannelStore, request: pb.ConsumeRequest) -> Pieces[pb.ConsumeResponse]:
+def consuming(store: ChannelStore, request: pb.ConsumeRequest, owner: str = "") -> Pieces[pb.ConsumeResponse]:
     """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
     An invalid request consumes nothing. Raises InvalidArgument, StaleBinding if the host does not serve the channel,
     ChannelFull if all consumer places are taken, and IncarnationLost if the seqs belong to another incarnation. Raises
-    Overloaded if the memory for seqs that were consumed out of order is used up, perhaps after the first pieces.
+    Overloaded if the memory for seqs that were consumed out of order is used up, perhaps after the first pieces, or if
+    the caller has too many places. `owner`: the name of the caller; empty if its places have no limit.
     """
     hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
     yield from hosted.channel.catching_up(store.now())
@@ -26,9 +27,9 @@ def consuming(store: ChannelStore, request: pb.ConsumeRequest) -> Pieces[pb.Cons
     while len(seqs) > SEQS_PER_PIECE:
         part, seqs = seqs[:SEQS_PER_PIECE], seqs[SEQS_PER_PIECE:]
         # the lease of the request may be 0, which gives the place up: only the last piece may do that
-        items += _find(store, request).consume(request.consumer_id, part, max(lease_nanos, LEASE_NANOS)).items
+        items += _find(store, request).consume(request.consumer_id, part, max(lease_nanos, LEASE_NANOS), owner).items
         yield
-    last = _find(store, request).consume(request.consumer_id, seqs, lease_nanos)
+    last = _find(store, request).consume(request.consumer_id, seqs, lease_nanos, owner)
     return pb.ConsumeResponse(consumed=items + last.items, lease_nanos=last.lease_nanos)
 
 

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from sys import intern
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt_runtime.access.control import owner_name
+from stampede_rt_runtime.quotas.limits import SHARED_NAMES
 
 HOLDERS_MAX = 65_536  # ids of all callers
 HOLDERS_OF_ONE_MAX = 1024  # ids of one caller
 
 Key = tuple[bytes, int]  # the id of a channel or queue, and a consumer or taker id there
+
+
+def own_name() -> str:
+    """The name of the present caller in shares; empty for callers without a name of their own, who have no limit."""
+    name = owner_name()
+    return "" if name in SHARED_NAMES else intern(name)
 
 
 class Holders:

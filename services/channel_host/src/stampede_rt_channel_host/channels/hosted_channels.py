@@ -114,11 +114,11 @@ class HostedChannel:
         self.changed(now)
         return advanced
 
-    def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Consumed:
+    def consume(self, consumer_id: int, seqs: Sequence[int], lease_nanos: int, owner: str = "") -> Consumed:
         """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
         Raises InvalidArgument, ChannelFull if all consumer places are taken, and Overloaded if the memory for the seqs
-        that were consumed out of order is used up.
+        that were consumed out of order is used up, or if the caller `owner` has too many places.
         """
         now = self._now()
         self.channel.check_consumption(consumer_id, seqs, lease_nanos)
@@ -127,7 +127,7 @@ class HostedChannel:
             if wanted:
                 # consumption lets items leave, so it may go on for a while when puts may not
                 self._charge.claim(wanted - self._charge.spare_bytes)
-        consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos)
+        consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, owner=owner)
         self.puts.changed(now)  # this also calls `_touched`
         return consumed
 

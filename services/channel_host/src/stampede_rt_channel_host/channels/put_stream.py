@@ -14,6 +14,7 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.acks import refused
+from stampede_rt_channel_host.channels.holders import own_name
 from stampede_rt_channel_host.channels.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts import ChannelPuts, IncomingRun, check_number
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
@@ -68,6 +69,7 @@ class PutStream:
         self._news = asyncio.Event()  # there are acks to write, or the caller has closed its side
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
+        self._owner = own_name()
         self._work = CallerWork(self._account)
         whole = WholeRequests(context.read, store.memory.requests, self._account)
         self._requests = ReadAhead(whole.read, store.memory, self._account)
@@ -153,7 +155,13 @@ class PutStream:
 
     def _read(self, put: Put, came_s: float) -> IncomingRun:
         wait_nanos = None if put.wait_nanos is None else left_nanos(put.wait_nanos, came_s)
-        return IncomingRun(put.run, producer_id=self._producer_id, first_number=put.first_number, wait_nanos=wait_nanos)
+        return IncomingRun(
+            put.run,
+            producer_id=self._producer_id,
+            first_number=put.first_number,
+            wait_nanos=wait_nanos,
+            owner=self._owner,
+        )
 
     async def _write_acks(self) -> None:
         """Write acks. All acks that came during the last write go out in one message."""

@@ -30,13 +30,23 @@ class IncomingRun:
     """One run on its way into a channel. `wait_nanos` None: the run may wait without limit."""
 
     __slots__ = (
-        "_done", "_encoded", "_timer", "ack", "first_number", "items", "judging", "offer", "producer_id", "wait_nanos",
+        "_done", "_encoded", "_timer", "ack", "first_number", "items", "judging", "offer", "owner", "producer_id",
+        "wait_nanos",
     )  # fmt: skip
 
     def __init__(
-        self, encoded: bytes | memoryview, *, producer_id: int, first_number: int, wait_nanos: int | None
+        self,
+        encoded: bytes | memoryview,
+        *,
+        producer_id: int,
+        first_number: int,
+        wait_nanos: int | None,
+        owner: str = "",
     ) -> None:
-        """Raises MalformedRun, or ItemTooLarge for an item larger than any channel can hold."""
+        """`owner`: see `RetryWindow.record`.
+
+        Raises MalformedRun, or ItemTooLarge for an item larger than any channel can hold.
+        """
         columns = parse_run(encoded)
         self.offer = Offer(times=columns.times, durations=columns.durations, lengths=columns.lengths)
         self.items = len(columns.lengths)
@@ -44,6 +54,7 @@ class IncomingRun:
         self.producer_id = producer_id
         self.first_number = first_number
         self.wait_nanos = wait_nanos
+        self.owner = owner
         self.ack: pb.PutAck | None = None
         self._encoded = encoded
         self._done: asyncio.Future[None] | None = None
@@ -341,7 +352,7 @@ class ChannelPuts:
 
     def _remember(self, run: IncomingRun, now: int) -> Judged:
         judged = run.judging.outcome(now)
-        self._retries.record(run.producer_id, run.first_number, judged)
+        self._retries.record(run.producer_id, run.first_number, judged, run.owner)
         return judged
 
     def _arm(self, retry_at: int | None, now: int) -> None:

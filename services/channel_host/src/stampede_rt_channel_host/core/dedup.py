@@ -7,8 +7,8 @@ and counts against the host's memory.
 from __future__ import annotations
 
 from array import array
-from collections import OrderedDict
-from collections.abc import Iterator
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from stampede_rt.errors import InvalidArgument
@@ -18,6 +18,7 @@ RUNS_MAX = 1024  # far more than the runs that a producer has in flight
 KEPT_NANOS = 600_000_000_000
 PRODUCERS_MAX = 4096
 WINDOW_BYTES_MAX = 16 * 2**20
+SHED_PARTS = 64  # above a bound, at least this part of the window goes at once
 PRODUCER_BYTES_MAX = 256 * 2**10
 
 RUN_BYTES = 48  # five numbers of 8 bytes, and the spare room of a growing array
@@ -42,9 +43,10 @@ class _Producer:
     """One producer's latest runs, in the order in which they were recorded. `end` is above all their numbers.
 
     `odd` holds the outcomes that do not fit in columns, by first number. `latest` is the time of the last record.
+    `owner` is the caller that put last.
     """
 
-    __slots__ = ("_begin", "_columns", "_odd_bytes", "end", "latest", "odd")
+    __slots__ = ("_begin", "_columns", "_odd_bytes", "end", "latest", "odd", "owner")
 
     def __init__(self) -> None:
         self._columns = array("q")
@@ -53,6 +55,7 @@ class _Producer:
         self.odd: dict[int, Judged] = {}
         self.end = 0
         self.latest = 0
+        self.owner = ""
 
     def __len__(self) -> int:
         return len(self._columns) // _FIELDS - self._begin
@@ -130,8 +133,9 @@ class RetryWindow:
     A run that was judged in part continues at its first unjudged item. The time model asks for the last 1024 numbers of
     each producer for 10 minutes. The window keeps the last 1024 runs of each producer, which hold at least these
     numbers. It knows at most `producers_max` producers, in at most `bytes_max` bytes, and of each at most
-    PRODUCER_BYTES_MAX. It forgets the producer first that has been silent longest. It does not keep runs without an
-    accepted item, which are judged anew. Producer id 0 means that no run is recognised. `now` is the host's clock in
+    PRODUCER_BYTES_MAX. Above a bound it forgets producers of the caller that takes up most, first those that have been
+    silent longest. So one caller does not push out the producers of others. It does not keep runs without an accepted
+    item, which are judged anew. Producer id 0 means that no run is recognised. `now` is the host's clock in
     nanoseconds and never goes back.
     """
 
@@ -165,8 +169,11 @@ class RetryWindow:
             return None
         return producer.find(producer_id, first_number, first_number + items, now - KEPT_NANOS)
 
-    def record(self, producer_id: int, first_number: int, outcome: Judged) -> None:
-        """Keep the outcome of a run, or of its first items, as of `outcome.time`. Keeps nothing for producer id 0."""
+    def record(self, producer_id: int, first_number: int, outcome: Judged, owner: str = "") -> None:
+        """Keep the outcome of a run, or of its first items, as of `outcome.time`. Keeps nothing for producer id 0.
+
+        `owner`: the name of the caller; empty if it has none of its own.
+        """
         if not producer_id or not outcome.parts:
             return
         producer = self._producers.get(producer_id)
@@ -174,6 +181,7 @@ class RetryWindow:
             producer = self._producers[producer_id] = _Producer()
             self.footprint_bytes += producer.footprint_bytes
         self._producers.move_to_end(producer_id)
+        producer.owner = owner
         before = producer.footprint_bytes
         producer.add(first_number, outcome)
         while len(producer) > RUNS_MAX or producer.oldest_time() <= outcome.time - KEPT_NANOS:
@@ -184,17 +192,42 @@ class RetryWindow:
         self.expire(outcome.time)
 
     def expire(self, now: int) -> None:
-        """Forget producers that have put nothing for ten minutes.
-
-        Above the bounds, forget those that are silent longest.
-        """
+        """Forget producers that have put nothing for ten minutes. Above the bounds, forget more (see the class)."""
         while self._producers:
-            producer = next(iter(self._producers.values()))
-            within = len(self._producers) <= self._producers_max and self.footprint_bytes <= self._bytes_max
-            if (within or len(self._producers) == 1) and producer.latest > now - KEPT_NANOS:
-                return
-            self.footprint_bytes -= producer.footprint_bytes
-            self._producers.popitem(last=False)
+            producer_id, producer = next(iter(self._producers.items()))
+            if producer.latest > now - KEPT_NANOS:
+                break
+            self._forget(producer_id)
+        if len(self._producers) > self._producers_max:
+            spare = self._producers_max // SHED_PARTS  # a look at all producers makes room for many new ones
+            while len(self._producers) > self._producers_max - spare and self._shed(lambda producer: 1, spare + 1):
+                pass
+        while self.footprint_bytes > self._bytes_max and self._shed(
+            lambda producer: producer.footprint_bytes, self._bytes_max // SHED_PARTS
+        ):
+            pass
+
+    def _shed(self, size: Callable[[_Producer], int], least: int) -> bool:
+        """Forget the longest silent producers of the largest caller, until they have `least` of what `size` measures.
+
+        The latest producer stays. Returns whether it forgot any.
+        """
+        others = list(self._producers.items())[:-1]
+        sizes: Counter[str] = Counter()
+        for _, producer in others:
+            sizes[producer.owner] += size(producer)
+        largest = max(sizes, key=sizes.__getitem__, default="")
+        freed = 0
+        for producer_id, producer in others:
+            if producer.owner == largest:
+                freed += size(producer)
+                self._forget(producer_id)
+                if freed >= least:
+                    break
+        return freed > 0
+
+    def _forget(self, producer_id: int) -> None:
+        self.footprint_bytes -= self._producers.pop(producer_id).footprint_bytes
 
     def next_expiry(self) -> int | None:
         """The time at which `expire` next forgets a producer, if nothing is put; None: there is no producer."""

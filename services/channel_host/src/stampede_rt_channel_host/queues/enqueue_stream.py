@@ -17,6 +17,7 @@ from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.channels.acks import refused
+from stampede_rt_channel_host.channels.holders import own_name
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -60,6 +61,7 @@ class EnqueueStream:
         self._news = asyncio.Event()  # there are acks to write, or the stream takes in nothing more
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
+        self._owner = own_name()
         self._work = CallerWork(self._account)
         whole = WholeRequests(context.read, store.memory.requests, self._account)
         self._requests = ReadAhead(whole.read, store.memory, self._account)
@@ -144,7 +146,7 @@ class EnqueueStream:
             if message.origin:
                 check_forwards(caller_identity(self._context))
                 check_not_judged("set the origin of a run, as of a dead letter")
-            run = enqueue_of(message, self._producer_id, came_s)
+            run = enqueue_of(message, self._producer_id, came_s, self._owner)
         except StampedeError as error:
             if hosted is not None:
                 hosted.refuse_unread(error)

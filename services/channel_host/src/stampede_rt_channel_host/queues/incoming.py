@@ -39,10 +39,11 @@ class EnqueueRun(NamedTuple):
         return cls(message.first_number, wait_nanos, message.run, message.message_id, message.origin)
 
 
-def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float) -> Enqueue:
+def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float, owner: str = "") -> Enqueue:
     """The run as it came, not judged yet. `came_s`: the monotonic time at which its request came.
 
-    Raises MalformedRun, or ItemTooLarge for a message larger than any queue can hold.
+    `owner`: see `RetryWindow.record`. Raises MalformedRun, or ItemTooLarge for a message larger than any
+    queue can hold.
     """
     encoded = message.run
     columns = parse_run(encoded)
@@ -61,6 +62,7 @@ def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float) -> Enqueue:
         first_number=message.first_number,
         wait_nanos=None if message.wait_nanos is None else left_nanos(message.wait_nanos, came_s),
         message_id=_message_id_of(message, items),
+        owner=owner,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt.errors import ChannelFull, InvalidArgument
+from stampede_rt.errors import ChannelFull, InvalidArgument, Overloaded
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
@@ -12,6 +12,7 @@ from stampede_rt_channel_host.core.channel import (
     LEASE_NANOS,
     SEQS_MAX,
     ChannelCore,
+    consumption,
 )
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, get, put, seqs_of, times_of
 
@@ -386,3 +387,17 @@ def test_only_seqs_that_are_next_to_no_consumed_or_collected_ones_need_memory() 
     assert channel.consumption_bytes(ANN, [9, 11]) == 0
     assert channel.consumption_bytes(ANN, [20, 22, 23, 40]) == 3 * CONSUMED_RANGE_BYTES
     assert channel.consumption_bytes(BOB, [20]) == CONSUMER_BYTES + CONSUMED_RANGE_BYTES
+
+
+def test_one_caller_leaves_places_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(consumption, "PLACES_OF_ONE_MAX", 2)
+    channel = three_items(consumers=5)
+    for consumer in (1, 2):
+        channel.consume(consumer, [], CLOCK, owner="greedy")
+    with pytest.raises(Overloaded, match=r"greedy has 2 of the channel's 5 consumer places, and 2 is the most for one"):
+        channel.consume(3, [], CLOCK, owner="greedy")
+    channel.consume(2, [1], CLOCK, owner="greedy")
+    for consumer in (4, 5, 6):
+        channel.consume(consumer, [], CLOCK)  # callers without a name of their own
+    channel.consume(2, [], CLOCK, lease_nanos=0, owner="greedy")
+    channel.consume(3, [], CLOCK, owner="greedy")

@@ -229,12 +229,15 @@ class ChannelCore(AgedChannel):
         self._settle(clock)
         self._retention.drop_excess(clock)
 
-    def consume(self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS) -> Consumed:
+    def consume(
+        self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS, owner: str = ""
+    ) -> Consumed:
         """Consume items for one consumer. Items that all consumers have consumed go, the oldest first. Safe to repeat.
 
         Takes a place for the consumer if it has none, and keeps the place for `lease_nanos` from now (see the module
         `consumption`). A lease of 0 gives the place up. `seqs` may be empty. Raises InvalidArgument (see
-        `check_consumption`), and ChannelFull if all places are taken.
+        `check_consumption`), ChannelFull if all places are taken, and Overloaded if `owner`, the caller, has as many as
+        one caller may have. Places without an `owner` have no such limit.
         """
         run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
@@ -243,7 +246,13 @@ class ChannelCore(AgedChannel):
         assert consumers is not None, "it is checked"
         newest_seq = self._held.newest_seq
         consumed = consumers.consume(
-            consumer_id, seqs, next_seq=self.next_seq, newest_seq=newest_seq, clock=clock, lease=lease_nanos
+            consumer_id,
+            seqs,
+            next_seq=self.next_seq,
+            newest_seq=newest_seq,
+            clock=clock,
+            lease=lease_nanos,
+            owner=owner,
         )
         self._settle(clock)
         return consumed

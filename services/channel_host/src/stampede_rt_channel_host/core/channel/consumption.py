@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 from sortedcontainers import SortedKeyList
 
-from stampede_rt.errors import ChannelFull, InvalidArgument
+from stampede_rt.errors import ChannelFull, InvalidArgument, Overloaded
 from stampede_rt.values.timeline import format_duration
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.pieces import Pieces
@@ -36,6 +36,8 @@ LEASE_NANOS = 10_000_000_000
 """How long a `consume` keeps a place if it states no other lease."""
 
 LEASE_NANOS_MAX = 3_600_000_000_000
+PLACES_OF_ONE_MAX = 768
+"""The most places with a valid lease for one caller, of the 1024 that a channel may have."""
 SEQS_MAX = 4096
 """The most seqs that one `consume` may name."""
 RANGES_PER_LOOK_MAX = 256
@@ -84,12 +86,13 @@ class _Place:
     `done`: the seqs that its consumer has consumed, and collected seqs next to them; None once the lease has ended.
     `below`: all lower seqs are in `done`. Places with a valid lease are sorted by `below`. `tidied`: the seq at which
     `Consumers._tidy` continues. `ranges`: how many ranges of `done` were last counted. `order` decides between places
-    that are otherwise equal. `due` belongs to `Deadlines`.
+    that are otherwise equal. `due` belongs to `Deadlines`. `owner`: the caller that took it; empty: not known.
     """
 
-    __slots__ = ("below", "consumer_id", "done", "due", "order", "ranges", "tidied", "until")
+    __slots__ = ("below", "consumer_id", "done", "due", "order", "owner", "ranges", "tidied", "until")
 
     def __init__(self, consumer_id: int, order: int, done: SeqSet | None) -> None:
+        self.owner = ""
         self.consumer_id = consumer_id
         self.order = order
         self.done = done
@@ -167,16 +170,28 @@ class Consumers:
             self._end(place)
 
     def consume(
-        self, consumer_id: int, seqs: Sequence[int], *, next_seq: int, newest_seq: int | None, clock: int, lease: int
+        self,
+        consumer_id: int,
+        seqs: Sequence[int],
+        *,
+        next_seq: int,
+        newest_seq: int | None,
+        clock: int,
+        lease: int,
+        owner: str = "",
     ) -> Consumed:
         """Note that a consumer has consumed `seqs`, and renew its place for `lease` nanoseconds; 0 gives the place up.
 
         `next_seq` is the seq of the next accepted item. `newest_seq` is the newest item's seq, None without items. Call
-        `check_consumption` first: it refuses invalid arguments. Raises ChannelFull if all places are taken.
+        `check_consumption` first: it refuses invalid arguments. `owner`: the name of the caller; empty if its places
+        have no limit. Raises ChannelFull if all places are taken, Overloaded if the caller has PLACES_OF_ONE_MAX.
         """
         if not lease and not seqs and not self._holds_place(consumer_id):
             return Consumed(0, 0)
+        if owner and not self._holds_place(consumer_id):
+            self._check_share(owner)
         place, done = self._take(consumer_id, next_seq if newest_seq is None else newest_seq)
+        place.owner = owner
         items, ranges = 0, _ranges(seqs)
         for first, end in ranges:
             for low, high in self._gone.touching(first, end):
@@ -196,6 +211,17 @@ class Consumers:
     def _holds_place(self, consumer_id: int) -> bool:
         own = self._taken.get(consumer_id)
         return own is not None and own.done is not None
+
+    def _check_share(self, owner: str) -> None:
+        if len(self._live) < PLACES_OF_ONE_MAX:
+            return
+        held = sum(place.owner == owner for place in self._live)
+        if held >= PLACES_OF_ONE_MAX:
+            raise Overloaded(
+                f"{owner} has {held} of the channel's {self._places} consumer places, and {PLACES_OF_ONE_MAX} is the "
+                "most for one caller; give some up with a lease of 0, or use fewer consumers",
+                metadata={"subject": owner, "used": str(held), "limit": str(PLACES_OF_ONE_MAX)},
+            )
 
     def _take(self, consumer_id: int, restart_seq: int) -> tuple[_Place, SeqSet]:
         """The consumer's place, which it takes now if it has none, and the seqs that are done there."""

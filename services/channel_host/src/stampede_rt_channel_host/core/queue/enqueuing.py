@@ -38,12 +38,12 @@ class Enqueue:
 
     `wait_nanos`: how long it may wait for room, None without limit. `is_stamped`: it came without times. A run with a
     `message_id` holds one message. `is_duplicate`: the queue knew the message id. At the end the run has either an
-    `outcome` or, if the queue refused it as a whole, an `error`.
+    `outcome` or, if the queue refused it as a whole, an `error`. `owner`: see `RetryWindow.record`.
     """
 
     __slots__ = (
         "due", "error", "first_number", "is_duplicate", "is_stamped", "judging", "lengths", "message_id", "order",
-        "outcome", "producer_id", "seal", "wait_nanos",
+        "outcome", "owner", "producer_id", "seal", "wait_nanos",
     )  # fmt: skip
 
     def __init__(
@@ -56,7 +56,9 @@ class Enqueue:
         first_number: int = 0,
         wait_nanos: int | None = None,
         message_id: str = "",
+        owner: str = "",
     ) -> None:
+        self.owner = owner
         self.lengths = lengths
         self.seal = seal
         self.is_stamped = is_stamped
@@ -294,7 +296,7 @@ class Enqueuing:
 
     def _remember(self, run: Enqueue, now: int) -> Judged:
         judged = run.judging.outcome(now)
-        self.retries.record(run.producer_id, run.first_number, judged)
+        self.retries.record(run.producer_id, run.first_number, judged, run.owner)
         return judged
 
     def _refuse_rest(self, run: Enqueue, error: StampedeError, now: int) -> None:
