@@ -1,4 +1,4 @@
-"""A bridge network as Compose makes it, and published ports, inside the network namespace that this process is in."""
+"""Makes a bridge network as Compose does, and publishes ports, inside the network namespace of this process."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ FORWARD_BYTES_MAX = 64 * 2**10
 
 
 def make_bridge(project: Mapping[str, Any]) -> str:
-    """Make the project's network. This namespace plays the machine, and has the gateway's address.
+    """Make the project's network, and return the address of its gateway.
 
-    Returns this address.
+    The bridge in this namespace gets that address, as the machine does under Docker.
     """
     (network,) = project["networks"].values()
     (config,) = network["ipam"]["config"]
     prefix = ipaddress.ip_network(config["subnet"]).prefixlen
     ip("link", "set", "lo", "up")
-    # The bridge gets a fixed hardware address. Otherwise it takes a new one when a port is added or removed, and the
-    # containers would lose the name server until they ask for its address again.
+    # The bridge gets a fixed hardware address. Otherwise the address would change when an interface joins or leaves the
+    # bridge, and the containers would not reach the name server until they ask for the bridge's address again.
     ip("link", "add", BRIDGE, "address", _hardware_address(config["gateway"]), "type", "bridge")
     ip("addr", "add", f"{config['gateway']}/{prefix}", "dev", BRIDGE)
     ip("link", "set", BRIDGE, "up")
@@ -31,10 +31,10 @@ def make_bridge(project: Mapping[str, Any]) -> str:
 
 
 def plug_in(pid: int, link: str, address: str) -> None:
-    """Give the network namespace of process `pid` an interface on the bridge, with `address`, and its loopback.
+    """Connect the network namespace of process `pid` to the bridge with `address`, and start its loopback interface.
 
-    `link` is a new name of 12 letters at most. The hardware address is computed from `address`. So other containers
-    still find a container that is started again.
+    `link` is a new name for the connection, of 12 characters at most. The hardware address is computed from `address`.
+    So a container that is started again keeps its hardware address, and other containers still find it.
     """
     inner, outer = f"{link}-in", f"{link}-ex"
     ip("link", "add", outer, "type", "veth", "peer", "name", inner, "address", _hardware_address(address))
@@ -54,14 +54,14 @@ def _hardware_address(address: str) -> str:
 
 
 def unplug(link: str) -> None:
-    """Remove the interface `link`, if it still exists.
+    """Remove the connection `link` that `plug_in` made, if it still exists. Raises OSError if `ip` fails.
 
-    After a process has died, the kernel removes its interface only after a while. Until then the old namespace would
-    still have the address, and answer for it, although another one has started.
+    After a container has died, the kernel removes its interface only after a while. Until then the dead container's
+    namespace would still answer for the address, although a new container with this address has started.
     """
     done = subprocess.run(["ip", "link", "delete", f"{link}-ex"], capture_output=True, text=True, check=False)
     if done.returncode != 0 and "Cannot find device" not in done.stderr:
-        raise OSError(f"the interface {link} cannot be taken away: {done.stderr.strip()}")
+        raise OSError(f"the interface {link}-ex cannot be removed: {done.stderr.strip()}")
 
 
 def ip(*words: str) -> None:
@@ -70,7 +70,7 @@ def ip(*words: str) -> None:
 
 
 async def publish(host: str, port: int, target: tuple[str, int]) -> asyncio.Server:
-    """Listen at `host:port` and pass every connection on to `target`, as the engine's own proxy does."""
+    """Listen at `host:port` and pass every connection on to `target`, as Docker's proxy does."""
 
     async def forward(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:

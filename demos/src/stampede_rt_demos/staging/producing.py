@@ -15,7 +15,7 @@ PUT_TIMEOUT_SECONDS = 5.0
 
 
 def wait_until(unix_nano: int) -> None:
-    """Sleep until the wall clock reaches `unix_nano`. Returns at once if it already has."""
+    """Sleep until the wall clock reaches `unix_nano`. Return at once if the clock is already there."""
     while (delay := unix_nano - time.time_ns()) > 0:
         time.sleep(delay / NANOS_PER_SECOND)
 
@@ -23,9 +23,10 @@ def wait_until(unix_nano: int) -> None:
 def produce(stage: Stage, channel: st.Channel, plan: Iterable[PlannedItem], until: int) -> dict[str, object]:
     """Put every item of `plan` when it is due. Then promise that no item before `until` will come.
 
-    If an item is due at its end, an advance to that end follows. So readers that wait for a whole interval need not
-    wait for the next item. Returns the figures for the producer's result. The lateness of an item is the time from its
-    due time to the beginning of its put.
+    An item that is due at its end gets an advance to that end right after its put. A reader that waits for the interval
+    up to that end then need not wait for the next item. Returns the figures for the producer's result: the number of
+    items, the duration of the last item, and the latenesses. The lateness of an item is the time from the instant at
+    which it is due to the beginning of its put.
     """
     lateness: list[int] = []
     period_nanos = 0

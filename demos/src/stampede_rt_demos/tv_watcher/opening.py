@@ -1,4 +1,6 @@
-"""Opens the channels of the programme and connects to their hosts, so that the first item need not wait."""
+"""Opens the channels of the programme and connects to their hosts, so that the first item need not wait for
+a connection.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +9,10 @@ from stampede_rt_demos.tv_watcher.programme import StreamPlan
 
 
 def open_channel(rt: st.Connection, stream: StreamPlan) -> st.Channel:
-    """Return the stream's channel, which the orchestrator has made, after a connection to its host.
+    """Connect to the host of the stream's channel, and return the channel.
 
-    Blocks until the connection is open. Raises ChannelNotFound, Unavailable.
+    The orchestrator has created the channel before. Blocks until the connection is open. Raises ChannelNotFound if the
+    channel does not exist, and Unavailable.
     """
     channel = rt.channel(stream.channel, create=False)
     channel.stats()
