@@ -1,6 +1,7 @@
 """Opens the outgoing connections of services.
 
-The connections have the limits of `Limits`, bring the secret with every call, and use certificates.
+The connections have the limits of `Limits`. They send the secret with every call, and use certificates if the service
+has any.
 """
 
 from __future__ import annotations
@@ -31,10 +32,11 @@ Metadata = tuple[tuple[str, str], ...]
 def dial(
     target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
 ) -> grpc.aio.Channel:
-    """A channel to `target` that brings `secret` with every call. Connects at the first call. The caller closes it.
+    """A channel to `target` that sends `secret` with every call. Connects at the first call. The caller closes it.
 
-    With `tls` both sides prove themselves by certificates. Calls after a renewal use a new connection. The channel
-    itself adds the secret, because gRPC's call credentials need TLS, and its interceptors cost a task per call.
+    With `tls` both sides prove themselves by certificates. After a renewal of the certificates, new calls use a new
+    connection. The channel adds the secret itself, because gRPC's call credentials need TLS, and gRPC's interceptors
+    cost a task for each call.
     """
     options = (limits or Limits()).channel_options()
     channel = _open(target, options, tls)
@@ -45,7 +47,10 @@ def dial(
 def dial_from_any_loop(
     target: str, *, secret: Secret | None, limits: Limits | None = None, tls: TlsReader | None = None
 ) -> grpc.aio.Channel:
-    """As `dial`, for unary calls that any event loop may make. No other loop can block them."""
+    """As `dial`, but for unary calls that any event loop may make, one at a time.
+
+    A blocked event loop does not delay the calls of another event loop, see `AnyLoopChannel`.
+    """
     options = (limits or Limits()).channel_options()
 
     def connect(material: TlsMaterial | None) -> grpc.Channel:
@@ -57,9 +62,9 @@ def dial_from_any_loop(
 
 
 def naming_cluster(dial: Dial, cluster_id: Callable[[], str]) -> Dial:
-    """Wraps `dial` so that each call of a channel names the cluster whose id `cluster_id` returns at that time.
+    """Return a `Dial` like `dial`, whose channels send the id of the caller's cluster with every call.
 
-    If the id is empty, the call names no cluster.
+    Each call asks `cluster_id` for the id. If the id is empty, the call names no cluster.
     """
 
     def open_channel(target: str) -> grpc.aio.Channel:
@@ -98,7 +103,10 @@ class Dialer:
         return dial_from_any_loop(target, secret=self.secret, tls=self._reader())
 
     async def explain(self, target: str) -> StampedeError | None:
-        """The error by which the certificates prevent calls of `target`; None if there is none. Takes 3 s at most."""
+        """The reason why TLS or a certificate prevents calls of `target`; None if calls fail for another reason.
+
+        Takes about 3 s at most, and the time to resolve the name.
+        """
         return await asyncio.to_thread(explain_refusal, target, self._reader())
 
     def _reader(self) -> TlsReader | None:

@@ -1,6 +1,6 @@
 """Serves one stream of gets: many calls at once, each with its own answer.
 
-Only a long answer, and a get that waits in a group, take a task of their own.
+The stream starts an asyncio task only for a long answer, and for a get that waits for a group.
 """
 
 from __future__ import annotations
@@ -42,9 +42,7 @@ from stampede_rt_runtime.rpc import Context
 
 CALLS_MAX = 1024  # calls under way on one stream
 POLLS_PER_PIECE = 4
-"""The number of gets that one piece looks at again when there is room for their answers. A look takes up to a
-millisecond.
-"""
+"""The most gets that one piece polls again when there is room for their answers. One poll takes up to a millisecond."""
 
 
 class _Begun:
@@ -56,20 +54,18 @@ class _Begun:
         self.call_id = call_id
         self.plan = plan
         self.hosted = hosted
-        self.pending: Pending | None = None  # of a get that may wait; else None
+        self.pending: Pending | None = None  # the query and interval of a blocking get; None for other gets
         self._begun_at = now
-        self._polled_at: int | None = None  # `hosted.changes` at the last poll; None: that poll no longer counts
+        self._polled_at: int | None = None  # `hosted.changes` at the last poll that counts, if any
 
     def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
-        """Look at the channel for a blocking get. Returns the answer, or when to look again, or unfinished work."""
+        """Look for the answer of a blocking get. Returns the answer, when to look again, or the rest of long work."""
         assert self.pending is not None, "only a blocking get is polled"
         self._polled_at = self.hosted.changes
         return first_of(self.hosted.channel.polling(self.pending, now))
 
     def released(self) -> None:
-        """Note that an earlier state of the channel released the get, so that the result of its last poll is out of
-        date.
-        """
+        """Note that an earlier state of the channel may have released the get. Its last poll no longer counts."""
         self._polled_at = None
 
     @property
@@ -93,7 +89,7 @@ class GetStream:
         self._stream = stream
         self._account = current_account()
         self._work = CallerWork(self._account)
-        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: its answer is still to be sent
+        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: the answer is still to be sent
         self._plans = GetPlans()
         self._idle = asyncio.Event()  # set when no call is under way any more
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
@@ -164,7 +160,7 @@ class GetStream:
         self._go_on(begun, begun.poll(now), now)
 
     def _go_on(self, begun: _Begun, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
-        """Send the answer, or let the get wait. A long answer is made in pieces, between the work of others."""
+        """Send the answer, or let the get wait. A task makes a long answer in pieces, between the work of others."""
         if isinstance(found, Unfinished):
             self._calls[begun.call_id] = self._stream.spawn(self._finish(begun, found.rest))
         elif isinstance(found, WakeAt):
@@ -192,7 +188,10 @@ class GetStream:
         self._outbox.kick()
 
     def _check_served(self, plan: GetPlan, found: object) -> None:
-        """Raises StaleBinding if the channel has left this host. In that case it first frees the answer `found`."""
+        """Check that this host still serves the channel.
+
+        If not, frees the answer `found`, and raises StaleBinding or Unavailable.
+        """
         try:
             self._store.find(plan.channel_id, plan.epoch)
         except StampedeError:
@@ -215,7 +214,7 @@ class GetStream:
         try:
             began, wait_nanos = self._store.now(), plan.wait_nanos
             found = await self._groups.read(ask, hosted, plan.query, wait_nanos)
-            # while there is no room to send the answer, keep none in memory: drop it, and read again when there is room
+            # No answer may stay in memory while the outbox has no room: drop it, and read again when there is room.
             while not self._outbox.has_room:
                 self._let_go(found.answer)
                 del found
@@ -238,7 +237,7 @@ class GetStream:
             if isinstance(outcome, StampedeError):
                 self._refuse(begun.call_id, outcome)
             elif self._held_back or not self._outbox.has_room:
-                # drop this outcome: `_room_came` polls the get again, so that no answer stays in memory meanwhile
+                # Drop this outcome, so that no answer stays in memory. `_room_came` has the get polled again.
                 self._held_back[begun.call_id] = begun
             else:
                 self._go_on(begun, outcome, self._store.now())
@@ -295,7 +294,7 @@ class GetStream:
         self._outbox.drop(call_id)
 
     def _ended(self, call_id: int) -> None:
-        if self._calls.get(call_id) is None:  # if not, a later call that waits has the same id
+        if self._calls.get(call_id) is None:  # otherwise a later call with this id is under way
             self._calls.pop(call_id, None)
         self._under_way.set(len(self._calls))
         if not self._calls:
@@ -303,7 +302,7 @@ class GetStream:
 
 
 def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
-    """The facts about an answer, without its items. `cut`: the cut of the group, if the reader read through a group."""
+    """The facts about an answer, without its items. `cut` is the cut of the group; None for a read without a group."""
     return pb.GetSummary(
         interval=resolved_to_message(answer.interval) if answer.interval else None,
         complete=answer.complete,
@@ -318,7 +317,7 @@ def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
 
 
 def _kept_bytes(answer: ReadAnswer) -> int:
-    """The bytes that the stored runs of an answer occupy; COUNTED_BYTES_MAX if they are more than that."""
+    """The bytes that the stored runs of an answer occupy in memory, at most COUNTED_BYTES_MAX."""
     kept_bytes = 0
     for part in answer.slices:
         kept_bytes += len(part.run.body) + ITEM_OVERHEAD_BYTES
@@ -328,4 +327,4 @@ def _kept_bytes(answer: ReadAnswer) -> int:
 
 
 def _count_nothing(payload_bytes: int) -> None:
-    """The count for an error message, which carries no payload."""
+    """Does nothing: an error message has no payload bytes to count."""

@@ -31,16 +31,17 @@ class ChangePage:
 
 
 class ChangeRing:
-    """Holds every change after `floor_index`, at most `changes_max` of them. The oldest go first.
+    """Holds every change after `floor_index`, at most `changes_max` of them. Drops the oldest change to make room.
 
-    Positions count the changes since the ring was made. A reader that holds a position gets every change exactly once.
+    Positions count the changes since the ring was made. A reader that reads from its last position on gets each change
+    once. If the ring has dropped the next change for this reader, `read` returns None.
     """
 
     def __init__(self, floor_index: int = 0, *, changes_max: int = CHANGES_MAX) -> None:
         # The ring holds no change before this log position, and perhaps only some of the changes at it.
         self.floor_index = floor_index
-        self.end_index = floor_index  # the last log position noted, with or without a change
-        self._index = floor_index  # the log position whose changes are being noted
+        self.end_index = floor_index  # all changes up to this log position are appended
+        self._index = floor_index  # the log position of the changes that `note` appends
         self._changes: deque[DirectoryChange] = deque()
         self._dropped = 0  # the number of dropped changes, which is the position of the first held change
         self._changes_max = changes_max
@@ -51,7 +52,7 @@ class ChangeRing:
         return self._dropped + len(self._changes)
 
     def begin(self, index: int) -> None:
-        """Note the following changes under log position `index`, which must not be below the one before."""
+        """Note the following changes under log position `index`, which must not be below the former position."""
         self._index = index
 
     def note(
@@ -63,7 +64,7 @@ class ChangeRing:
     def append(self, change: DirectoryChange) -> None:
         """Append a change.
 
-        Its index must not be below that of the one before. If there is no room, the oldest change goes.
+        The change's index must not be below the index of the last change. A full ring drops its oldest change.
         """
         self._changes.append(change)
         if len(self._changes) > self._changes_max:
@@ -77,7 +78,7 @@ class ChangeRing:
     def position_after(self, index: int) -> int | None:
         """The position of the first change after log position `index`. O(changes after `index`).
 
-        None if the ring has dropped a change after `index`.
+        None if the ring may lack a change after `index`.
         """
         if index < self.floor_index:
             return None

@@ -1,4 +1,4 @@
-"""After `stampede supernode join`: asks the members to let this supernode in, until it is a member."""
+"""Asks the members to let this supernode in, until it is a member. Runs after `stampede supernode join`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 ATTEMPT_SECONDS = 30.0
 PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
-# the longest wait of a supernode that was refused before
+# the longest wait before a supernode that the members have refused asks again
 REFUSED_SECONDS_MAX = 300
 # the errors after which another attempt would fail, too
 _HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
@@ -40,14 +40,16 @@ async def volunteer(
     zone: str,
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
 ) -> None:
-    """Ask one member after the other, and the leader that they name, until this supernode is a member.
+    """Ask one member after the other until this supernode is a member. If a member names the leader, ask the leader.
 
-    Raises StampedeError if a member refuses for good. A supernode that was refused before waits first, longer each
-    time, because a supervisor may restart it at once.
+    If the members have refused this supernode before, it first waits, and longer after each refusal, because a
+    supervisor may restart it at once. Raises StampedeError if a member refuses for a reason that stays.
     """
     if founding.refused:
         pause_seconds = seconds_before_asking(founding.refusals)
-        logger.warning("refused before, asks again in %.0f s: %s", pause_seconds, founding.refused)
+        logger.warning(
+            "the members refused this supernode before; it asks again in %.0f s: %s", pause_seconds, founding.refused
+        )
         await sleep(pause_seconds)
     addresses = list(founding.members.values())
     pause_seconds, logged_message = PAUSE_SECONDS, ""
@@ -60,7 +62,7 @@ async def volunteer(
         except _HOPELESS as error:
             _note_refusal(data_dir, founding, error.message)
             is_too_old = isinstance(error, VersionMismatch)
-            remedy = NEWER_RELEASE if is_too_old else f"then empty {data_dir}, and join again"
+            remedy = NEWER_RELEASE if is_too_old else f"mend this, then empty {data_dir}, and join again"
             raise StampedeError(f"this supernode cannot join: {error.message}; {remedy}") from error
         except StampedeError as error:
             if logged_message != error.message:

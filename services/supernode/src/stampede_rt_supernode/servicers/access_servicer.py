@@ -1,4 +1,6 @@
-"""AccessService (proto/stampede_rt/v1/access_service.proto): checks requests, asks the core or the log, encodes."""
+"""Serves AccessService (proto/stampede_rt/v1/access_service.proto). Each method checks the request, asks the core or
+the log, and encodes the response.
+"""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations

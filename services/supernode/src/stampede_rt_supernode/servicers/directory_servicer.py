@@ -1,5 +1,5 @@
-"""DirectoryService (proto/stampede_rt/v1/directory_service.proto): checks requests, asks the core or the
-log, encodes.
+"""Serves DirectoryService (proto/stampede_rt/v1/directory_service.proto). Each method checks the request, asks the core
+or the log, and encodes the response.
 """
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
@@ -101,7 +101,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Context) -> pb.OpenChannelResponse:
-        """If nothing changes, answers a first request from a confirmed read, without a log entry."""
+        """Open a channel. If nothing changes, a confirmed read answers the first attempt without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.CHANNEL, request.name)
         policy = policy_from(request.spec)

@@ -1,5 +1,5 @@
-"""GroupDirectoryService (proto/stampede_rt/v1/group_directory_service.proto): checks, asks the core or the log,
-encodes.
+"""Serves GroupDirectoryService (proto/stampede_rt/v1/group_directory_service.proto). Each method checks the request,
+asks the core or the log, and encodes the response.
 """
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
@@ -44,7 +44,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
 
     @errors_as_status
     async def OpenGroup(self, request: pb.OpenGroupRequest, context: Context) -> pb.OpenGroupResponse:
-        """If the group exists, answers a first request from a confirmed read, without a log entry."""
+        """Open a group. If nothing changes, a confirmed read answers the first attempt without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.GROUP, request.name)
         operation = OpenGroup(
@@ -144,6 +144,9 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
         )
 
     async def _check_members(self, context: Context, channel_ids: Iterable[bytes]) -> None:
-        """Check that the caller may read the channels, because a group tells their times."""
+        """Check that the caller may read the channels, because a group shows the times of its channels' items.
+
+        Raises PermissionDenied.
+        """
         for channel_id in channel_ids:
             await self._calls.check_thing(context, AccessVerb.READ, AccessKind.CHANNEL, channel_id)

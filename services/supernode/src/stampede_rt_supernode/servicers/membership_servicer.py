@@ -1,4 +1,6 @@
-"""MembershipService (proto/stampede_rt/v1/membership_service.proto): checks requests, asks the log, encodes."""
+"""Serves MembershipService (proto/stampede_rt/v1/membership_service.proto). Each method checks the request, asks the
+log, and encodes the response.
+"""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations

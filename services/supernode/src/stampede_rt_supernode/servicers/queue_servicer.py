@@ -1,5 +1,5 @@
-"""QueueDirectoryService (proto/stampede_rt/v1/queue_directory_service.proto): checks, asks the core or the log,
-encodes.
+"""Serves QueueDirectoryService (proto/stampede_rt/v1/queue_directory_service.proto). Each method checks the request,
+asks the core or the log, and encodes the response.
 """
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
@@ -44,7 +44,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
 
     @errors_as_status
     async def OpenQueue(self, request: pb.OpenQueueRequest, context: Context) -> pb.OpenQueueResponse:
-        """If nothing changes, answers a first request from a confirmed read, without a log entry."""
+        """Open a queue. If nothing changes, a confirmed read answers the first attempt without a log entry."""
         as_of = self._calls.reached()
         check_known(AccessKind.QUEUE, request.name)
         spec = queue_spec_from(request.spec)

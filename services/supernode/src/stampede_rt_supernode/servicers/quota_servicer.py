@@ -1,4 +1,6 @@
-"""QuotaService (proto/stampede_rt/v1/quota_service.proto): checks requests, asks the core or the log, encodes."""
+"""Serves QuotaService (proto/stampede_rt/v1/quota_service.proto). Each method checks the request, asks the core or the
+log, and encodes the response.
+"""
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""ReplicaDirectoryService (proto/stampede_rt/v1/replica_directory_service.proto): checks, asks the core or log,
-encodes.
+"""Serves ReplicaDirectoryService (proto/stampede_rt/v1/replica_directory_service.proto). Each method checks the
+request, asks the core or the log, and encodes the response.
 """
 
 # ruff: noqa: N802  # methods bear the names of the RPCs
