@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Many puts without waiting. While acks are on their way, the client collects the next items in one run."""
+"""Puts many items without waiting for each ack. While acks are on their way, collects the next items in runs."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _in_flight: set[Producer] = set()  # keeps producers alive until the host has ac
 class Producer(BoundToProcess):
     """Puts items without waiting for their acks (see `Channel.producer`). The unacknowledged bytes have a bound.
 
-    Use the producer as a context manager, from one thread or task. The end of the block flushes, unless the block
-    raised an error. `accepted` counts the items that the host has accepted. `rejections` counts the items that the host
-    has refused; `rejected` lists the errors of these items since the last flush, at most 1024. A program may drop a
-    producer without closing it. The producer's stream then ends after the last ack.
+    Use the producer as a context manager, from one thread or task. At the end of the block the producer flushes, unless
+    the block raised an error. `accepted` counts the items that the host has accepted. `rejections` counts the items
+    that the host has refused; `rejected` lists the errors of these items since the last flush, at most 1024. A program
+    may drop a producer without closing it. The producer's stream then ends after the last ack.
     """
 
     def __init__(self, session: Session, state: ChannelState) -> None:
@@ -51,7 +51,7 @@ class Producer(BoundToProcess):
         self._mutex = Mutex()  # guards the builder and the order of writes
         self._moved = Signal()  # is set when an ack has come, or when the stream has ended
         self._stream: PutDuplex | None = None
-        self._opened: list[PutDuplex] = []  # the latest stream; `_give_up` closes it
+        self._opened: list[PutDuplex] = []  # holds the latest stream, which `_give_up` cancels
         self._generation = 0  # the number of the stream; acks of an older stream do not count
         self._failure: StampedeError | None = None
         self._backoff: Backoff | None = None  # set from a failure until the next ack
@@ -92,8 +92,8 @@ class Producer(BoundToProcess):
         """Accept one item for sending.
 
         The producer sends an item at once if no earlier item is unacknowledged. Otherwise it collects items in runs,
-        and sends several runs together. The call blocks if a run is full, as long as 8 MiB or 64 runs are
-        unacknowledged. It also blocks while the producer opens a stream.
+        and sends several runs together. If the item does not fit into the present run, the call blocks while 8 MiB or
+        64 runs are unacknowledged. The call also blocks while the producer opens a stream.
 
         `timeout` in seconds is the longest wait, by default 10; None waits without a limit, as a channel with
         on_full="block" may need. The other arguments are those of `Channel.put`. If a put raises or is cancelled, the
@@ -180,7 +180,7 @@ class Producer(BoundToProcess):
             self._stream.send(_message(runs))
 
     def _until(self, condition: Callable[[], bool], deadline_s: float) -> None:
-        """Block until `condition` holds, and replace a failed stream meanwhile."""
+        """Block until `condition` holds. Replace the stream if it fails meanwhile. Raises DeadlineExceeded."""
         while True:
             self._moved.clear()
             left_s = deadline_s - clock.monotonic()
@@ -199,9 +199,8 @@ class Producer(BoundToProcess):
     def _recover(self, failure: StampedeError, left_s: float) -> None:
         """Replace a stream that ended with `failure`.
 
-        Raises `failure` if it is not retryable, or if no ack came for 10 s.
-
-        The producer keeps unacknowledged items. The next put or flush tries again to send them.
+        Raises `failure` if it is not retryable, or if no ack has come for 10 s since the first failure. The producer
+        keeps the unacknowledged items, and the next put or flush tries again to send them.
         """
         self._backoff = self._backoff or Backoff(clock.monotonic() + CALL_TIMEOUT_S)
         delay_s = self._backoff.next_delay_s(clock.monotonic(), random.random())

@@ -17,7 +17,10 @@ PREVIEW_CHARACTERS_MAX = 60  # of a text payload
 
 
 def print_rows(rows: Sequence[Mapping[str, Any]], form: str, *, none: str) -> None:
-    """Print rows with the same keys as a table, a JSON array or JSON lines. `none` is the text for an empty table."""
+    """Print rows in the `form` "table", "json" (an array) or "jsonl" (one line for each row).
+
+    All rows have the same keys. `none` is the text to print instead of an empty table.
+    """
     if form == "json":
         print(json.dumps(rows, indent=2))
     elif form == "jsonl":
@@ -58,13 +61,13 @@ def print_facts(facts: Mapping[str, Any], form: str) -> None:
 
 
 def print_behind(behind: Mapping[str, str]) -> None:
-    """Warn that parts of the cluster do not apply a change of access yet. `behind` has the reason for each part."""
+    """Warn that some services do not apply changed rules or quotas yet. `behind`: the reason for each service."""
     for name, why in behind.items():
         print(f"stampede: not in force yet at {escaped(name)}: {escaped(why)}", file=sys.stderr)
 
 
 def item_row(item: Item) -> dict[str, Any]:
-    """Return an item for JSON: a text payload as text, another payload in base64."""
+    """Return the fields of an item for JSON. See `payload_fields` for its payload."""
     row: dict[str, Any] = {
         "time": item.time,
         "end": item.end,
@@ -78,7 +81,7 @@ def item_row(item: Item) -> dict[str, Any]:
 
 
 def payload_fields(payload: bytes) -> dict[str, str]:
-    """Return a payload for JSON: text as text, other bytes in base64."""
+    """Return the field of a payload for JSON: `payload` for text, `payload_base64` for other bytes."""
     text = _text(payload)
     return {"payload_base64": base64.b64encode(payload).decode()} if text is None else {"payload": text}
 
@@ -113,7 +116,7 @@ def _text(payload: bytes) -> str | None:
 
 
 def policy_text(policy: Policy) -> str:
-    """Return a channel's policy as a short text for people."""
+    """Return the limits, the number of consumers and the overlap of a channel's policy, as a text for people."""
     parts = []
     if policy.max_age_nanos is not None:
         longest = policy.max_age_unconsumed_nanos

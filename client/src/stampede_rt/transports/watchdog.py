@@ -13,7 +13,7 @@ from functools import partial
 from stampede_rt.transports.concurrency_sync import within_limit
 
 IDLE_S = 30.0  # see `Watchdog`
-CALL_LIMIT_S = 0.1  # how long one function may delay the functions of other limits
+CALL_LIMIT_S = 0.1  # the longest time for which the thread waits for one function
 _log = logging.getLogger("stampede_rt")
 
 
@@ -26,7 +26,8 @@ class Watchdog:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        # A heap of limits. Each has its due time, a number, `on_overdue`, and the lists `overdue` and `done`.
+        # A heap of limits: the due time, a serial number, `on_overdue`, and the lists `overdue` and `done`. The serial
+        # number orders limits with equal due times.
         self._limits: list[tuple[float, int, Callable[[], object], list[bool], list[bool]]] = []
         self._count = 0
         self._wakes_at_s = float("inf")  # when the thread looks next; an earlier limit wakes it
@@ -35,9 +36,10 @@ class Watchdog:
 
     @contextmanager
     def limit(self, timeout_s: float | None, on_overdue: Callable[[], object]) -> Iterator[list[bool]]:
-        """Call `on_overdue` if the `with` block lasts longer than `timeout_s`. None: the block may last for ever.
+        """Call `on_overdue`, on another thread, if the `with` block lasts longer than `timeout_s`.
 
-        Yields a list. It is empty at first, and has an entry once the block has lasted longer than `timeout_s`.
+        None: the block may last for ever. Yields a list, which is empty at first, and has an entry once the block has
+        lasted longer than `timeout_s`.
         """
         overdue: list[bool] = []
         if timeout_s is None:
@@ -64,8 +66,9 @@ class Watchdog:
 
     def _watch(self) -> None:
         while (on_overdue := self._next_overdue()) is not None:
-            # Without the lock, because the function takes gRPC's locks, and callers of `limit` must not wait for these.
-            # With a limit, because an interrupt may have left a lock of gRPC taken for ever.
+            # The thread does not hold `_changed` here: the function takes locks of gRPC, and callers of `limit` must
+            # not wait for these. The thread waits for at most CALL_LIMIT_S: an interrupt may have left a lock of gRPC
+            # locked for ever.
             within_limit(partial(_call, on_overdue), CALL_LIMIT_S)
 
     def _next_overdue(self) -> Callable[[], object] | None:
@@ -88,7 +91,7 @@ class Watchdog:
             return None
 
     def close(self) -> None:
-        """End the thread."""
+        """End the thread. No further `on_overdue` is called."""
         with self._changed:
             self._closed = True
             self._changed.notify()

@@ -1,7 +1,8 @@
 """Instants, durations, bounds and intervals (paper, sections 3.1 and 3.2). Pure.
 
-Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. Time is continuous: only the
-bounds of an interval are whole nanoseconds. The interval `(10, 11)` is therefore not empty, but `[10, 10)` is.
+Instants are int nanoseconds since the Unix epoch, UTC; durations are int nanoseconds. An interval is a stretch of
+continuous time, although its bounds are whole nanoseconds. The interval `(10, 11)` is therefore not empty. The interval
+`[10, 10)` is empty.
 """
 
 from __future__ import annotations
@@ -44,8 +45,8 @@ one."""
 def parse_duration(value: DurationLike, what: str = "a duration") -> int:
     """Return the nanoseconds of `"30ms"`, `"1.5 s"` or a timedelta. Units: ns, us, ms, s, m, h, d.
 
-    Refuses bare numbers: in `max_age=10` the unit would be unknown. Refuses 292 years and more, because they do not fit
-    into 64 bits. Raises InvalidArgument.
+    Raises InvalidArgument for a number without a unit, such as `max_age=10`, and for lengths of more than about 292
+    years, which do not fit into 64 bits. `what` names the argument in the error's text.
     """
     nanos = _nanos_of(value) if isinstance(value, timedelta) else _read_duration(value, what)
     if not MIN_INSTANT <= nanos <= MAX_INSTANT:
@@ -70,10 +71,10 @@ def _read_duration(value: str, what: str) -> int:
 
 
 def parse_item_duration(value: DurationLike | int | None) -> int | None:
-    """Return the nanoseconds of an item's duration; None if it is None.
+    """Return the nanoseconds of an item's duration; None if `value` is None.
 
     Unlike `parse_duration`, takes an int as nanoseconds, so that a caller can write `duration=item.duration`. Raises
-    InvalidArgument.
+    InvalidArgument, also for a negative duration.
     """
     if value is None:
         return None
@@ -84,9 +85,10 @@ def parse_item_duration(value: DurationLike | int | None) -> int | None:
 
 
 def parse_instant(value: InstantLike, what: str = "a time") -> int:
-    """Return the nanoseconds since the epoch of an int or a datetime with a timezone.
+    """Return an instant as int nanoseconds since the epoch. `value` is such an int, or a datetime with a timezone.
 
-    Refuses floats, and datetimes without a timezone. Raises InvalidArgument.
+    Raises InvalidArgument for another type, for a datetime without a timezone, and for an instant that does not fit
+    into 64 bits.
     """
     if isinstance(value, datetime):
         if value.utcoffset() is None:
@@ -113,11 +115,15 @@ def _in_range(instant: int, value: InstantLike, what: str) -> int:
 
 
 def _no_bool(value: DurationLike | int) -> DurationLike:
+    """Return `value`, or, if it is a bool or another number, a text that `parse_duration` refuses."""
     return value if isinstance(value, str | timedelta) else str(value)
 
 
 def format_duration(nanos: int) -> str:
-    """Return `nanos` as a text for people, rounded to thousandths: "1.5 s", "30 ms", "1 h" (not "60 m")."""
+    """Return `nanos` as a text for people, such as "1.5 s" or "30 ms".
+
+    Rounds to thousandths of the unit. If that gives a whole larger unit, returns the larger unit: "1 h", not "60 m".
+    """
     for unit, smaller in pairwise(("d", "h", "m", "s", "ms", "us", "ns")):
         if abs(nanos) + _UNITS_NANOS[smaller] // 2000 >= _UNITS_NANOS[unit]:
             return f"{round(nanos / _UNITS_NANOS[unit], 3):g} {unit}"
@@ -125,7 +131,7 @@ def format_duration(nanos: int) -> str:
 
 
 def format_instant(instant: int) -> str:
-    """Return `instant` as ISO 8601 in UTC with nanoseconds, or as a plain number outside the calendar's years."""
+    """Return `instant` as ISO 8601 in UTC with nanoseconds. Outside the years 1 to 9999 return "`instant` ns"."""
     seconds, nanos = divmod(instant, 1_000_000_000)
     try:
         return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{nanos:09d}Z"
@@ -192,7 +198,7 @@ def last(duration: DurationLike) -> tuple[Bound, Bound]:
 
 @dataclass(frozen=True, slots=True)
 class ResolvedInterval:
-    """The instants between two bounds that are instants themselves."""
+    """An interval whose bounds are instants: the host has resolved all meta-times."""
 
     start: int
     end: int
@@ -201,7 +207,7 @@ class ResolvedInterval:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no instant lies inside."""
+        """Whether the interval contains no time at all."""
         return self.start > self.end or (self.start == self.end and (self.start_exclusive or self.end_exclusive))
 
     def __contains__(self, instant: int) -> bool:
@@ -249,8 +255,8 @@ class Interval:
 def fixed(interval: Interval, resolved: ResolvedInterval | None) -> Interval:
     """Return `interval` with the instants to which a host has resolved its bounds.
 
-    A request that repeats a read then has the same bounds as the first request. Returns `interval` itself if the host
-    could not resolve it, or if its start came to lie after its end.
+    With it, a repeated read has the same bounds as the first read. Returns `interval` itself if the host could not
+    resolve it (`resolved` is None), or has resolved its start to an instant after its end.
     """
     if resolved is None or resolved.start > resolved.end:
         return interval
@@ -286,7 +292,7 @@ MatchLike = Literal["span", "whole", "start"] | Match
 
 
 def parse_match(value: str | Match) -> Match:
-    """Return the rule with that name, or the rule itself. Raises InvalidArgument."""
+    """Return the rule that `value` names; a rule itself is returned as it is. Raises InvalidArgument."""
     try:
         return Match(value)
     except ValueError:
