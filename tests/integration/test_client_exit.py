@@ -26,7 +26,10 @@ READS = {
     "group": "channel.put(b'1'); stream = group[channel].subscribe(start=st.OLDEST); next(stream)",
     "cuts": "stream = group.subscribe(); channel.put(b'1'); channel.put(b'2'); next(stream)",
     "matches": "stream = group.match(per=channel, tolerance='1ms'); channel.put(b'1'); channel.put(b'2'); next(stream)",
-    "peers": "stream = rt.watch_peers(); next(stream)",
+    "peers": (
+        "stream = rt.watch_peers().__enter__(); "
+        "st.connect(sys.argv[1], name='exit/other/' + sys.argv[2]).close(); next(stream)"
+    ),
     "queue": "jobs = rt.queue('exit/jobs'); jobs.put(b'0'); stream = iter(jobs); next(stream).ack()",
 }
 ENDS = {"open": "", "closed": "\nrt.close()", "failed": "\nraise SystemExit(3)"}
