@@ -21,7 +21,7 @@ from stampede_rt.values.reading import ReadQuery, Wait, parse_limit
 from stampede_rt.values.timeline import last, parse_interval
 from stampede_rt.wire.batching import RunBuilder
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
-from stampede_rt.wire.runs import parse_run
+from stampede_rt.wire.runs import RUN_BYTES_MAX, parse_run
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_a_run_takes_what_fits_together_and_numbers_go_on() -> None:
     assert not builder.fits(b"x", 1, {"a": "b"}, "")
     assert not builder.fits(b"x", None, None, "")
     assert not builder.fits(b"x", None, {"a": "b"}, "text/plain")
-    assert not builder.fits(bytes(70_000), None, {"a": "b"}, "")
+    assert not builder.fits(bytes(RUN_BYTES_MAX), None, {"a": "b"}, "")
     assert builder.fits(b"x", None, {"a": "b"}, "")
     assert parse_run(b"".join(builder.take().encoded)).durations == [5]
 
