@@ -148,9 +148,9 @@ class Producer(BoundToProcess):
 
     def _send(self, deadline_s: float = float("inf")) -> None:
         """Finish the run under construction as soon as there is room, and send full messages."""
-        self._until(self._has_room, deadline_s)
-        if self._stream is None:
+        if self._stream is None and self._failure is None:  # without a stream no ack makes room
             self._open(max(min(deadline_s - clock.monotonic(), CALL_TIMEOUT_S), 0.0))
+        self._until(self._has_room, deadline_s)
         with self._mutex:
             self._send_filled()
 

@@ -199,6 +199,24 @@ async def test_what_a_final_failure_left_is_sent_by_whoever_puts_after_it() -> N
     assert producer.accepted == 3
 
 
+async def test_after_a_final_failure_a_producer_without_room_opens_a_new_stream() -> None:
+    place = Place()
+    producer = producer_at(place)
+    while producer._has_room():
+        await producer.put(b"x")
+        producer._send_filled()
+    await place.streams[0].on_end(st.StampedeError("the host failed with a defect"))
+    with pytest.raises(st.StampedeError, match="a defect"):
+        await producer.flush(LIMIT_S)
+    flush = asyncio.ensure_future(producer.flush(LIMIT_S))
+    await settled()
+    assert len(place.streams) == 2
+    sent = place.streams[1].numbers
+    await place.streams[1].on_response(pb.PutResponse(acks=[accepted(number) for number in sent]))
+    await flush
+    assert producer.accepted == IN_FLIGHT_RUNS_MAX
+
+
 async def test_an_ack_of_a_stream_that_was_given_up_counts_for_nothing() -> None:
     place = Place()
     producer = await three_in_flight(place)
