@@ -128,9 +128,10 @@ def policy_text(policy: Policy) -> str:
         parts.append(bytes_text(policy.max_bytes))
     if policy.consumers is not None:
         parts.append(f"{policy.consumers} consumers")
+    parts = parts or ["10 s (default)"]
     if policy.overlap_nanos is not None:
         parts.append(f"overlap {format_duration(policy.overlap_nanos)}")
-    return ", ".join(parts) or "10 s (default)"
+    return ", ".join(parts)
 
 
 def bytes_text(count: float) -> str:
