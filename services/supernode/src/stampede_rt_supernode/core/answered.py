@@ -1,13 +1,13 @@
-"""The latest operations by operation id. A repeated request repeats the answer, not the operation. Pure.
+"""The answers to the latest operations, so that a repeated request gets its answer without a second effect. Pure.
 
 The replicas share no clock that tells the age of an operation. So the leader puts marks into the log, at most one in
 each MARK_NANOS of its own clock. Every replica keeps the last MARKS_KEPT marks, and forgets the operations before the
-oldest one. So all replicas forget an operation at the same log position.
+oldest of these marks. So all replicas forget an operation at the same log position.
 
-No replica does a forgotten operation again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago or
-earlier (calls.py). And the directory refuses a command whose request came to its supernode before the last mark but one
-(`check_not_late`). At least 40 s lie between a forgotten operation and that mark, which is 10 s more than the greatest
-age of a request.
+No replica performs a forgotten operation again. A supernode refuses requests that were first sent REPEAT_NANOS_MAX ago
+or earlier (calls.py). And the directory refuses a command whose request came to its supernode before the last mark but
+one (`check_not_late`). At least 40 s lie between a forgotten operation and that mark, which is 10 s more than the
+greatest age of a request.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ FORGOTTEN_BY_MARK = 4096  # the most answers that each mark forgets
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer to an operation. `index`: its log position. `subject`: see `command_table.subject_of`."""
+    """The answer to an operation. `index`: the log position of its command.
+
+    `subject`: see `command_table.subject_of`.
+    """
 
     op_id: bytes
     index: int
@@ -50,7 +53,7 @@ class Answer:
 
 
 class Answered:
-    """The answers to the operations since the oldest mark. Refusals are not among them: they changed nothing."""
+    """The answers to the operations since the oldest mark. Refusals are not kept, because they changed nothing."""
 
     def __init__(self, answers: Iterable[Answer] = (), marks: Iterable[int] = ()) -> None:
         self.marks = tuple(marks)  # the log positions of the last marks, ascending
@@ -71,7 +74,7 @@ class Answered:
 
     @property
     def known_since(self) -> int:
-        """All operations after this log position are known."""
+        """The log position after which all answers are kept; 0 while there are fewer than MARKS_KEPT marks."""
         return self.marks[0] if len(self.marks) == MARKS_KEPT else 0
 
     @property
@@ -80,7 +83,10 @@ class Answered:
         return self.marks[-1] if self.marks else 0
 
     def find(self, op_id: bytes, subject: str) -> Success | None:
-        """The result of the operation with that id; None if unknown. Raises InvalidArgument if `subject` differs."""
+        """The result of the operation with that id; None if it is not kept.
+
+        Raises InvalidArgument if its subject differs.
+        """
         answer = self._answers.get(op_id)
         if answer is None:
             return None
@@ -95,7 +101,7 @@ class Answered:
     def check_not_late(self, as_of_index: int) -> None:
         """Check that a command does not come too late. `as_of_index`: see Command.
 
-        Raises Unavailable with reason AMBIGUOUS if the proposer got the request before the last mark but one.
+        Raises Unavailable with reason AMBIGUOUS if the supernode got the request before the last mark but one.
         """
         if 0 < as_of_index < (self.marks[-2] if len(self.marks) > 1 else 0):
             raise Unavailable(

@@ -1,4 +1,4 @@
-"""Checks that a host is the host that it claims to be, by its certificate, and that it speaks this protocol. Pure."""
+"""Checks the certificate of a caller that acts as a host, and the version of its protocol. Pure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ def check_host_caller(caller: Identity | None, *, known_as: str | None, name: st
 
 
 def check_protocol(spoken: int, version: str) -> None:
-    """Check the host's protocol version; 0 if an old host states none, and then it passes. Raises VersionMismatch."""
+    """Check the host's protocol version, `spoken`. A host of an early release states 0, and passes.
+
+    Raises VersionMismatch.
+    """
     if spoken not in (0, PROTOCOL_VERSION):
         raise VersionMismatch(
             f"the host (version {version}) speaks protocol {spoken}, this directory {PROTOCOL_VERSION} (version "

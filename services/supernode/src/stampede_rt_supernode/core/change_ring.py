@@ -38,7 +38,7 @@ class ChangeRing:
     """
 
     def __init__(self, floor_index: int = 0, *, changes_max: int = CHANGES_MAX) -> None:
-        # The ring holds no change before this log position, and perhaps only some of the changes at it.
+        # The ring holds no change before this log position, and perhaps only some of the changes at this position.
         self.floor_index = floor_index
         self.end_index = floor_index  # all changes up to this log position are appended
         self._index = floor_index  # the log position of the changes that `note` appends
@@ -52,13 +52,16 @@ class ChangeRing:
         return self._dropped + len(self._changes)
 
     def begin(self, index: int) -> None:
-        """Note the following changes under log position `index`, which must not be below the former position."""
+        """Set the log position of the changes that `note` appends from now on.
+
+        It must not be below the former position.
+        """
         self._index = index
 
     def note(
         self, kind: ChangeKind, subject: ChannelRecord | HostRecord | GroupRecord | QueueRecord | AccessChange
     ) -> None:
-        """Append a change of the present log position."""
+        """Append a change of the log position that `begin` named last."""
         self.append(DirectoryChange(index=self._index, kind=kind, subject=subject))
 
     def append(self, change: DirectoryChange) -> None:

@@ -36,20 +36,21 @@ class CommandKind(Generic[Op, Done]):
     result: type[Done]
     # The level that the cluster must have before it may use the command; see `cluster.feature_levels`.
     feature_level: int
-    # The id or name of the thing that the operation concerns. A request id must not come back with another subject.
+    # The id or name of the thing that the operation concerns. A request with the operation id of an earlier one must
+    # have the same subject.
     subject: Callable[[Op], str]
     # The checks that need no state. A command that passes fits in a log entry. Raises InvalidName or InvalidArgument.
     check: Callable[[Op], None] = _check_nothing
     # Checks a command that was made when the log had reached `as_of_index` (0: unknown). Raises Unavailable with reason
     # AMBIGUOUS if it comes too late.
     check_not_late: Callable[[DirectoryState, Op, int], None] = _never_late
-    # Does the command. Gets the state, the operation, and the command's time in Unix nanoseconds. Either raises a
-    # StampedeError without any change, or succeeds.
+    # Performs the command. Gets the state, the operation, and the command's time in Unix nanoseconds. Either raises a
+    # StampedeError and changes nothing, or succeeds.
     apply: Callable[[DirectoryState, Op, int], Done]
     # Whether the directory refuses the command while the memory for answers is full. False for the supernodes' own
     # commands, which are few.
     needs_room: bool = True
-    # Whether the directory remembers the answer, so that it does the command once for each request id.
+    # Whether the directory remembers the answer, so that it performs the command only once for each operation id.
     is_remembered: bool = True
 
 

@@ -42,10 +42,7 @@ def kind_of(operation: Operation) -> CommandKind[Any, Any]:
 
 
 def subject_of(operation: Operation) -> str:
-    """The subject of an operation: its kind and its thing.
-
-    An operation id must not come back with another subject.
-    """
+    """The subject of an operation: its class name, and the id or name of its thing; see CommandKind."""
     return f"{type(operation).__name__} {kind_of(operation).subject(operation)}"
 
 

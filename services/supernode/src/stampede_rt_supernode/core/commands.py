@@ -21,10 +21,10 @@ class Operation:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Creation(Operation):
-    """Base of the operations that may create a channel, queue, group or peer. `created_by`: the caller, see
-    ChannelRecord.
+    """Base of the operations that may create a channel, queue, group or peer.
 
-    `created_max`: how many things of the kind the caller may have; None if there is no limit.
+    `created_by`: the caller, see ChannelRecord. `created_max`: how many things of this kind the caller may have; None
+    if there is no limit.
     """
 
     created_by: str = ""
@@ -39,11 +39,10 @@ class Success:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Command:
-    """One entry of the log. A command with the `op_id` of an earlier one only repeats the earlier result.
+    """One entry of the log. A command with the `op_id` of a remembered command only repeats that command's result.
 
-    `time_unix_nano`: the proposer's time.
-
-    `as_of_index`: the log position of the proposer's state when the request came; 0 if it is unknown.
+    `time_unix_nano`: the time of the supernode that proposes the command. `as_of_index`: the log position of that
+    supernode's state when the request came; 0 if it is unknown.
     """
 
     op_id: bytes
@@ -54,7 +53,10 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Refused:
-    """The result of a refused operation, which changed nothing. The fields are those of the StampedeError."""
+    """The result of a refused operation, which changed nothing.
+
+    The fields are those of the StampedeError that refused it.
+    """
 
     reason: str
     message: str

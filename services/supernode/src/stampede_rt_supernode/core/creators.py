@@ -32,7 +32,10 @@ class Creators:
                 del self._made[name]
 
     def check(self, operation: Creation, kind: str, *, created: str = "created", way_out: str = "delete some") -> None:
-        """Check that the caller may create another thing. `kind`: the plural, such as "channels". Raises Overloaded."""
+        """Check that the caller may create another thing. Raises Overloaded.
+
+        `kind`, such as "channels", `created` and `way_out` are words of the error text.
+        """
         made, limit = self._made[operation.created_by], operation.created_max
         if limit is None or made < limit:
             return

@@ -20,7 +20,8 @@ LEASE_TTL_NANOS = 5 * 10**9
 LOOKS_MAX = 1024
 """The most leases that one call looks at."""
 MAX_INDEX = 2**63  # above all log positions
-STALL_FRACTION = 2  # a leader that did not look for TTL / 2 did not receive renewals either
+# A leader that did not call `due` for TTL / STALL_FRACTION was stalled, and could not receive renewals either.
+STALL_FRACTION = 2
 
 
 class Registered(Protocol):
@@ -77,9 +78,9 @@ class LeaseTable:
         self.follow(live, now)
 
     def resign(self) -> None:
-        """End the tenure: this supernode does not lead any more, so it can grant and end nothing.
+        """End the tenure: this supernode does not lead any more, so it must not grant or end leases.
 
-        Call `freeing` afterwards.
+        Iterate over `freeing` afterwards.
         """
         self.tenure = 0
         self._forget_all()
@@ -178,9 +179,10 @@ class LeaseTable:
     def due(self, now: int) -> list[tuple[bytes, int, int]]:
         """The (holder id, boot incarnation, registered index) of leases that have run out, LOOKS_MAX at most.
 
-        From now on `renew` refuses to prolong them. Later calls return a lease again until its holder is noted as gone,
-        because a proposal can fail. A leader that was itself stalled received no renewals, so it grants everybody a
-        full TTL instead. One call looks at LOOKS_MAX leases at most; see `is_behind`.
+        From now on `renew` refuses to prolong them. Later calls return a lease again, because a proposal can fail. They
+        stop when its holder is noted as gone, or registers again. If the last call was more than TTL / STALL_FRACTION
+        ago, every other lease holds for a full TTL from `now`. One call looks at LOOKS_MAX leases at most; see
+        `is_behind`.
         """
         if now - self._looked_nanos > self.ttl_nanos // STALL_FRACTION:
             self._granted_nanos = now + self.ttl_nanos
@@ -195,7 +197,7 @@ class LeaseTable:
         ]
 
     def is_behind(self, now: int) -> bool:
-        """Whether another call of `due` would look at more leases."""
+        """Whether another call of `due` at `now` would look at more leases."""
         return bool(self._looks) and self._looks[0][0] <= now and len(self._ending) < LOOKS_MAX
 
     def _look(self, now: int) -> None:

@@ -50,9 +50,11 @@ def host_by_name(tables: Tables, name: str) -> HostRecord:
 
 
 def check_host_agrees(kind: str, name: str, host: HostRecord, asked_host_name: str) -> None:
-    """Check that a live owner, `host`, is the host that the caller names. Else raises CHANNEL_EXISTS or QUEUE_EXISTS.
+    """Check that the owner, `host`, is the host that the caller names. Raises CHANNEL_EXISTS or QUEUE_EXISTS if it is
+    not.
 
-    `kind` is "channel" or "queue". A lost owner is no contradiction, because the named host replaces it.
+    `kind` is "channel" or "queue". An empty `asked_host_name` passes. An owner that is not alive passes, too, because
+    the named host replaces it.
     """
     if host.alive and asked_host_name not in ("", host.name):
         raise StampedeError(

@@ -1,4 +1,4 @@
-"""Page tokens: the place at which the next page begins, encoded so that callers treat it as opaque. Pure."""
+"""Writes and reads page tokens. A token says where the next page begins; callers treat it as opaque. Pure."""
 
 from __future__ import annotations
 

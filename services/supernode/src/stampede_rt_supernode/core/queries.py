@@ -1,4 +1,4 @@
-"""Questions to the directory's tables: pages of channels and hosts. Pure. A page of channels takes O(page)."""
+"""Pages of the directory's channels and hosts. Pure. A page of channels takes O(page)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 from stampede_rt_supernode.core.tables import Tables
 
 PAGE_SIZE_MAX = 1000
-NAMES_EXAMINED_MAX = 5_000  # for one page, so that a pattern with few matches does not block the log
+NAMES_EXAMINED_MAX = 5_000  # for one page, so that a pattern with few matches does not hold up other work
 HOST_CHANNELS_MAX = 1000
 
 
@@ -33,7 +33,7 @@ class HostPage:
 
 
 def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) -> ChannelPage:
-    """Up to `channels_max` (0: the limit) channels after `after_name` with matching names.
+    """Up to `channels_max` (0: PAGE_SIZE_MAX) channels after `after_name` whose names match `glob`.
 
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
     """
@@ -51,7 +51,7 @@ def channel_page(tables: Tables, glob: str, after_name: str, channels_max: int) 
 
 
 def names_from(ids: SortedDict[str, bytes], prefix: str, after_name: str) -> Iterator[str]:
-    """The names of a map that begin with `prefix` and come after `after_name`, in order."""
+    """The names in `ids` that begin with `prefix` and come after `after_name`, in ascending order."""
     first = max(prefix, after_name)
     for name in ids.irange(minimum=first, inclusive=(first != after_name, True)):
         if not name.startswith(prefix):
@@ -62,10 +62,10 @@ def names_from(ids: SortedDict[str, bytes], prefix: str, after_name: str) -> Ite
 def host_page(
     tables: Tables, after_key: tuple[str, bytes], hosts_max: int, *, include_dead: bool, lost_since: int = 0
 ) -> HostPage:
-    """Up to `hosts_max` (0: the limit) hosts after `after_key`. O(all hosts).
+    """Up to `hosts_max` (0: PAGE_SIZE_MAX) hosts after `after_key`. O(all hosts).
 
-    `include_dead`: gives hosts without a lease, too, but not those that own nothing and whose lease ended before
-    `lost_since` (Unix nanoseconds).
+    `include_dead`: returns also those hosts without a lease that still own a channel or queue, or whose lease ended at
+    `lost_since` (Unix nanoseconds) or later.
     """
     limit = min(hosts_max or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
     dead = (one for one in tables.hosts.values() if not one.alive and _is_of_interest(tables, one, lost_since))
@@ -82,5 +82,5 @@ def _is_of_interest(tables: Tables, host: HostRecord, lost_since: int) -> bool:
 
 
 def channels_of(tables: Tables, host_id: bytes) -> tuple[ChannelRecord, ...]:
-    """The channels that a host owns, at most 1000."""
+    """The channels that a host owns: the first HOST_CHANNELS_MAX, by id."""
     return tuple(tables.channels_at(host_id, HOST_CHANNELS_MAX))

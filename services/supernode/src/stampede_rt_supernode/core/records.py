@@ -1,7 +1,7 @@
-"""The records of the directory: hosts, channels, groups, copies, queues, peers; and changes of them.
+"""The records of the directory (hosts, channels, groups, copies, queues and peers), and the changes of these records.
 
-Pure, immutable values. They are the rows of the four maps of the paper's section 4.3, its groups (3.3), its proxies
-(4.1), and its queues and participants (3.5). Ids are 16 opaque bytes.
+Pure, immutable values. The paper describes them in its sections 3.3 (groups), 3.5 (queues, participants), 4.1 (proxies)
+and 4.3 (hosts, channels). Ids are 16 opaque bytes.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ class Endpoint:
 class HostRecord:
     """A process that hosts channels.
 
-    `name` is unique among live hosts. `boot_incarnation` is a random number; a new one says that the host has lost its
-    items. `channels` is the number of channels that it owns. `registered_index` is the log position of its last
-    registration. A lease, and the end of a lease, belong to one registration. `lease_ended_unix_nano`: for a lost host,
-    when its lease ended, by the leader's clock; None for other hosts. `registration_epoch` grows with each process that
-    replaces another, see `registration_epochs`.
+    `name` is unique among live hosts. `boot_incarnation` is a random number. A host that registers with a new number
+    has lost its items. `channels` is the number of channels that the host owns. `registered_index` is the log position
+    of its last registration. A lease, and the entry that ends a lease, belong to one registration.
+    `lease_ended_unix_nano`: for a lost host, when its lease ended, by the leader's clock; None for other hosts.
+    `registration_epoch` grows with each process that replaces another, see `registration_epochs`.
     """
 
     host_id: bytes
@@ -46,12 +46,12 @@ class HostRecord:
 
     @property
     def is_lost(self) -> bool:
-        """Whether it counts as lost: its lease ended without a deregistration, and it has not come back."""
+        """Whether the directory lists the host as lost, because its lease ended; see `expire_host`."""
         return self.lease_ended_unix_nano is not None
 
     @property
     def holder_id(self) -> bytes:
-        """The id of the lease's holder."""
+        """The id of this host, as the holder of a lease."""
         return self.host_id
 
 
@@ -75,9 +75,9 @@ class ChannelRecord:
     created_by: str = ""
 
     def begun_anew(self, incarnation: int) -> ChannelRecord:
-        """The channel at the next epoch, at the same host.
+        """The record with the next epoch and with this incarnation. The host stays the same.
 
-        Calls the constructor itself, because a host may own very many channels, and `replace` takes three times as
+        The method calls the constructor, because a host may own very many channels, and `replace` takes three times as
         long.
         """
         return ChannelRecord(
@@ -111,9 +111,9 @@ class GroupSpec:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupRecord:
-    """A group. `spec_version` grows by 1 with every change. `incarnation` changes only if the cut may begin anew.
+    """A group. `spec_version` grows by 1 with every change of `spec`. `incarnation` changes only if the cut was lost.
 
-    `created_by`: as for channels.
+    The cut may then begin again at an earlier instant. `created_by`: as in ChannelRecord.
     """
 
     group_id: bytes
@@ -125,7 +125,7 @@ class GroupRecord:
 
 
 class ReplicaKind(Enum):
-    """The purpose of a copy: only for readers, or also to become the owner."""
+    """The purpose of a copy: a proxy only serves readers; the host of a warm replica may also become the owner."""
 
     PROXY = "proxy"
     WARM = "warm"
@@ -133,11 +133,12 @@ class ReplicaKind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaRecord:
-    """A copy of a channel at `host_id`. It ends when that host gets another boot incarnation (paper, section 4.1).
+    """A copy of a channel at `host_id`. The copy ends when that host gets another boot incarnation (paper, section
+    4.1).
 
-    `source_host_id`: the host that feeds the copy. `in_sync`: the copy holds all acknowledged items, and may become the
-    owner; only warm replicas can be in sync. `acknowledged`: puts wait for the copy while it is in sync. `epoch`: the
-    epoch of the channel when this copy was added or last changed.
+    `source_host_id`: the host that feeds the copy. `in_sync`: the copy holds all acknowledged items, so its host may
+    become the owner; only warm replicas can be in sync. `acknowledged`: puts wait for the copy while it is in sync.
+    `epoch`: the epoch of the channel when this copy was added or last changed.
     """
 
     channel_id: bytes
@@ -170,11 +171,11 @@ class QueueSpec:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueRecord:
-    """A queue and its host, or the mailbox of the peer `mailbox_peer_id`, which has no name of its own.
+    """A queue and its host. If `mailbox_peer_id` is set, the queue is the mailbox of that peer, and its name is empty.
 
-    `mailbox_peer_name` and `mailbox_owner` are stored if the peer was registered at feature level 2 or above. `epoch`
-    never falls. `incarnation` changes only if messages may have been lost. `created_by`: as for channels; empty for a
-    mailbox.
+    `mailbox_peer_name` and `mailbox_owner` are `name` and `owner` of that peer, if it registered at feature level 2 or
+    above. `epoch` never falls. `incarnation` changes only if messages may have been lost. `created_by`: as in
+    ChannelRecord; empty for a mailbox.
     """
 
     queue_id: bytes
@@ -194,12 +195,12 @@ class QueueRecord:
 class PeerRecord:
     """A participant (paper, sections 3.5 and 4.2).
 
-    A peer with a name, which is unique among live peers, has a mailbox while it lives. `host_id`: the id of the
-    host that this peer is; None if it is no host. `owner`: the name by which rules of access know the caller that
-    registered it; empty if rules do not judge that caller; None if it is unknown.
-    `proof_sha256` is empty if the peer gave no proof. `registered_index`, `registration_epoch`: as for hosts.
-    `ended_index`: the log position at which its lease ended; 0 while it lives. `created_by`: the name under which
-    quotas count it, as for channels.
+    A peer may have a name, which is unique among live peers; it then has a mailbox while it is alive. `host_id`: if the
+    peer is a host, its id as a host; else None. `owner`: the name by which rules of access know the caller that
+    registered the peer; empty if rules do not limit that caller; None if it is unknown. `proof_sha256` is empty if the
+    peer gave no proof. `registered_index`, `registration_epoch`: as in HostRecord. `ended_index`: the log position at
+    which the peer's lease ended; 0 while it is alive. `created_by`: as in ChannelRecord; quotas count the peer under
+    this name.
     """
 
     peer_id: bytes
@@ -225,7 +226,7 @@ class PeerRecord:
 
     @property
     def holder_id(self) -> bytes:
-        """The id of the lease's holder."""
+        """The id of this peer, as the holder of a lease."""
         return self.peer_id
 
 

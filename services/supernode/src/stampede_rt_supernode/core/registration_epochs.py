@@ -31,14 +31,14 @@ def check_registration_epoch(operation: RegisterHost | RegisterPeer) -> None:
 def next_epoch(operation: RegisterHost | RegisterPeer, places: Iterable[HostRecord | PeerRecord | None]) -> int:
     """The registration epoch that the process gets.
 
-    `places`: the registrations that it replaces, its own included, alive or ended. Raises StaleRegistration if another
-    process has reached its epoch.
+    `places`: the registrations of the same peer or host, alive or ended, perhaps of this same process; None stands for
+    no registration. Raises StaleRegistration if another process has reached the operation's epoch.
     """
     epoch = operation.registration_epoch
     others = []
     for before in places:
         if before is not None and before.boot_incarnation == operation.boot_incarnation:
-            # The same process is registered. This may be an earlier request of it, with a lower epoch.
+            # This same process is registered. `operation` may be one of its earlier requests, with a lower epoch.
             epoch = max(epoch, before.registration_epoch)
         elif before is not None:
             others.append(before)

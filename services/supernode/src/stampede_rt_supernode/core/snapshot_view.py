@@ -1,8 +1,8 @@
-"""A view of the directory that does not change. A snapshot is written from it while the directory goes on. Pure.
+"""A view of the directory that does not change, for writing a snapshot while the directory changes. Pure.
 
-The values are immutable, so the view copies only the tables that hold them. There may be very many channels. So of the
-channels the view takes only the changes since the last snapshot, if the directory still holds all these changes. That
-takes a few milliseconds for any number of channels.
+The records are immutable, so the view copies only the tables that hold them. There may be very many channels. So the
+view does not copy the table of channels, if the directory still holds all changes since the last snapshot; it takes
+these changes instead. That takes a few milliseconds for any number of channels.
 """
 
 from __future__ import annotations
@@ -29,14 +29,15 @@ class SnapshotView:
     directory: Directory
     channels: tuple[ChannelRecord, ...]  # all channels, in no order; or none if `changes` is set
     changes: tuple[DirectoryChange, ...] | None  # changes of all kinds since the position of the last snapshot
-    position: int  # after the newest change
+    position: int  # the position in `tables.changes` after the newest change
 
 
 def snapshot_view(directory: Directory, since_position: int | None = None) -> SnapshotView:
-    """A view of the present directory. `since_position`: the position in `tables.changes` of the last snapshot.
+    """A view of the present directory. `since_position`: the `position` of the view of the last snapshot; None for the
+    first.
 
-    The view has the changes since that position, in O(changes). Without a position, or if some of these changes are
-    gone, it has all channels, in O(channels).
+    The view has the changes since that position, in O(changes). Without a position, or if the directory has dropped
+    some of these changes, the view has all channels, in O(channels).
     """
     ring = directory.tables.changes
     page = None if since_position is None else ring.read(since_position, CHANGES_MAX)
@@ -57,7 +58,7 @@ def _but_channels(directory: Directory) -> Directory:
 
 
 def _with_copies(holder: T, *names: str) -> T:
-    """`holder` with copies of these dictionaries. Sorted ones become plain ones in the same order."""
+    """A copy of `holder` with copies of these dictionaries. A sorted one becomes a plain one in the same order."""
     view = copy(holder)
     for name in names:
         table = getattr(holder, name)

@@ -57,7 +57,7 @@ class DirectoryState:
         # The digest of all results so far. Replicas with different digests have different states. It is empty if it is
         # unknown, as after a snapshot without a digest.
         self.digest = digest or (b"" if index else bytes(DIGEST_BYTES))
-        # The ids of the clusters that this one has replaced.
+        # The ids of the clusters that this cluster has replaced.
         self.former_cluster_ids = tuple(former_cluster_ids)
         # The key that signs join tokens. No caller ever gets it.
         self.join_key = join_key

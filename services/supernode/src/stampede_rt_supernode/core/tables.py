@@ -77,7 +77,7 @@ class Tables:
         self.changes.begin(index)
 
     def note_index(self, index: int) -> None:
-        """Mark log position `index` as complete: all its changes are noted."""
+        """Note that log position `index` is applied, with all its changes."""
         self.index = index
         self.changes.note_index(index)
         self.peers.changes.note_index(index)
@@ -111,7 +111,7 @@ class Tables:
         self.changes.note(ChangeKind.ADDED, channel)
 
     def replace_channel(self, channel: ChannelRecord) -> None:
-        """Replace the channel of that id, which keeps its name. Its host may be another."""
+        """Replace the channel of that id, which keeps its name. The new owner may be another known host."""
         before = self.channels[channel.channel_id].host_id
         self.channels[channel.channel_id] = channel
         if before != channel.host_id:
@@ -134,8 +134,8 @@ class Tables:
     def put_host(self, host: HostRecord) -> None:
         """Add or replace a host. If it is alive, no other live host may have its name.
 
-        A host that is not alive stays while it has channels or queues, whose last owner it is, or while it is among the
-        last LOST_HOSTS_MAX lost hosts.
+        A host that is not alive stays in the tables while channels or queues still name it as their owner, or while it
+        is among the last LOST_HOSTS_MAX lost hosts.
         """
         before = self.hosts.get(host.host_id)
         if before is not None and before.alive:
@@ -149,7 +149,7 @@ class Tables:
         self._drop_if_done(host)
 
     def find_again(self, name: str) -> None:
-        """Count the lost hosts of that name as lost no more, because a live host has the name."""
+        """Take the hosts of that name off the list of lost hosts, because a live host has the name now."""
         for host in [self.hosts[one] for one in self.lost if self.hosts[one].name == name]:
             self.put_host(replace(host, lease_ended_unix_nano=None))
 

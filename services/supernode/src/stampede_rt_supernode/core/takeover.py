@@ -1,8 +1,8 @@
-"""The effects of the loss of a host on its channels, their copies and groups, and on mailboxes. Pure.
+"""Applies the loss of a host to its channels, their copies and groups, and its mailboxes. Pure.
 
-A warm replica in sync holds all acknowledged items. So it becomes the owner in the very step that ends the owner's
-registration, and nobody else gets the channel in between. But the incarnation changes, because items that were put and
-not acknowledged may be gone.
+A warm replica in sync holds all acknowledged items. So its host becomes the owner in the same step that ends the former
+owner's registration, and no other host gets the channel in between. But the incarnation changes, because items that
+were put and not acknowledged may be lost.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from stampede_rt_supernode.core.tables import Tables
 
 
 def give_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> None:
-    """Give a channel another owner, or let it begin anew: as `after`, with a higher epoch and a new incarnation.
+    """Replace a channel's record by `after`, which has a higher epoch, a new incarnation, and perhaps another owner.
 
-    The caller notes lost cuts, once for all channels of one log entry, because they may be in the same groups.
+    The caller must then call `note_lost_cuts`, once for all channels of one log entry, because these channels may be in
+    the same groups.
     """
     store(tables, after, adopted(tables, before, after))
 
@@ -32,10 +33,10 @@ def forget_channel(tables: Tables, channel: ChannelRecord) -> None:
 
 
 def end_registration(tables: Tables, host_id: bytes) -> None:
-    """Apply the loss of all items of a host: its copies are gone, and other hosts get some of its channels.
+    """Apply the loss of all items of a host. Its lease must have ended, or a new process of it must have registered.
 
-    Other hosts get the channels of which they hold a warm replica in sync. The host must have no lease any more, or
-    have registered with a new process.
+    The directory removes the copies that the host held. Other hosts get those of its channels of which they hold a warm
+    replica in sync. If the host is not alive, its mailboxes move to other hosts.
     """
     for channel_id in tables.replicas.channel_ids_at(host_id):
         drop_copy(tables, tables.channels[channel_id], host_id)
@@ -44,7 +45,7 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
         channel = tables.channels[channel_id]
         heir = _heir(tables, channel) if channel.host_id == host_id else None
         if heir is not None:
-            incarnation = (channel.incarnation + 1) % 2**64 or 1  # random at first and then counted up
+            incarnation = (channel.incarnation + 1) % 2**64 or 1  # the first was random; later ones count up
             after = replace(channel, host_id=heir.host_id, epoch=channel.epoch + 1, incarnation=incarnation)
             give_owner(tables, channel, after)
             inherited.append(channel.channel_id)
@@ -57,7 +58,7 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
 def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:
     """Of the live hosts with a warm replica in sync, the one with the fewest channels; None if there is no such host.
 
-    Among equals it is the host whose replica was added first.
+    Among equals, returns the host whose replica was added first.
     """
     in_sync = (tables.hosts[one.host_id] for one in tables.replicas.of(channel.channel_id) if one.in_sync)
     live = (host for host in in_sync if host.alive and host.host_id != channel.host_id)

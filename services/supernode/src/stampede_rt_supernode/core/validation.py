@@ -31,9 +31,10 @@ def check_name(name: str, what: str) -> None:
 
 
 def check_max_bytes(what: str, name: str, max_bytes: int | None) -> None:
-    """Check that the bound admits an item without payload.
+    """Check that `max_bytes` leaves room for an item without payload.
 
-    Only requests are checked: the log of an earlier release may have smaller bounds, and must apply everywhere alike.
+    Servicers check requests so. The state machine does not, because a log of an earlier release may have smaller
+    values, and all replicas must apply that log alike.
     """
     if max_bytes is not None and max_bytes < MAX_BYTES_MIN:
         raise InvalidArgument(

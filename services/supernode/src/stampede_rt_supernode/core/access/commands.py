@@ -10,21 +10,21 @@ from stampede_rt_supernode.core.commands import Operation, Success
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CreateTokenKey(Operation):
-    """Create the key of client tokens, unless there is one."""
+    """Create the key that signs client tokens, unless the directory has one."""
 
     new_token_key: bytes = field(repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AddAccessRule(Operation):
-    """Add a rule, unless it is there."""
+    """Add a rule, unless the directory has the same rule."""
 
     rule: AccessRule
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveAccessRule(Operation):
-    """Remove a rule, if it is there."""
+    """Remove a rule, if the directory has it."""
 
     rule: AccessRule
 
@@ -46,14 +46,14 @@ class CredentialRevoked(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TokenKeyCreated(Success):
-    """Client tokens have a key. `version`: the log position of the last change of access."""
+    """The directory has a key for client tokens. `version`: the log position of the last change of the AccessTable."""
 
     version: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessRuleAdded(Success):
-    """The rule is there. `added`: whether this command added it. `version`: as in TokenKeyCreated."""
+    """The directory has the rule. `added`: whether this command added it. `version`: as in TokenKeyCreated."""
 
     added: bool
     version: int
@@ -61,7 +61,10 @@ class AccessRuleAdded(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessRuleRemoved(Success):
-    """The rule is not there. `removed`: whether this command removed it. `version`: as in TokenKeyCreated."""
+    """The directory does not have the rule. `removed`: whether this command removed it.
+
+    `version`: as in TokenKeyCreated.
+    """
 
     removed: bool
     version: int

@@ -29,14 +29,17 @@ class AccessEffect:
 
 
 def client_named(who: str) -> Caller:
-    """A client of that name, for questions about rules. Rules do not limit holders of the cluster's secret."""
+    """A client of that name, for asking rules about its rights.
+
+    `@cluster` stands for the holders of the cluster's secret.
+    """
     if who == "@cluster":
         return Caller(kind=CallerKind.CLUSTER_SECRET, roles=ALL_ROLES, name=who)
     return Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name=who)
 
 
 def with_rule(rules: AccessRules, rule: AccessRule) -> AccessRules:
-    """The rules with `rule`, once."""
+    """The rules with `rule`, which is not added twice."""
     return rules if rule in rules.rules else AccessRules((*rules.rules, rule))
 
 
@@ -48,7 +51,7 @@ def without_rule(rules: AccessRules, rule: AccessRule) -> AccessRules:
 def effects_on(tables: Tables, before: AccessRules, after: AccessRules, rule: AccessRule) -> list[AccessEffect]:
     """The changed rights of a client with the name `rule.who`, on existing things to which the rule applies.
 
-    Gives EFFECTS_MAX rights at most. Examines only the first NAMES_EXAMINED_MAX names of each kind.
+    Returns EFFECTS_MAX rights at most. Examines only the first NAMES_EXAMINED_MAX names of each kind.
     """
     return list(islice(_effects(tables, before, after, rule), EFFECTS_MAX))
 

@@ -1,4 +1,4 @@
-"""Questions about access to the directory's state. Pure."""
+"""Answers questions about rights and quotas from the directory's state. Pure."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CALLERS_TOLD_MAX = 100
 
 
 def access_state(directory: DirectoryState) -> AccessState:
-    """The facts by which ports judge callers, without the key that signs tokens."""
+    """The facts by which servers judge callers. Has the public half of the token key, not the key that signs."""
     access = directory.access
     return AccessState(
         version=access.version,
@@ -34,7 +34,10 @@ def access_state(directory: DirectoryState) -> AccessState:
 
 
 def things_of_callers(directory: DirectoryState) -> list[tuple[str, Quota, int]]:
-    """The callers with the most channels, queues, groups or peers, and their numbers; CALLERS_TOLD_MAX of each."""
+    """The (caller, quota, number of its things) of the callers with the most channels, queues, groups or peers.
+
+    Returns CALLERS_TOLD_MAX callers at most for each quota.
+    """
     tables = directory.tables
     counted = {
         Quota.CHANNELS: tables.channel_creators,
@@ -46,7 +49,7 @@ def things_of_callers(directory: DirectoryState) -> list[tuple[str, Quota, int]]
 
 
 def thing_with(tables: Tables, kind: AccessKind, thing_id: bytes) -> str | PeerRecord | None:
-    """The name by which rules know the thing with that id; for a mailbox, its peer. None if there is no such thing."""
+    """The name of the thing with that id; for a mailbox, the record of its peer. None if there is no such thing."""
     match kind:
         case AccessKind.CHANNEL:
             channel = tables.channels.get(thing_id)

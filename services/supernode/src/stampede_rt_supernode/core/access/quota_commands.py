@@ -17,7 +17,10 @@ class SetQuotas(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveQuotas(Operation):
-    """Remove the settings of `who`, taken literally, for these quotas; for all quotas if `quotas` is empty."""
+    """Remove the settings of `who` for these quotas; for all quotas if `quotas` is empty.
+
+    `who` is not a pattern here: it must be the text of the settings.
+    """
 
     who: str
     quotas: tuple[Quota, ...] = ()
@@ -25,7 +28,10 @@ class RemoveQuotas(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QuotasSet(Success):
-    """The settings hold. `changed`: whether any of them was new. `version`: as in TokenKeyCreated."""
+    """The settings are in effect. `changed`: whether this command changed any of them.
+
+    `version`: as in TokenKeyCreated.
+    """
 
     changed: bool
     version: int
@@ -33,7 +39,7 @@ class QuotasSet(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QuotasRemoved(Success):
-    """The settings are gone. `removed`: how many there were. `version`: as in TokenKeyCreated."""
+    """The settings are gone. `removed`: how many settings this command removed. `version`: as in TokenKeyCreated."""
 
     removed: int
     version: int

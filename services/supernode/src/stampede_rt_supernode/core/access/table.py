@@ -1,4 +1,4 @@
-"""The directory's facts about access. Pure, immutable values."""
+"""The rules of access, quotas, revocations and token key of the directory. Pure, immutable values."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from stampede_rt_runtime.quotas.limits import NO_SETTINGS, QuotaTable
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessTable:
-    """The state as of `version`, the log position of its last change; 0 if it has never changed.
+    """What the directory knows about access. `version`: the log position of the last change; 0 if there was none.
 
-    `token_key` signs client tokens. No caller ever gets it. It is empty as long as there were no tokens.
+    `token_key` signs client tokens. No caller ever gets it. It is empty until a leader begins a tenure at feature level
+    2 or above, or somebody creates it by CreateTokenKey.
     """
 
     version: int = 0

@@ -25,7 +25,7 @@ REVOKED_MAX = 1000
 
 
 def create_token_key(state: DirectoryState, operation: CreateTokenKey, time_unix_nano: int) -> TokenKeyCreated:
-    """Set the key, unless there is one, because the tokens that the present key has signed must stay valid."""
+    """Set the key, unless the directory has one, because the tokens that the present key has signed must stay valid."""
     if not state.access.token_key:
         change_access(state, replace(state.access, token_key=operation.new_token_key))
     return TokenKeyCreated(version=state.access.version)
@@ -67,7 +67,7 @@ def revoke_credential(state: DirectoryState, operation: RevokeCredential, time_u
 
 
 def change_access(state: DirectoryState, access: AccessTable) -> None:
-    """Set the facts about access as of the present log position, and tell watchers."""
+    """Set `state.access` with the present log position as its version, and note the change for watchers."""
     version = state.applied_index
     state.access = replace(access, version=version)
     state.tables.changes.note(ChangeKind.UPDATED, AccessChange(version=version))

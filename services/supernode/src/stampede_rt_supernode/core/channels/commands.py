@@ -13,7 +13,8 @@ from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 class OpenChannel(Creation):
     """Get or create a channel. `host_name`: the host that shall own it; empty if the caller does not care.
 
-    `new_channel_id` is used if the channel is created, and `new_incarnation` also if it gets a new owner.
+    A new channel gets `new_channel_id` and `new_incarnation`. If the owner of an existing channel is not alive, the
+    channel gets a new owner and `new_incarnation`.
     """
 
     name: str

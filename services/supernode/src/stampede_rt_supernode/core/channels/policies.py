@@ -25,7 +25,7 @@ IN_EFFECT_UNSTATED = {  # by field
 }
 # The field that only the creation sets, because another value would change the spans of items that readers have seen.
 FIXED = "overlap_nanos"
-_RANGES = {
+_RANGES = {  # by field: the least and the greatest value, and the text of this range
     "max_age_nanos": (1, 2**63 - 1, "more than 0"),
     "max_items": (1, 2**64 - 1, "at least 1"),
     "max_bytes": (1, 2**64 - 1, "at least 1"),
@@ -38,7 +38,7 @@ _RANGES = {
 
 
 def is_provisional(policy: Policy) -> bool:
-    """Whether no limit was stated so far. Such a channel takes over the first limits that a caller states."""
+    """Whether no limit (LIMITS) was stated so far. Such a channel takes over the first limits that a caller states."""
     return all(getattr(policy, name) is None for name in LIMITS)
 
 
@@ -74,7 +74,10 @@ def check_policy(channel: str, policy: Policy) -> None:
         raise _invalid(channel, "on_full", text)
     least, most = policy.max_age_nanos, policy.max_age_unconsumed_nanos
     if most is not None and (least is None or most < least):
-        text = "max_age_unconsumed prolongs max_age for consumers that lag; state both, the first not below the second"
+        text = (
+            "max_age_unconsumed keeps items longer than max_age for consumers that lag; state both, and a "
+            "max_age_unconsumed that is not below max_age"
+        )
         raise _invalid(channel, "max_age_unconsumed_nanos", text)
 
 
@@ -103,9 +106,9 @@ def _invalid(channel: str, field: str, text: str) -> InvalidArgument:
 def agree(channel: str, held: Policy, asked: Policy) -> Policy:
     """The policy of `channel` after an open with the policy `asked`. Raises ChannelExists with the contradicting field.
 
-    A stated field must be repeated or left out. A field that was never stated is taken over while the channel is
-    provisional. Later it must equal the value in effect, because another value would collect items of other callers
-    without their knowledge.
+    A field that was stated before may only be repeated or left out. A field that was never stated is taken over from
+    `asked` while the channel is provisional (`is_provisional`). Later it must equal the value in effect, because
+    another value would collect items of other callers without their knowledge.
     """
     for name, value in stated(asked).items():
         before = getattr(held, name)

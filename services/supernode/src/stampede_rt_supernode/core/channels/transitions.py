@@ -48,7 +48,7 @@ def check_update(operation: UpdateChannel) -> None:
 def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     """Get or create a channel.
 
-    A channel whose owner's lease has ended gets a new owner, epoch and incarnation, and no items.
+    A channel whose owner's lease has ended gets a new owner, epoch and incarnation. Its items are lost.
     """
     check_open(operation)
     channel = tables.channel_named(operation.name)
@@ -85,7 +85,7 @@ def open_unchanged(tables: Tables, operation: OpenChannel) -> ChannelOpened | No
 
 
 def update_channel(tables: Tables, operation: UpdateChannel) -> ChannelUpdated:
-    """Change the stated fields; others stay."""
+    """Change the stated fields of a channel's policy. The other fields stay."""
     check_update(operation)
     channel = channel_by_id(tables, operation.channel_id)
     check_epoch(channel, operation.epoch)
@@ -99,7 +99,7 @@ def update_channel(tables: Tables, operation: UpdateChannel) -> ChannelUpdated:
 
 
 def delete_channel(tables: Tables, operation: DeleteChannel) -> ChannelDeleted:
-    """Delete a channel. Its name is free again."""
+    """Delete a channel, and free its name."""
     channel = channel_by_id(tables, operation.channel_id)
     forget_channel(tables, channel)
     return ChannelDeleted(channel=channel)
@@ -147,11 +147,11 @@ def fresh_incarnation(channel: ChannelRecord, proposed: int) -> int:
 
 
 def _choose_host(tables: Tables, operation: OpenChannel, former: str | None = None) -> HostRecord:
-    """The host for a new or orphaned channel.
+    """The host for a new channel, or for a channel whose owner is not alive.
 
-    It is the requested host, if the caller names one. Else it is the live host with the name of the `former` owner:
-    that owner, restarted without its data folder. Else it is the live host with the fewest channels; among equals the
-    first by name.
+    It is the live host that the caller names, if any. Else it is the live host with the name of the `former` owner,
+    which is that owner, restarted without its data folder. Else it is the live host with the fewest channels; among
+    equals the first by name.
     """
     if operation.host_name:
         return host_by_name(tables, operation.host_name)

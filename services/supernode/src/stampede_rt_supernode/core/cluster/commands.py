@@ -41,7 +41,7 @@ class MarkTime(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RaiseFeatureLevel(Operation):
-    """A leader notes that all members know this feature level; see `feature_levels`."""
+    """The leader raises the cluster's feature level, because all members know this level; see `feature_levels`."""
 
     feature_level: int
 
@@ -56,7 +56,7 @@ class TenureBegun(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimeMarked(Success):
-    """`marked`: whether the mark counts. It does not if it is repeated, or comes from a former leader."""
+    """`marked`: whether the command added a mark. A repeated command, or a command of a former leader, adds none."""
 
     marked: bool
 

@@ -20,7 +20,10 @@ TOKENS_LEVEL = 2  # below this level no replica keeps a key for client tokens
 
 
 def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: int) -> TenureBegun:
-    """Begin a leader's tenure. `tenure` does not fall if the entry comes from a leader that was already replaced."""
+    """Begin a leader's tenure, and set what the state lacks: the cluster's id, its keys, and the TTL of its leases.
+
+    `state.tenure` does not fall if the entry comes from a leader that was already replaced.
+    """
     state.tenure = max(state.tenure, operation.tenure)
     if not state.cluster_id:
         state.feature_level = max(state.feature_level, operation.new_feature_level)
@@ -38,7 +41,7 @@ def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: 
 
 
 def mark_time(state: DirectoryState, operation: MarkTime, time_unix_nano: int) -> TimeMarked:
-    """Add a mark if it comes from the present leader, and this leader knew the last mark."""
+    """Add a mark if the command comes from the present leader, and that leader knew the last mark."""
     marked = operation.tenure == state.tenure and operation.after_index == state.answered.last_mark
     if marked:
         state.answered.mark(state.applied_index)

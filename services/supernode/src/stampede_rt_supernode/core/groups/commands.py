@@ -12,8 +12,8 @@ from stampede_rt_supernode.core.records import GroupRecord, GroupSpec
 class OpenGroup(Creation):
     """Get or create a group.
 
-    If `spec` is None, an existing group may have any members and settings. The `new_` fields are used if the group is
-    created.
+    If `spec` is None, an existing group may have any members and settings. A new group gets `new_group_id` and
+    `new_incarnation`.
     """
 
     name: str
@@ -25,7 +25,7 @@ class OpenGroup(Creation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class UpdateGroup(Operation):
-    """Change the members of a group, if it has that `spec_version`; at any version if that is None."""
+    """Add and remove members of a group. If `spec_version` is not None, the group must have that version."""
 
     group_id: bytes
     add_channel_ids: tuple[bytes, ...] = ()

@@ -30,7 +30,7 @@ class GroupPage:
 
 
 def group_view(tables: Tables, group: GroupRecord) -> GroupView:
-    """The view of `group`, which may be an earlier record. The members are the present ones."""
+    """The view of `group`, which may be an older record. The records of its channels and hosts are the present ones."""
     found = (tables.channels.get(one) for one in group.spec.channel_ids)
     channels = tuple(channel for channel in found if channel is not None)
     host_ids = dict.fromkeys(channel.host_id for channel in channels)
@@ -38,7 +38,7 @@ def group_view(tables: Tables, group: GroupRecord) -> GroupView:
 
 
 def group_page(tables: Tables, glob: str, channel_id: bytes, after_name: str, groups_max: int) -> GroupPage:
-    """Up to `groups_max` groups (0: the limit) after `after_name` with matching names.
+    """Up to `groups_max` (0: PAGE_SIZE_MAX) groups after `after_name` whose names match `glob`.
 
     If `channel_id` is not empty, gives only groups with that channel. A page may be short, even empty, and yet not be
     the last. Raises InvalidArgument for an invalid pattern or id.

@@ -24,7 +24,7 @@ def check_spec(group: str, spec: GroupSpec) -> None:
     if len(set(members)) != len(members):
         raise _invalid(group, "channel_ids", "a channel is named twice; name each member once")
     if spec.reference_channel_id is not None and spec.reference_channel_id not in members:
-        text = "its reference is not one of its members; name a member, or take the oldest of all as the reference"
+        text = "its reference is not one of its members; name a member, or state no reference"
         raise _invalid(group, "reference_channel_id", text)
     if spec.bound not in BOUNDS:
         raise _invalid(group, "bound", f"bound is {spec.bound!r}; it must be one of {', '.join(BOUNDS)}")

@@ -18,7 +18,7 @@ GroupWithWitnesses = tuple[GroupRecord, tuple[bytes, ...]]
 
 
 class GroupTable:
-    """The groups. `note` is called with every change.
+    """The groups. The table calls `note` for every change.
 
     A witness is a host that owns members and still knows the cut of the present incarnation, because the host has not
     restarted since.
@@ -28,9 +28,10 @@ class GroupTable:
         self._note = note
         self.by_id: dict[bytes, GroupRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # the group's id by its name, for all groups
-        self._entries: dict[bytes, GroupWithWitnesses] = {}  # by group id; the witnesses ascend, at least one each
+        self._entries: dict[bytes, GroupWithWitnesses] = {}  # by group id; each with one witness or more, ascending
         self._ids_with: dict[bytes, set[bytes]] = {}  # by channel id; only channels that are in a group
-        self._made_with: Counter[tuple[bytes, str]] = Counter()  # by channel id and creator: the number of such groups
+        # By channel id and caller: the number of groups that have the channel, and that the caller has created.
+        self._made_with: Counter[tuple[bytes, str]] = Counter()
         self.creators = Creators()
         for group, witnesses in entries:
             self._link(group, witnesses)

@@ -1,7 +1,7 @@
-"""Opens, changes and deletes groups in the tables, and applies the effects of channels and hosts on groups. Pure.
+"""Opens, changes and deletes groups in the tables, and applies the loss of channels and hosts to groups. Pure.
 
-As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. Groups come and
-go, and their channels stay as they are (paper, section 3.3).
+As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. No function
+changes the channels of a group (paper, section 3.3).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_id, check_incarnation, check_name
 
 GROUPS_MAX = 10_000
-GROUPS_PER_CHANNEL_MAX = 1_000  # the deletion of the channel changes all of them at once
-GROUPS_PER_CHANNEL_AND_CALLER_MAX = 750  # so that one caller does not keep the others' groups from a channel
+GROUPS_PER_CHANNEL_MAX = 1_000  # bounded, because the deletion of a channel changes all its groups in one step
+GROUPS_PER_CHANNEL_AND_CALLER_MAX = 750  # of one caller, so that some are left for other callers
 
 
 def check_open_group(operation: OpenGroup) -> None:
@@ -64,17 +64,17 @@ def check_update_group(operation: UpdateGroup) -> None:
 
 
 def open_group(tables: Tables, operation: OpenGroup, *, has_shares: bool = True) -> GroupOpened:
-    """Get or create a group. The name belongs to the first operation in the log.
-
-    `has_shares`: whether the groups of a channel are limited for each caller.
-    """
+    """Get or create a group. `has_shares`: whether GROUPS_PER_CHANNEL_AND_CALLER_MAX holds."""
     check_open_group(operation)
     opened = open_group_unchanged(tables, operation)
     return opened if opened is not None else _create(tables, operation, has_shares)
 
 
 def open_group_unchanged(tables: Tables, operation: OpenGroup) -> GroupOpened | None:
-    """The answer to `operation` if the group exists; None if it does not. Raises the errors of `open_group`."""
+    """The answer to `operation` if the group exists; None if it does not.
+
+    Raises the errors of `open_group`, except those about its channels and about a lack of room.
+    """
     check_open_group(operation)
     group = tables.groups.named(operation.name)
     if group is None:
@@ -124,9 +124,9 @@ def _check_members(tables: Tables, name: str, channel_ids: Iterable[bytes]) -> N
 
 
 def _check_share(tables: Tables, name: str, created_by: str, channel_ids: Iterable[bytes]) -> None:
-    """Check that the creator of a group has not used up the groups of these channels. Raises Overloaded.
+    """Check that a caller may create another group with each of these channels. Raises Overloaded.
 
-    Callers with a shared name have no such limit, because nobody can tell them apart.
+    A name that several callers share (SHARED_NAMES) has no such limit.
     """
     if not created_by or created_by in SHARED_NAMES:
         return
@@ -141,7 +141,10 @@ def _check_share(tables: Tables, name: str, created_by: str, channel_ids: Iterab
 
 
 def update_group(tables: Tables, operation: UpdateGroup, *, has_shares: bool = True) -> GroupUpdated:
-    """Add and remove members. The cut stays the same. `has_shares`: as for `open_group`."""
+    """Add and remove members. `has_shares`: as for `open_group`.
+
+    The cut stays, unless no owner of a remaining member knows it. Then the group gets a new incarnation.
+    """
     check_update_group(operation)
     group = group_by_id(tables, operation.group_id)
     if operation.spec_version is not None and operation.spec_version != group.spec_version:
@@ -168,7 +171,7 @@ def _with_members(tables: Tables, group: GroupRecord, channel_ids: tuple[bytes, 
 
 
 def delete_group(tables: Tables, operation: DeleteGroup) -> GroupDeleted:
-    """Delete a group. Its name is free again."""
+    """Delete a group, and free its name."""
     tables.groups.remove(group_by_id(tables, operation.group_id))
     return GroupDeleted()
 
@@ -188,9 +191,9 @@ def leave_groups(tables: Tables, channel_id: bytes) -> None:
 
 
 def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: bytes | None = None) -> None:
-    """Note that these channels have new owners, or that the host `restarted` has lost its cuts by a new start.
+    """Note that these channels have new owners, or that the host `restarted` lost its cuts when it started again.
 
-    A group whose cut no host knows gets a new incarnation, so it may begin anew (GroupRecord.incarnation).
+    A group whose cut no host knows any more gets a new incarnation, see GroupRecord.
     """
     found = {group.group_id for one in channel_ids for group in tables.groups.with_channel(one)}
     for group_id in sorted(found):
@@ -198,11 +201,14 @@ def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: byte
 
 
 def _witnessed(tables: Tables, group: GroupRecord, restarted: bytes | None = None) -> GroupRecord:
-    """Store `group` with its remaining witnesses. If none is left, it begins a new incarnation with all its hosts."""
+    """Store `group` with its remaining witnesses.
+
+    If none is left, its hosts become the witnesses of a new incarnation.
+    """
     hosts = _hosts_of(tables, group)
     left = tuple(one for one in tables.groups.witnesses_of(group) if one in hosts and one != restarted)
     if not left:
-        # The incarnation is random at first and then counted up, so the group never had the new one before.
+        # The first incarnation is random, and later ones count up. So the group never had the new one before.
         group, left = replace(group, incarnation=(group.incarnation + 1) % 2**64 or 1), hosts
     tables.groups.replace(group, left)
     return group

@@ -10,7 +10,7 @@ from stampede_rt_supernode.core.records import Endpoint, HostRecord
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RegisterHost(Operation):
-    """A host registers. Its channels and queues get `new_incarnation` if its boot incarnation is new.
+    """A host registers. If its boot incarnation is new, its channels and queues get `new_incarnation`.
 
     `registration_epoch`: see `registration_epochs`.
     """
@@ -26,7 +26,7 @@ class RegisterHost(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeregisterHost(Operation):
-    """A host deregisters by itself."""
+    """A host ends its own registration, because it stops."""
 
     host_id: bytes
     boot_incarnation: int

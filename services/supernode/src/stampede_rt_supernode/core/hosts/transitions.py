@@ -94,10 +94,11 @@ def _renew_channels(tables: Tables, operation: RegisterHost) -> None:
 
 
 def deregister_host(tables: Tables, operation: DeregisterHost) -> None:
-    """Deregister a host. From then on its channels have no live owner, except those that move to a warm replica.
+    """Deregister a host. Of its channels, those with a warm replica in sync get that replica's host as their owner.
 
-    Its mailboxes move to other hosts. A lost host counts as lost no more. Does nothing if the host is not registered.
-    Raises LeaseExpired for another boot incarnation.
+    The other channels have no live owner from then on. The host's mailboxes move to other hosts. If the host is lost,
+    the call only takes it off the list of lost hosts. Does nothing if the host is not registered. Raises LeaseExpired
+    for another boot incarnation.
     """
     check_id(operation.host_id, "host_id")
     host = tables.hosts.get(operation.host_id)
@@ -111,7 +112,7 @@ def deregister_host(tables: Tables, operation: DeregisterHost) -> None:
 
 
 def check_boot(host: HostRecord, boot_incarnation: int) -> None:
-    """Raises LeaseExpired if the lease belongs to another start of the host's process."""
+    """Raises LeaseExpired if another process of the host has registered, with another boot incarnation."""
     if host.boot_incarnation != boot_incarnation:
         raise LeaseExpired(
             f"the lease of host {host.name} belongs to another process, started with another boot incarnation; "
@@ -121,9 +122,10 @@ def check_boot(host: HostRecord, boot_incarnation: int) -> None:
 
 
 def expire_host(tables: Tables, operation: ExpireHost, tenure: int, now_unix_nano: int) -> bool:
-    """End a lease, unless the command comes too late. `tenure` is the present one. Returns whether the lease ended.
+    """End a lease, unless the command comes too late. Returns whether the lease ended. `tenure`: the present tenure.
 
-    The host is remembered as lost until it comes back, deregisters, or too many others are lost after it.
+    The directory lists the host as lost until it registers again or deregisters, until another live host takes its
+    name, or until LOST_HOSTS_MAX other hosts were lost after it.
     """
     host = tables.hosts.get(operation.host_id)
     if host is None or not host.alive or operation.tenure != tenure:

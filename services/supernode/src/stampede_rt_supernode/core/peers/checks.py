@@ -25,7 +25,7 @@ SUPERNODE_ID_CHARACTERS_MAX = 128
 
 
 def check_proof(proof: bytes) -> None:
-    """Check the proof that a peer sends; empty if it sends none. Raises InvalidArgument."""
+    """Check the proof that a peer sends, which is empty if the peer has none. Raises InvalidArgument."""
     if len(proof) not in (0, PROOF_BYTES):
         text = (
             f"proof has {len(proof)} bytes instead of {PROOF_BYTES}; take {PROOF_BYTES} random bytes, or leave it out"
@@ -102,9 +102,9 @@ def check_may_follow(before: PeerRecord, operation: RegisterPeer) -> None:
 
 
 def check_owner(peer: PeerRecord, owner: str | None) -> None:
-    """Check that a caller may act as that peer.
+    """Check that a caller may act as `peer`.
 
-    `owner`: the caller's name in rules of access; empty if rules do not judge the caller; None if it is unknown. Raises
+    `owner`: the caller's name in rules of access; empty if rules do not limit the caller; None if it is unknown. Raises
     PermissionDenied.
     """
     if owner and peer.owner is not None and peer.owner != owner:

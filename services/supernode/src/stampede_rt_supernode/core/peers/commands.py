@@ -35,7 +35,7 @@ class RegisterPeer(Creation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DeregisterPeer(Operation):
-    """A peer deregisters by itself."""
+    """A peer ends its own registration."""
 
     peer_id: bytes
     boot_incarnation: int

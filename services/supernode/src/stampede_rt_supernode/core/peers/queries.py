@@ -1,4 +1,4 @@
-"""Questions about peers. Pure. O(page), for any pattern."""
+"""Pages of the directory's peers. Pure. O(page), for any pattern."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ class PeerPage:
 
 
 def peer_page(tables: Tables, glob: str, after: PeerKey, peers_max: int, *, include_dead: bool) -> PeerPage:
-    """Up to `peers_max` (0: the limit) peers after `after` with matching names; without a pattern also nameless peers.
+    """Up to `peers_max` (0: PAGE_SIZE_MAX) peers after `after` whose names match `glob`.
 
-    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
+    With an empty `glob`, peers without a name follow those with one. A page may be short, even empty, and yet not be
+    the last. Raises InvalidArgument for an invalid pattern.
     """
     matches, limit = matcher(glob), min(peers_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     prefix = fixed_prefix(glob)

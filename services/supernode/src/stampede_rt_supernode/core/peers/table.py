@@ -28,7 +28,7 @@ class PeerTable:
         self.by_id: dict[bytes, PeerRecord] = {}
         self.ids: SortedDict[str, bytes] = SortedDict()  # the peer's id by its name, for all live peers with a name
         self.keys: SortedSet[PeerKey] = SortedSet()  # all peers, in the order of listings
-        # The ids of the peers whose lease has ended, in the order of the ends; leases that ended together by id.
+        # The ids of the peers whose lease has ended, the earliest first; by id among those of one log entry.
         self._dead: dict[bytes, None] = {}
         for peer in sorted(peers, key=lambda one: (one.ended_index, one.peer_id)):
             self._link(peer)
@@ -88,5 +88,5 @@ class PeerTable:
 
 
 def key_of(peer: PeerRecord) -> PeerKey:
-    """The place of a peer in a listing."""
+    """The sort key of a peer in a listing."""
     return not peer.name, peer.name, peer.peer_id

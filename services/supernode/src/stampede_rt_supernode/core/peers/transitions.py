@@ -83,7 +83,7 @@ def _mailbox_of(tables: Tables, peer: PeerRecord) -> QueueRecord | None:
 
 
 def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: QueueRecord | None) -> QueueRecord:
-    """The mailbox after the registration. An existing mailbox stays at its host, unless that host is gone."""
+    """The mailbox after the registration. An existing mailbox stays at its host, if that host is alive."""
     shown = f"the mailbox of peer {operation.name}"
     if former is None:
         check_room(tables, shown)
@@ -119,7 +119,8 @@ def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Qu
 
 
 def _clear_away(tables: Tables, before: PeerRecord, peer_id: bytes, *, kept: QueueRecord | None) -> None:
-    """Remove the mailbox of a replaced peer, unless it is `kept`, and the record, unless the new peer has the same id.
+    """Remove the mailbox of the replaced peer `before`, unless it is `kept`, and its record, unless it has the new
+    peer's id.
 
     `peer_id`: the id of the new peer.
     """
@@ -149,7 +150,7 @@ def _peer(tables: Tables, operation: RegisterPeer, mailbox: QueueRecord | None, 
 
 
 def deregister_peer(tables: Tables, operation: DeregisterPeer) -> None:
-    """Deregister a peer: its name is free and its mailbox gone. Does nothing if the peer is not registered.
+    """Deregister a peer, delete its mailbox, and free its name. Does nothing if the peer is not registered.
 
     Raises LeaseExpired for another boot incarnation.
     """
@@ -163,7 +164,7 @@ def deregister_peer(tables: Tables, operation: DeregisterPeer) -> None:
 
 
 def check_peer_boot(peer: PeerRecord, boot_incarnation: int) -> None:
-    """Raises LeaseExpired if the lease belongs to another start of the peer's process."""
+    """Raises LeaseExpired if another process of the peer has registered, with another boot incarnation."""
     if peer.boot_incarnation != boot_incarnation:
         shown = peer.name or peer.peer_id.hex()
         raise LeaseExpired(

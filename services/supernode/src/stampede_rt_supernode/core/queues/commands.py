@@ -12,8 +12,8 @@ from stampede_rt_supernode.core.records import HostRecord, QueueRecord, QueueSpe
 class OpenQueue(Creation):
     """Get or create a queue. `host_name`: the host that shall own it; empty if the caller does not care.
 
-    A created queue gets `new_queue_id` and `new_incarnation`. If the owner of an existing queue is not alive, the
-    queue gets a new owner and `new_incarnation`.
+    A new queue gets `new_queue_id` and `new_incarnation`. If the owner of an existing queue is not alive, the queue
+    gets a new owner and `new_incarnation`.
     """
 
     name: str

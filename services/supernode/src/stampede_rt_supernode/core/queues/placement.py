@@ -1,7 +1,7 @@
-"""The hosts of queues and mailboxes, and the effects of the loss of a host. Pure.
+"""Chooses the hosts of queues and mailboxes, and applies the loss of a host to them. Pure.
 
-If the host of a queue is lost, the queue waits, like a channel, until somebody opens it. Nobody opens a mailbox. So the
-step that ends the host's lease moves its mailboxes to other live hosts, where senders find them.
+If the host of a queue is lost, the queue gets a new host when a client next opens it, like a channel. Nobody opens a
+mailbox. So the step that ends the host's lease moves its mailboxes to other live hosts, where senders find them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from stampede_rt_supernode.core.tables import Tables
 
 
 def choose_host(tables: Tables, queue: str, host_name: str, former: str | None = None) -> HostRecord:
-    """The host for a new or orphaned queue.
+    """The host for a new queue, or for a queue whose owner is not alive. `queue`: the queue as error texts name it.
 
     It is the live host `host_name`, if the caller names one. Else it is the live host with the name of the `former`
     owner. Else it is the live host with the fewest channels and queues; among equals the first by name. Raises
@@ -52,25 +52,22 @@ def begun_anew(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueR
 
 
 def renew_queues(tables: Tables, host: HostRecord, incarnation: int) -> None:
-    """Begin the queues and mailboxes of a host anew at the same host, because its restart has lost their messages."""
+    """Give the queues and mailboxes of a host a new incarnation there, because its restart has lost their messages."""
     for queue in tables.queues.at(host.host_id):
         tables.put_queue(begun_anew(queue, host, incarnation))
 
 
 def rehouse_mailboxes(tables: Tables, host_id: bytes) -> None:
-    """Move the mailboxes of a host whose lease has ended to live hosts, if there are any.
-
-    The mailboxes are empty there.
-    """
+    """Move the mailboxes of a host whose lease has ended to live hosts, if there are any. Their messages are lost."""
     for queue in tables.queues.at(host_id):
         host = _least_loaded(tables)
         if queue.mailbox_peer_id is not None and host is not None:
-            # The incarnation is random at first and then counted up.
+            # The first incarnation of a mailbox is random; later ones count up.
             tables.put_queue(begun_anew(queue, host, queue.incarnation))
 
 
 def house_waiting_mailboxes(tables: Tables) -> None:
-    """Move the mailboxes of lost hosts to a live host, because there is one again after there was none."""
+    """Move the mailboxes whose hosts are not alive to a live host. Called when one registers after there was none."""
     lost = [host.host_id for host in tables.hosts.values() if not host.alive]
     for host_id in sorted(lost):
         rehouse_mailboxes(tables, host_id)

@@ -19,7 +19,7 @@ BEGINNING: Position = (False, "")
 
 @dataclass(frozen=True, slots=True)
 class QueuePage:
-    """Queues by name, then mailboxes by their peers' names. Each has its position.
+    """Queues by name, then mailboxes by their peers' names. `positions` has the position of each.
 
     The next page begins after `last`, which is None for the last page.
     """
@@ -30,7 +30,9 @@ class QueuePage:
 
 
 def queue_page(tables: Tables, glob: str, after: Position, queues_max: int, *, mailboxes: bool) -> QueuePage:
-    """Up to `queues_max` (0: the limit) queues after `after` with matching names.
+    """Up to `queues_max` (0: PAGE_SIZE_MAX) queues after `after` whose names match `glob`.
+
+    `mailboxes`: adds the mailboxes, by the names of their peers.
 
     A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
     """
@@ -68,5 +70,5 @@ def _mailbox_of(tables: Tables, peer_name: str) -> QueueRecord:
 
 
 def queues_of(tables: Tables, host_id: bytes) -> tuple[QueueRecord, ...]:
-    """The queues and mailboxes that a host owns, at most 1000."""
+    """The queues and mailboxes that a host owns: the first HOST_QUEUES_MAX, by id."""
     return tuple(islice(tables.queues.at(host_id), HOST_QUEUES_MAX))

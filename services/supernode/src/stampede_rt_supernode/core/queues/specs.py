@@ -26,7 +26,7 @@ IN_EFFECT_UNSTATED = {
     "lease_nanos": 30 * 10**9,
     "max_item_bytes": ITEM_BYTES_MAX,
 }
-_RANGES = {
+_RANGES = {  # by field: the least and the greatest value, and the text of this range
     "max_items": (1, 2**64 - 1, "at least 1"),
     "max_bytes": (1, 2**64 - 1, "at least 1"),
     "copies": (1, 2**32 - 1, "at least 1"),
@@ -75,8 +75,9 @@ def merge(held: QueueSpec, changes: QueueSpec) -> QueueSpec:
 def agree(queue: str, held: QueueSpec, asked: QueueSpec) -> QueueSpec:
     """The policy of `queue` after an open with the policy `asked`. Raises QUEUE_EXISTS with the contradicting field.
 
-    A stated field must be repeated or left out. A field that was never stated is taken over while no limit was stated.
-    Later it must equal the value in effect, because another value would affect other producers and takers.
+    A field that was stated before may only be repeated or left out. A field that was never stated is taken over from
+    `asked` while no limit (LIMITS) was stated. Later it must equal the value in effect, because another value would
+    affect other producers and takers.
     """
     provisional = all(getattr(held, name) is None for name in LIMITS)
     for name, value in stated(asked).items():

@@ -13,9 +13,9 @@ Note = Callable[[ChangeKind, QueueRecord], None]
 
 
 class QueueTable:
-    """The queues.
+    """The queues. The table calls `note` for every change.
 
-    `note` is called with every change. Edit them through `Tables`, which removes ended hosts that own nothing.
+    Edit it through `Tables`, which removes a host that is not alive when the host owns nothing any more.
     """
 
     def __init__(self, queues: Iterable[QueueRecord], note: Note) -> None:
@@ -45,7 +45,7 @@ class QueueTable:
         return len(self._ids_at.get(host_id, ()))
 
     def feeding(self, queue_id: bytes) -> list[QueueRecord]:
-        """The queues whose dead-letter queue this is, by id."""
+        """The queues that send their dead letters to this queue, by id."""
         return [self.by_id[one] for one in sorted(self._feeding.get(queue_id, ()))]
 
     def put(self, queue: QueueRecord) -> None:
@@ -59,7 +59,7 @@ class QueueTable:
         self._note(ChangeKind.ADDED if before is None else ChangeKind.UPDATED, queue)
 
     def remove(self, queue: QueueRecord) -> None:
-        """Remove a queue that exists and that is no dead-letter queue of another."""
+        """Remove a queue that exists, and that is not the dead-letter queue of another queue."""
         self._unlink(queue)
         del self.by_id[queue.queue_id]
         self.ids.pop(queue.name, None)

@@ -47,7 +47,7 @@ def check_update_queue(operation: UpdateQueue) -> None:
 def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
     """Get or create a queue.
 
-    A queue whose owner's lease has ended gets a new owner, epoch and incarnation, and no messages.
+    A queue whose owner's lease has ended gets a new owner, epoch and incarnation. Its messages are lost.
     """
     check_open_queue(operation)
     queue = tables.queues.named(operation.name)
@@ -84,7 +84,7 @@ def _agreed(tables: Tables, queue: QueueRecord, asked: QueueSpec) -> QueueRecord
 
 
 def _with_spec(tables: Tables, queue: QueueRecord, spec: QueueSpec) -> QueueRecord:
-    """`queue` with this policy, and with a new version if the policy differs."""
+    """`queue` with this policy. If the policy differs, `spec_version` is one higher."""
     if spec == queue.spec:
         return queue
     check_dead_letter(tables, queue.queue_id, queue.name or queue.queue_id.hex(), spec)
@@ -144,7 +144,7 @@ def _bad_dead_letter(queue: str, what: str) -> InvalidArgument:
 
 
 def update_queue(tables: Tables, operation: UpdateQueue) -> QueueUpdated:
-    """Change the stated fields; others stay."""
+    """Change the stated fields of a queue's policy. The other fields stay."""
     check_update_queue(operation)
     queue = queue_by_id(tables, operation.queue_id)
     _check_epoch(queue, operation.epoch)
@@ -166,7 +166,7 @@ def _check_epoch(queue: QueueRecord, epoch: int) -> None:
 
 
 def delete_queue(tables: Tables, operation: DeleteQueue) -> QueueDeleted:
-    """Delete a queue. Its name is free again."""
+    """Delete a queue, and free its name. Raises InvalidArgument for a mailbox, or for a dead-letter queue in use."""
     queue = queue_by_id(tables, operation.queue_id)
     shown = queue.name or queue.queue_id.hex()
     if queue.mailbox_peer_id is not None:

@@ -10,9 +10,10 @@ from stampede_rt_supernode.core.records import HostRecord, ReplicaKind, ReplicaR
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AddReplica(Operation):
-    """Add a copy at a host. If `host_id` is empty, the directory chooses the host.
+    """Add a copy of a channel at a host. `epoch`: the channel's present epoch, as the caller knows it.
 
-    If `source_host_id` is empty, the owner feeds the copy. `acknowledged`: see ReplicaRecord.
+    If `host_id` is empty, the directory chooses the host. If `source_host_id` is empty, the owner feeds the copy.
+    `acknowledged`: see ReplicaRecord.
     """
 
     channel_id: bytes
@@ -25,7 +26,7 @@ class AddReplica(Operation):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RemoveReplica(Operation):
-    """Remove a copy."""
+    """Remove the copy of a channel at a host."""
 
     channel_id: bytes
     host_id: bytes

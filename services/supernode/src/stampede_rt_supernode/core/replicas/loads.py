@@ -1,7 +1,7 @@
 """The loads of owners and copies, as their hosts last reported them to the leader (paper, section 4.1).
 
-Pure: methods take `now`, nanoseconds of a clock that never jumps. Loads are not in the log. A new leader gets all of
-them within two reports.
+Pure: methods take `now`, nanoseconds of a monotonic clock. Loads are not in the log. Each host reports to a new leader
+again.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ REPORT_LOADS_MAX = 1000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaLoad:
-    """The load of the owner or a copy of a channel at a host. `lag_nanos` is 0 for the owner."""
+    """The load of one host by one channel that it owns, or of which it holds a copy.
+
+    `lag_nanos`: how far the copy is behind the owner; 0 for the owner.
+    """
 
     channel_id: bytes
     host_id: bytes
@@ -26,10 +29,10 @@ class ReplicaLoad:
 
 
 class ReplicaLoads:
-    """One leader's knowledge of loads.
+    """The loads that hosts reported to this leader.
 
-    The caller of `note` must check that the host holds the channels that it reports. So the number of entries is
-    bounded by the number of owners and copies. Entries older than LOAD_AGE_NANOS_MAX do not count, and are soon freed.
+    The caller of `note` must check that the host holds the channels that it reports. So there are at most as many
+    entries as owners and copies. Entries older than LOAD_AGE_NANOS_MAX do not count, and a later `note` frees them.
     """
 
     def __init__(self) -> None:
@@ -38,7 +41,7 @@ class ReplicaLoads:
         self._swept_nanos = 0
 
     def lead(self, tenure: int) -> None:
-        """Forget the loads of another tenure, or of the time before this supernode led."""
+        """Note that this supernode leads in `tenure`. Forgets the loads that were reported before this tenure."""
         if tenure != self._tenure:
             self._tenure = tenure
             self._loads.clear()

@@ -11,7 +11,7 @@ from stampede_rt_supernode.core.records import ReplicaRecord
 class ReplicaTable:
     """The replicas of all channels.
 
-    A host has at most one replica of a channel, and the channel's owner has none. The callers see to this. A caller
+    The callers must ensure that a host has at most one replica of a channel, and the channel's owner none. A caller
     that changes the table must change `ChannelRecord.proxy_host_ids` in the same way; see `transitions.store`.
     """
 

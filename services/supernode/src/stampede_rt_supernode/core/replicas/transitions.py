@@ -1,7 +1,7 @@
 """Adds, changes and removes copies of channels in the tables (paper, section 4.1). Pure.
 
 As in `channels.transitions`, a function either raises a StampedeError without any change, or succeeds. For the effects
-of hosts and owners that go, see `takeover`.
+of a lost host or a new owner, see `takeover`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def check_add_replica(operation: AddReplica) -> None:
     if operation.source_host_id:
         check_id(operation.source_host_id, "source_host_id")
     if operation.acknowledged and operation.kind is not ReplicaKind.WARM:
-        text = "acknowledged is stated for a proxy; puts can wait for a warm replica only: leave it out, or ask for one"
+        text = "acknowledged is set for a proxy, but puts wait only for warm replicas; leave it out, or state kind WARM"
         raise InvalidArgument(text, metadata={"field": "acknowledged"})
 
 
@@ -88,9 +88,10 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
 
 
 def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> HostRecord:
-    """The host for a copy: the requested live host, or, without a request, one without a copy of this channel.
+    """The host for a copy: the live host `host_id`, if the caller names one.
 
-    Of these live hosts it takes that with the fewest channels and copies. Raises HostNotFound or Unavailable.
+    Else it is, of the live hosts that hold nothing of this channel, the one with the fewest channels and copies. Raises
+    HostNotFound, or Unavailable with reason NO_HOST.
     """
     if host_id:
         host = tables.hosts.get(host_id)
@@ -106,7 +107,7 @@ def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> Host
     least = min(free, key=lambda host: host.channels + tables.replicas.count_at(host.host_id), default=None)
     if least is None:
         raise Unavailable(
-            f"no live host is without channel {channel.name} to take a copy of it; start one more with `stampede host`",
+            f"every live host holds channel {channel.name} already; start another with `stampede host` to hold a copy",
             reason="NO_HOST",
             metadata={"channel": channel.name},
         )
@@ -161,10 +162,10 @@ def _fed(replica: ReplicaRecord, gone: set[bytes], owner: bytes) -> ReplicaRecor
 
 
 def adopted(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
-    """The copies of a channel that gets another owner or begins anew as `after`.
+    """The copies of a channel whose record becomes `after`, with another owner or a new incarnation.
 
-    The new owner's own copy is gone. The new owner feeds the copies that the former owner fed. No copy is in sync with
-    an owner that has just begun.
+    If the new owner held a copy, that copy is gone. The new owner feeds the copies that its copy or the former owner
+    fed. No copy is in sync any more.
     """
     left = (one for one in tables.replicas.of(before.channel_id) if one.host_id != after.host_id)
     moved = (_fed(one, {before.host_id, after.host_id}, after.host_id) for one in left)
@@ -172,7 +173,7 @@ def adopted(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tupl
 
 
 def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord, ...]) -> None:
-    """Store `channel` with these copies. Notes a change for watchers if its record differs."""
+    """Store `channel` and its copies. Notes a change for watchers if the channel's record differs."""
     tables.replicas.store(channel.channel_id, replicas)
     host_ids = tuple(one.host_id for one in replicas)
     changed = channel if channel.proxy_host_ids == host_ids else replace(channel, proxy_host_ids=host_ids)
@@ -181,10 +182,10 @@ def store(tables: Tables, channel: ChannelRecord, replicas: tuple[ReplicaRecord,
 
 
 def set_in_sync(tables: Tables, operation: SetReplicaInSync) -> ReplicaInSyncSet:
-    """Set or clear "in sync", if epoch and boot incarnation agree.
+    """Set `in_sync` of a copy as its owner reports it, if epoch and boot incarnation agree.
 
-    The owner clears it in the log before it acknowledges a put without the replica. A late report of a former owner has
-    another epoch. So a replica that becomes the owner has all acknowledged items.
+    The owner reports False, and waits until that is in the log, before it acknowledges a put without the replica. A
+    late report of a former owner has another epoch. So a replica that becomes the owner has all acknowledged items.
     """
     check_set_in_sync(operation)
     channel = channel_by_id(tables, operation.channel_id)
