@@ -74,7 +74,7 @@ class ChannelRecord:
     proxy_host_ids: tuple[bytes, ...] = ()
     created_by: str = ""
 
-    def begun_anew(self, incarnation: int) -> ChannelRecord:
+    def with_new_incarnation(self, incarnation: int) -> ChannelRecord:
         """The record with the next epoch and with this incarnation. The host stays the same.
 
         The method calls the constructor, because a host may own very many channels, and `replace` takes three times as

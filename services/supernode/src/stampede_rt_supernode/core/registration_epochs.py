@@ -28,15 +28,15 @@ def check_registration_epoch(operation: RegisterHost | RegisterPeer) -> None:
         raise InvalidArgument(text, metadata={"field": "registration_epoch"})
 
 
-def next_epoch(operation: RegisterHost | RegisterPeer, places: Iterable[HostRecord | PeerRecord | None]) -> int:
+def next_epoch(operation: RegisterHost | RegisterPeer, registrations: Iterable[HostRecord | PeerRecord | None]) -> int:
     """The registration epoch that the process gets.
 
-    `places`: the registrations of the same peer or host, alive or ended, perhaps of this same process; None stands for
+    `registrations`: those of the same peer or host, alive or ended, perhaps of this same process; None stands for
     no registration. Raises StaleRegistration if another process has reached the operation's epoch.
     """
     epoch = operation.registration_epoch
     others = []
-    for before in places:
+    for before in registrations:
         if before is not None and before.boot_incarnation == operation.boot_incarnation:
             # This same process is registered. `operation` may be one of its earlier requests, with a lower epoch.
             epoch = max(epoch, before.registration_epoch)

@@ -42,10 +42,12 @@ def snapshot_view(directory: Directory, since_position: int | None = None) -> Sn
     ring = directory.tables.changes
     page = None if since_position is None else ring.read(since_position, CHANGES_MAX)
     channels = tuple(directory.tables.channels.values()) if page is None else ()
-    return SnapshotView(_but_channels(directory), channels, None if page is None else page.changes, ring.end_position)
+    return SnapshotView(
+        _without_channels(directory), channels, None if page is None else page.changes, ring.end_position
+    )
 
 
-def _but_channels(directory: Directory) -> Directory:
+def _without_channels(directory: Directory) -> Directory:
     view = copy(directory)
     view.tables = _with_copies(directory.tables, "hosts")
     view.tables.channels = {}

@@ -148,7 +148,7 @@ class Tables:
         self._note_lost(host)
         self._drop_if_done(host)
 
-    def find_again(self, name: str) -> None:
+    def forget_lost_hosts(self, name: str) -> None:
         """Take the hosts of that name off the list of lost hosts, because a live host has the name now."""
         for host in [self.hosts[one] for one in self.lost if self.hosts[one].name == name]:
             self.put_host(replace(host, lease_ended_unix_nano=None))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
-from stampede_rt_supernode.core.queues.placement import rehouse_mailboxes
+from stampede_rt_supernode.core.queues.placement import move_mailboxes
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 from stampede_rt_supernode.core.replicas.transitions import adopted, drop_copy, store
 from stampede_rt_supernode.core.tables import Tables
@@ -52,7 +52,7 @@ def end_registration(tables: Tables, host_id: bytes) -> None:
     note_lost_cuts(tables, inherited)
     host = tables.hosts.get(host_id)
     if host is None or not host.alive:
-        rehouse_mailboxes(tables, host_id)
+        move_mailboxes(tables, host_id)
 
 
 def _heir(tables: Tables, channel: ChannelRecord) -> HostRecord | None:

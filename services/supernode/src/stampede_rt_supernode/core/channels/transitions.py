@@ -58,7 +58,7 @@ def open_channel(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     policy = agree(channel.name, channel.policy, operation.policy)
     opened = replace(channel, policy=policy, policy_version=channel.policy_version + (policy != channel.policy))
     if not tables.hosts[channel.host_id].alive:
-        give_owner(tables, channel, _place_anew(tables, opened, operation))
+        give_owner(tables, channel, _with_new_owner(tables, opened, operation))
         note_lost_cuts(tables, [channel.channel_id])
     elif opened != channel:
         tables.replace_channel(opened)
@@ -131,7 +131,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
     return ChannelOpened(channel=channel, host=tables.hosts[host.host_id], created=True)
 
 
-def _place_anew(tables: Tables, channel: ChannelRecord, operation: OpenChannel) -> ChannelRecord:
+def _with_new_owner(tables: Tables, channel: ChannelRecord, operation: OpenChannel) -> ChannelRecord:
     host = _choose_host(tables, operation, former=tables.hosts[channel.host_id].name)
     return replace(
         channel,

@@ -12,7 +12,7 @@ from stampede_rt.errors import HostExists, LeaseExpired, Overloaded
 from stampede_rt_supernode.core.channels.transitions import fresh_incarnation
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, RegisterHost
-from stampede_rt_supernode.core.queues.placement import house_waiting_mailboxes, renew_queues
+from stampede_rt_supernode.core.queues.placement import move_waiting_mailboxes, reset_queues
 from stampede_rt_supernode.core.records import HostRecord
 from stampede_rt_supernode.core.registration_epochs import check_registration_epoch, next_epoch
 from stampede_rt_supernode.core.tables import Tables
@@ -55,13 +55,13 @@ def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
             registration_epoch=epoch,
         )
     )
-    tables.find_again(operation.name)
+    tables.forget_lost_hosts(operation.name)
     if before is not None and before.boot_incarnation != operation.boot_incarnation:
         end_registration(tables, operation.host_id)
-        _renew_channels(tables, operation)
-        renew_queues(tables, tables.hosts[operation.host_id], operation.new_incarnation)
+        _reset_channels(tables, operation)
+        reset_queues(tables, tables.hosts[operation.host_id], operation.new_incarnation)
     if len(tables.host_ids) == 1:
-        house_waiting_mailboxes(tables)
+        move_waiting_mailboxes(tables)
     return tables.hosts[operation.host_id]
 
 
@@ -86,10 +86,10 @@ def _check_name_is_free(tables: Tables, operation: RegisterHost) -> None:
         )
 
 
-def _renew_channels(tables: Tables, operation: RegisterHost) -> None:
+def _reset_channels(tables: Tables, operation: RegisterHost) -> None:
     left = tables.channels_at(operation.host_id)
     for channel in left:
-        give_owner(tables, channel, channel.begun_anew(fresh_incarnation(channel, operation.new_incarnation)))
+        give_owner(tables, channel, channel.with_new_incarnation(fresh_incarnation(channel, operation.new_incarnation)))
     note_lost_cuts(tables, (channel.channel_id for channel in left), restarted=operation.host_id)
 
 

@@ -19,7 +19,7 @@ from stampede_rt_supernode.core.peers.commands import (
     PeerRegistered,
     RegisterPeer,
 )
-from stampede_rt_supernode.core.queues.placement import begun_anew, choose_host
+from stampede_rt_supernode.core.queues.placement import choose_host, with_new_incarnation
 from stampede_rt_supernode.core.queues.specs import MAILBOX_UNSTATED, merge
 from stampede_rt_supernode.core.queues.transitions import check_dead_letter, check_room
 from stampede_rt_supernode.core.records import PeerRecord, QueueRecord, QueueSpec
@@ -100,7 +100,7 @@ def _planned_mailbox(tables: Tables, operation: RegisterPeer, former: QueueRecor
     if tables.hosts[former.host_id].alive:
         return mailbox
     host = choose_host(tables, shown, operation.mailbox_host_name, tables.hosts[former.host_id].name)
-    return begun_anew(mailbox, host, operation.new_incarnation)
+    return with_new_incarnation(mailbox, host, operation.new_incarnation)
 
 
 def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> QueueRecord:

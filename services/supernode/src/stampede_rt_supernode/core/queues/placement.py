@@ -41,7 +41,7 @@ def _least_loaded(tables: Tables) -> HostRecord | None:
     return min(tables.live_hosts(), key=load, default=None)
 
 
-def begun_anew(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueRecord:
+def with_new_incarnation(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueRecord:
     """`queue` at `host`, empty, with the next epoch and a new incarnation.
 
     The new incarnation is `incarnation`, or the next number if the queue has that incarnation already.
@@ -51,23 +51,23 @@ def begun_anew(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueR
     return replace(queue, host_id=host.host_id, epoch=queue.epoch + 1, incarnation=incarnation)
 
 
-def renew_queues(tables: Tables, host: HostRecord, incarnation: int) -> None:
+def reset_queues(tables: Tables, host: HostRecord, incarnation: int) -> None:
     """Give the queues and mailboxes of a host a new incarnation there, because its restart has lost their messages."""
     for queue in tables.queues.at(host.host_id):
-        tables.put_queue(begun_anew(queue, host, incarnation))
+        tables.put_queue(with_new_incarnation(queue, host, incarnation))
 
 
-def rehouse_mailboxes(tables: Tables, host_id: bytes) -> None:
+def move_mailboxes(tables: Tables, host_id: bytes) -> None:
     """Move the mailboxes of a host whose lease has ended to live hosts, if there are any. Their messages are lost."""
     for queue in tables.queues.at(host_id):
         host = _least_loaded(tables)
         if queue.mailbox_peer_id is not None and host is not None:
             # The first incarnation of a mailbox is random; later ones count up.
-            tables.put_queue(begun_anew(queue, host, queue.incarnation))
+            tables.put_queue(with_new_incarnation(queue, host, queue.incarnation))
 
 
-def house_waiting_mailboxes(tables: Tables) -> None:
+def move_waiting_mailboxes(tables: Tables) -> None:
     """Move the mailboxes whose hosts are not alive to a live host. Called when one registers after there was none."""
     lost = [host.host_id for host in tables.hosts.values() if not host.alive]
     for host_id in sorted(lost):
-        rehouse_mailboxes(tables, host_id)
+        move_mailboxes(tables, host_id)

@@ -18,7 +18,7 @@ from stampede_rt_supernode.core.queues.commands import (
     QueueUpdated,
     UpdateQueue,
 )
-from stampede_rt_supernode.core.queues.placement import begun_anew, choose_host
+from stampede_rt_supernode.core.queues.placement import choose_host, with_new_incarnation
 from stampede_rt_supernode.core.queues.specs import agree, check_queue_spec, merge
 from stampede_rt_supernode.core.records import QueueRecord, QueueSpec
 from stampede_rt_supernode.core.tables import Tables
@@ -57,7 +57,7 @@ def open_queue(tables: Tables, operation: OpenQueue) -> QueueOpened:
     opened = _agreed(tables, queue, operation.spec)
     if not tables.hosts[queue.host_id].alive:
         host = choose_host(tables, f"queue {queue.name}", operation.host_name, tables.hosts[queue.host_id].name)
-        opened = begun_anew(opened, host, operation.new_incarnation)
+        opened = with_new_incarnation(opened, host, operation.new_incarnation)
     tables.put_queue(opened)
     return QueueOpened(queue=opened, host=tables.hosts[opened.host_id], created=False)
 
