@@ -18,7 +18,7 @@ def test_calls_after_such_an_interrupt_go_over_a_new_connection(cluster: LocalCl
         assert channel.newest().payload == b"0"
         [endpoint] = [one for one in rt._session.endpoints._endpoints.values() if hasattr(one._of_thread, "gets")]
         exchange = endpoint.gets()
-        exchange._call._state.condition.acquire()  # as a KeyboardInterrupt within Condition.__enter__ leaves it
+        exchange._call._call._state.condition.acquire()  # as a KeyboardInterrupt within Condition.__enter__ leaves it
         exchange.cancel()
         assert endpoint.is_stuck
         for handle in (channel, other):

@@ -5,8 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import chain
-from queue import SimpleQueue
 from typing import Any, TypeVar
 from weakref import WeakSet, ref
 
@@ -22,13 +20,12 @@ from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD
-from stampede_rt.transports.streams_sync import BidiStream, ServerStream, closed
+from stampede_rt.transports.streams_sync import BidiStream, GrpcCall, ServerStream, closed
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.delivered import ItemCount
-from stampede_rt.wire.request_pieces import messages_of
 
 Response = TypeVar("Response")
 Stub = TypeVar("Stub")
@@ -94,21 +91,13 @@ class ServerEndpoint(Stubs):
         except ValueError as error:
             raise closed(self.target) from error
 
-    def open_bidi_by(self, method: Callable[..., Any], requests: SimpleQueue[Any]) -> Any:
-        """Begin the call of a stream of `requests`.
-
-        gRPC's sending thread waits for requests without a limit. It ends when it reads None from `requests`. The end of
-        the call puts None there.
-        """
-        call = self.begin(method, chain.from_iterable(map(messages_of, iter(requests.get, None))))
-        if not call.add_callback(partial(requests.put, None)):
-            requests.put(None)  # the call has already ended
-        return call
+    def begin_bidi(self, method: Callable[..., Any]) -> GrpcCall:
+        """Begin the call of a stream in both directions. Raises Unavailable once this endpoint is closed."""
+        return GrpcCall(partial(self.begin, method))
 
     def open_bidi(self, method: Callable[..., Any]) -> BidiStream[Any]:
         """Open a stream in both directions."""
-        requests: SimpleQueue[Any] = SimpleQueue()
-        return BidiStream(self.open_bidi_by(method, requests), requests, self.target, self._watchdog)
+        return BidiStream(self.begin_bidi(method), self.target, self._watchdog)
 
     def gets(self) -> GetExchange:
         """Return this thread's open stream for gets."""
@@ -157,19 +146,18 @@ class ServerEndpoint(Stubs):
 
 
 class _Exchange:
-    """An open bidirectional stream. Requests wait in a queue until gRPC's sending thread takes them."""
+    """An open bidirectional stream."""
 
     def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any]) -> None:
         self._endpoint = ref(endpoint)
         self._target = endpoint.target
-        self._requests: SimpleQueue[Any] = SimpleQueue()
-        self._call: Any = endpoint.open_bidi_by(method, self._requests)
+        self._call = endpoint.begin_bidi(method)
         self.broken = False
         self._forks = forking.forks()
         endpoint.opened(self)
         # Only the thread that opened this stream may use it. When that thread ends, Python drops this object, and the
         # library closes the stream.
-        when_dropped(self, partial(_give_up, self._requests, self._call))
+        when_dropped(self, self._call.cancel)
 
     def _error(self, error: BaseException) -> StampedeError:
         self.cancel()
@@ -187,12 +175,7 @@ class _Exchange:
         """End the stream. Call this on a thread that may wait for gRPC's locks."""
         self.broken = True
         if self._forks == forking.forks():
-            _give_up(self._requests, self._call)
-
-
-def _give_up(requests: SimpleQueue[Any], call: Any) -> None:
-    requests.put(None)
-    call.cancel()
+            self._call.cancel()
 
 
 class _Lockstep(_Exchange):
@@ -230,7 +213,7 @@ class GetExchange(_Lockstep):
         self._next_id += 1
         request.call_id = self._next_id
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
-            self._requests.put(request)
+            self._call.send(request)
             responses, count = [self._next(limit)], ItemCount(request.limit)
             while True:  # ends with the last response, or if the host sends more items than it may
                 self._check(count, responses[-1])
@@ -259,7 +242,7 @@ class PutExchange(_Lockstep):
         be that of the interrupted put.
         """
         with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
-            self._requests.put(request)
+            self._call.send(request)
             acks: Sequence[channel_pb.PutAck] = self._next(limit).acks
         if len(acks) != 1:
             self.cancel()
@@ -284,7 +267,7 @@ class PutDuplex(_Exchange):
 
     def send(self, request: bytes) -> None:
         """Send `request` without waiting. If the stream breaks, `on_end` gets the reason."""
-        self._requests.put(request)
+        self._call.send(request)
 
     def _read(self) -> None:
         error: StampedeError | None = None

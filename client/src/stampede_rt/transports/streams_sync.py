@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import chain
 from queue import SimpleQueue
 from typing import Any, Generic, TypeVar
 
@@ -15,6 +17,7 @@ from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import run_later, when_dropped, within_limit
 from stampede_rt.transports.grpc_options import SILENCE_S_MAX, WAITING_REQUESTS_MAX
 from stampede_rt.transports.watchdog import Watchdog
+from stampede_rt.wire.request_pieces import messages_of
 
 Response = TypeVar("Response")
 
@@ -27,6 +30,43 @@ def closed(target: str) -> Unavailable:
 def silent(target: str) -> Unavailable:
     """The error of a stream on which the server gave no sign of life."""
     return Unavailable(f"{target} gave no sign of life for {SILENCE_S_MAX:g} s; it may be stopped")
+
+
+class GrpcCall:
+    """A gRPC call with a stream of requests and a stream of responses.
+
+    Requests wait in a queue until gRPC's sending thread takes them.
+    """
+
+    def __init__(self, begin: Callable[[Iterator[Any]], Any]) -> None:
+        """`begin` begins the call with the given messages."""
+        requests: SimpleQueue[Any] = SimpleQueue()
+        self._requests = requests
+        self._call = begin(chain.from_iterable(map(messages_of, iter(requests.get, None))))
+        # The sending thread waits for requests without a limit. None ends it.
+        if not self._call.add_callback(partial(requests.put, None)):
+            requests.put(None)  # the call has already ended
+
+    @property
+    def waiting_requests(self) -> int:
+        """The number of requests that the sending thread has not taken yet."""
+        return self._requests.qsize()
+
+    def send(self, request: Any) -> None:
+        """Send `request` without waiting. If the call has ended, `__next__` raises the reason."""
+        self._requests.put(request)
+
+    def __iter__(self) -> GrpcCall:
+        return self
+
+    def __next__(self) -> Any:
+        """Return the next response. Raises grpc.RpcError, or StopIteration at the end."""
+        return next(self._call)
+
+    def cancel(self) -> None:
+        """End the call. Any thread may do this."""
+        self._requests.put(None)
+        self._call.cancel()
 
 
 class ServerStream(Generic[Response]):
@@ -83,16 +123,12 @@ class ServerStream(Generic[Response]):
 class BidiStream(ServerStream[Response]):
     """A stream in both directions: `send` sends requests, and the iteration receives responses."""
 
-    def __init__(self, call: Any, requests: SimpleQueue[Any], target: str, watchdog: Watchdog) -> None:
-        super().__init__(call, target, watchdog)
-        self._requests = requests
-
     def send(self, request: Any) -> None:
         """Send `request` without waiting. If the stream is broken, the iteration raises the reason.
 
         Raises Unavailable if WAITING_REQUESTS_MAX requests wait because the server takes none of them.
         """
-        if self._requests.qsize() >= WAITING_REQUESTS_MAX:
+        if self._call.waiting_requests >= WAITING_REQUESTS_MAX:
             self._call.cancel()
             raise Unavailable(f"{self._target} takes no requests; it may be stopped")
-        self._requests.put(request)
+        self._call.send(request)
