@@ -63,3 +63,20 @@ def test_a_descriptor_of_before_shows_a_group_that_began_anew(cluster: LocalClus
         put_all(group, b"new", now - FAR_BELOW + at * SECOND)  # below the cut that was shown before
     assert [item.payload for item in group[first].get(st.OLDEST, st.NEWEST, timeout=3)] == [b"new"]
     assert group.incarnation != incarnation
+
+
+def test_a_cut_subscription_ends_truly_after_its_hosts_restarted_one_after_the_other(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
+    group, now = group_of_two(rt, "in-turn"), st.now()
+    with group.subscribe() as cuts:
+        put_all(group, b"0", now)
+        next(cuts)
+        first, second = cluster.hosts
+        first.restart()
+        put_all(group, b"1", now + SECOND)
+        next(cuts)  # the group goes on: the second host has told the restarted one the cut
+        second.restart()
+        put_all(group, b"2", now - SECOND)
+        with pytest.raises(st.IncarnationLost, match="has restarted or was lost since then, together or one after"):
+            list(cuts)  # an event of before may come first

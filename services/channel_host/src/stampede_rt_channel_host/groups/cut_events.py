@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 
-from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
+from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.values.timeline import clamp
 from stampede_rt.wire.reads import reason_to_message
@@ -19,7 +19,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.group import MAX_WAIT_NANOS_DEFAULT, Boundary, CutFollower, EventDecider, Loss
 from stampede_rt_channel_host.groups.frames import cut_part
-from stampede_rt_channel_host.groups.hosted_group import NOTHING_VISIBLE, HostedGroup
+from stampede_rt_channel_host.groups.hosted_group import NOTHING_VISIBLE, HostedGroup, other_incarnation
 from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX
 from stampede_rt_channel_host.groups.store import GroupStore
 from stampede_rt_channel_host.groups.waiting import Waiter
@@ -104,10 +104,7 @@ class CutEvents:
         kept = begun.after.cut_unix_nano if resumes else NOTHING_VISIBLE
         floor = None if kept == NOTHING_VISIBLE else kept
         if resumes and begun.after.incarnation != group.record.incarnation:
-            raise IncarnationLost(
-                f"the position comes from another incarnation of group {group.record.name}, whose cut began anew "
-                "because all hosts of its members were restarted; subscribe from now on"
-            )
+            raise other_incarnation(group.record)
         if not await group.reach(floor, SETTLE_SECONDS_MAX):
             raise Unavailable(
                 f"group {group.record.name} has not reached the reader's position yet, {group.held_by()}; try again"

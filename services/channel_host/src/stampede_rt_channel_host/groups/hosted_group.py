@@ -18,6 +18,10 @@ from stampede_rt_channel_host.core.channel.limits import DEFAULT_MAX_FUTURE_NANO
 from stampede_rt_channel_host.core.group import CutFloor, CutMember, GroupCut, Horizon, TimesBoard
 from stampede_rt_channel_host.core.records import RecordedChannel, RecordedGroup, ResolvedGroup
 
+_WHY_ANEW = (
+    "every host that knew its cut from the beginning has restarted or was lost since then, together or one after "
+    "another, so the former cut may be lost"
+)
 NOTHING_VISIBLE = MIN_INSTANT  # the wire value for a group that has no cut yet
 _TIMER_SECONDS_MIN = 0.001
 _arrivals = itertools.count()
@@ -255,12 +259,14 @@ class HostedGroup:
 
 def began_anew(record: RecordedGroup) -> StampedeError:
     """The error for the readers of a group that began anew."""
-    return error_for(
-        "INCARNATION_LOST",
-        f"group {record.name} began anew, because all hosts of its members were restarted, and its former cut is "
-        "unknown; read it from now on",
-        {"group": record.name},
-    )
+    text = f"group {record.name} began anew: {_WHY_ANEW}; read it from now on"
+    return error_for("INCARNATION_LOST", text, {"group": record.name})
+
+
+def other_incarnation(record: RecordedGroup) -> StampedeError:
+    """The error for a subscription that starts at a position of another incarnation of the group."""
+    text = f"the position comes from another incarnation of group {record.name}, which began anew: {_WHY_ANEW}"
+    return error_for("INCARNATION_LOST", f"{text}; subscribe from now on", {"group": record.name})
 
 
 def _future_nanos(channel: RecordedChannel) -> int:

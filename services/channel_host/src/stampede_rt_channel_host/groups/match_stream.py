@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from stampede_rt.errors import IncarnationLost, InvalidArgument, Unavailable
+from stampede_rt.errors import InvalidArgument, Unavailable
 from stampede_rt.v1 import group_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
@@ -15,7 +15,7 @@ from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.core.group import OWN, FoundMatch, Matcher, OwnTrack, Track
 from stampede_rt_channel_host.groups.far_member import FarMember
 from stampede_rt_channel_host.groups.frames import matches
-from stampede_rt_channel_host.groups.hosted_group import HostedGroup
+from stampede_rt_channel_host.groups.hosted_group import HostedGroup, other_incarnation
 from stampede_rt_channel_host.groups.peers import Dial
 from stampede_rt_channel_host.groups.reading import SETTLE_SECONDS_MAX, member_of
 from stampede_rt_channel_host.groups.store import GroupStore
@@ -69,7 +69,8 @@ class MatchStream:
         if not await group.reach(None, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing {group.held_by()}; subscribe again")
         await self._writer.turn()
-        _check_life(group, request.after.group_incarnation)
+        if request.after.group_incarnation not in (0, group.record.incarnation):
+            raise other_incarnation(group.record)
         hosted = self._groups.channels.find(request.per_channel_id, request.epoch)
         group.news_observers.add(self._waiter)
         hosted.match_streams.add(self._waiter)
@@ -189,15 +190,6 @@ class MatchStream:
             for channel_id, partner in one.matched.items():
                 if partner.item is not None:
                     self._near[channel_id].count_delivered(partner.item.slice.payload_bytes)
-
-
-def _check_life(group: HostedGroup, incarnation: int) -> None:
-    """Raises IncarnationLost if the group has begun anew since `incarnation`; 0: not known."""
-    if incarnation not in (0, group.record.incarnation):
-        raise IncarnationLost(
-            f"the position comes from another incarnation of group {group.record.name}, which began anew after all "
-            "hosts of its members were lost with their items; match from now on"
-        )
 
 
 def _matcher(hosted: HostedChannel, request: pb.SubscribeMatchesOpen, now: int) -> Matcher:
