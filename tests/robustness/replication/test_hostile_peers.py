@@ -24,7 +24,7 @@ from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.wire.buffered_transport import (
     Connected,
     Introduced,
-    MembersTold,
+    MembersReported,
     Outgoing,
     Received,
     StreamOpened,
@@ -202,7 +202,7 @@ class Outsider:
         self.heard += 1
         replica.deliver(Connected(name))
         replica.deliver(StreamOpened(name))
-        replica.deliver(MembersTold(name, (member, Member(member_id=f"{name}'", address="elsewhere:1"))))
+        replica.deliver(MembersReported(name, (member, Member(member_id=f"{name}'", address="elsewhere:1"))))
         try:
             message = Liar(self._random_source, replica).message()
             replica.deliver(Received(name, decode_message(pb.RaftMessage.FromString(message.SerializeToString()))))

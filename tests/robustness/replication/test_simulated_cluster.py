@@ -241,9 +241,9 @@ class ForgetsWhoLedItIn(PreVoteElections):
         self._named = {}
         super().open_snapshot()
 
-    def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
+    def on_members_reported(self, reporter_id: str, members: tuple[Member, ...]) -> None:
         if any(self.peers.get(member.member_id) != member for member in members):
-            super().on_members_told(teller_id, members)
+            super().on_members_reported(reporter_id, members)
 
 
 def replaced(world: World, old: list[str], new: int) -> None:

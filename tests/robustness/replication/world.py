@@ -20,7 +20,7 @@ from stampede_rt_supernode.replication.wire.buffered_transport import (
     Connected,
     Disconnected,
     Introduced,
-    MembersTold,
+    MembersReported,
     Received,
     StreamEnded,
     StreamOpened,
@@ -137,7 +137,7 @@ class World:
         wire, replica = self.wires[sender, to], self.members[sender].replica
         if replica is not None and wire.up and not self.wires[to, sender].blocked and self.now > wire.answer_due:
             wire.answer_due = self.now + 0.5
-            replica.deliver(MembersTold(to, receiver.roster.members))
+            replica.deliver(MembersReported(to, receiver.roster.members))
 
     def fault(self, sender: str, receiver: str, why: str) -> None:
         """No member that keeps to the rules is ever found to break them."""
@@ -188,7 +188,7 @@ class World:
         if not receiver.promise_of(ends[0]).is_kept_by(*sender.standing):
             self._refuse(self.members[ends[0]])
             return
-        sender.deliver(MembersTold(ends[1], receiver.roster.members))
+        sender.deliver(MembersReported(ends[1], receiver.roster.members))
         if ends[0] not in receiver.roster.peers:
             settings = self.members[ends[0]].settings
             hello = introduction(

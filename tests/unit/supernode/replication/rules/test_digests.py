@@ -56,7 +56,7 @@ def test_a_snapshot_of_this_release_is_compared_where_it_ends() -> None:
     follower = Follower(snapshot_at(2, with_digest=True))
     follower.digests.compare(2, b"another state's")
     assert (follower.digests.doubtful_at, follower.digests.diverged_at) == (2, 0)
-    follower.digests.told_of_most(2, b"another state's")
+    follower.digests.compare_with_majority(2, b"another state's")
     assert (follower.digests.doubtful_at, follower.digests.diverged_at) == (0, 2)
 
 
@@ -81,7 +81,7 @@ def test_what_differs_after_the_first_digest_that_follows_is_found() -> None:
     follower = Follower(snapshot_at(2, with_digest=False))
     follower.digests.compare(*leader_at(2).digest())
     follower.apply(3, UNKNOWN)
-    follower.digests.told_of_most(*leader_at(3).digest())
+    follower.digests.compare_with_majority(*leader_at(3).digest())
     assert follower.digests.diverged_at == 3
 
 
@@ -174,5 +174,5 @@ def test_a_member_answers_for_the_position_that_was_named_last_once_it_is_there(
     digests.note(6, b"then")
     digests.note(7, OTHER)
     assert (digests.answer, digests.doubtful_at) == ((7, OTHER), 7)
-    digests.told_of_most(7, OTHER)
+    digests.compare_with_majority(7, OTHER)
     assert (digests.doubtful_at, digests.diverged_at) == (0, 0), "the leader is the odd one"

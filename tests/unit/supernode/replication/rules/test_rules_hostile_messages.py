@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import TERMS_AHEAD_MAX
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import Promise
-from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Introduced, MembersTold, Received
+from stampede_rt_supernode.replication.wire.buffered_transport import Connected, Introduced, MembersReported, Received
 from stampede_rt_supernode.replication.wire.messages import (
     AppendReply,
     ForwardedCommandReply,
@@ -118,11 +118,11 @@ def test_whom_a_stranger_names_is_a_stranger() -> None:
     lone = LoneNode()
     lone.node.transport.deliver(Introduced("x", X))
     locked_out(lone)
-    lone.node.transport.deliver(MembersTold("x", (Member(member_id="y", address="y:1"),)))
+    lone.node.transport.deliver(MembersReported("x", (Member(member_id="y", address="y:1"),)))
     lone.receive("b", append(4, (1, 0), []))
     lone.node.before_tick()
     assert set(lone.node.peers) == {"b", "c"}
-    lone.node.transport.deliver(MembersTold("b", (X,)))
+    lone.node.transport.deliver(MembersReported("b", (X,)))
     assert set(lone.node.peers) == {"b", "c", "x"}
 
 

@@ -234,7 +234,7 @@ class LibraryNode:
     def on_stream_opened(self, node: MemberNode) -> None:
         """A member has opened a new stream. The library needs no action."""
 
-    def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
+    def on_members_reported(self, reporter_id: str, members: tuple[Member, ...]) -> None:
         """A member has sent its view of the members. The library needs no action."""
 
     def on_disputed(self, member_id: str, why: str) -> None:

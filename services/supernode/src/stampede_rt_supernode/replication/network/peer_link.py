@@ -24,7 +24,7 @@ from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, Replica
 from stampede_rt_supernode.replication.wire.buffered_transport import (
     Connected,
     Disconnected,
-    MembersTold,
+    MembersReported,
     NetworkEvent,
 )
 from stampede_rt_supernode.replication.wire.records import MalformedMessage, decode_members
@@ -179,7 +179,7 @@ class PeerLink:
             members = tuple(decode_members(answer.members))
             if members != self._members_of_peer:
                 self._members_of_peer = members
-                self._deliver(MembersTold(self._member.member_id, members))
+                self._deliver(MembersReported(self._member.member_id, members))
 
     async def _listen(self, call: Any) -> None:
         while (answer := await call.read()) is not grpc.aio.EOF:

@@ -75,7 +75,7 @@ class Digests:
             self.answer = (index, own)
             self.doubtful_at = 0 if own == digest or self.diverged_at else self.doubtful_at or index
 
-    def told_of_most(self, index: int, digest: bytes) -> None:
+    def compare_with_majority(self, index: int, digest: bytes) -> None:
         """Compare this replica's digest at `index` with `digest`, which more than half of all members have there."""
         own = self._own.get(index)
         if not digest or not own:

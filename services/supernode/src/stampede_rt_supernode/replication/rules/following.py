@@ -29,7 +29,7 @@ class Following(Membership):
         # A node whose state has diverged must not lead. So the digests of a stranger do not count.
         if not self.is_stranger(node.id):
             self.digests.compare(*message.digest)
-            self.digests.told_of_most(*message.digest_of_most)
+            self.digests.compare_with_majority(*message.digest_of_most)
         if isinstance(message, InstallSnapshot):
             self._on_install_snapshot(node, message)
         else:

@@ -70,7 +70,7 @@ class Leading(Membership):
         if not self.is_leader:
             return
         of_most = self.poll.of_most(self.voter_ids())
-        self.digests.told_of_most(*of_most)
+        self.digests.compare_with_majority(*of_most)
         if not self.digests.diverged_at:
             return
         right = [node for node in self.other_voters if node.id in self.poll.agreeing(of_most[1])]

@@ -90,12 +90,12 @@ class Membership(NodeState):
             self._adopted = seen
             self._adopt()
 
-    def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
+    def on_members_reported(self, reporter_id: str, members: tuple[Member, ...]) -> None:
         """Take in the list of members that another node has sent.
 
         Notes known members, too, because a snapshot of an earlier state may remove them from the log's own list.
         """
-        if self.is_stranger(teller_id):
+        if self.is_stranger(reporter_id):
             for member in members:
                 self.on_introduced(member)
         elif any(self._named.get(member.member_id) != member for member in members):

@@ -56,7 +56,7 @@ class Received:
 
 
 @dataclass(frozen=True, slots=True)
-class MembersTold:
+class MembersReported:
     """A member has sent its view of the members, in its answer to a hello."""
 
     member_id: str
@@ -79,7 +79,9 @@ class Disputed:
     why: str
 
 
-NetworkEvent = Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersTold | Introduced | Disputed
+NetworkEvent = (
+    Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersReported | Introduced | Disputed
+)
 Outgoing = tuple[str, Message]
 
 
@@ -109,7 +111,7 @@ class Handler(Protocol):
     def on_stream_opened(self, node: MemberNode) -> None:
         """A member has opened a new stream to this node."""
 
-    def on_members_told(self, teller_id: str, members: tuple[Member, ...]) -> None:
+    def on_members_reported(self, reporter_id: str, members: tuple[Member, ...]) -> None:
         """A member has sent its view of the members."""
 
     def on_disputed(self, member_id: str, why: str) -> None:
@@ -160,8 +162,8 @@ class BufferedTransport:
                 handler.on_stream_opened(node)
             case Disputed():
                 handler.on_disputed(event.member_id, event.why)
-            case MembersTold():
-                handler.on_members_told(event.member_id, event.members)
+            case MembersReported():
+                handler.on_members_reported(event.member_id, event.members)
 
     def _note_links(self, event: NetworkEvent) -> None:
         match event:
