@@ -304,7 +304,7 @@ def settled_members(world: World, end: float) -> list[SimMember]:
             names = {member.member_id for member in leader.replica.status().members}
             rosters = [world.members[name].replica for name in names]
             agreed = all({m.member_id for m in each.roster.members} == names for each in rosters if each)
-            if agreed and leader.replica.changes_are_settled():
+            if agreed and leader.replica.can_begin_change():
                 found[:] = [world.members[name] for name in sorted(names)]
         return bool(found)
 

@@ -164,7 +164,7 @@ class RaftReplica:
         self._arrivals.add_snapshot_request(request)
         self._wake()
 
-    def changes_are_settled(self) -> bool:
+    def can_begin_change(self) -> bool:
         """Whether this replica leads and no change of the members is under way, as of the last step."""
         return bool(self._node.may_change_members()) and self._changes.is_idle and not self._arrivals.changes
 
@@ -309,10 +309,10 @@ class RaftReplica:
     def _publish_roster(self) -> None:
         """Publish the members that this node knows, if they have changed."""
         node, configurations = self._node, self._log.configurations
-        settled = configurations.at(node.last_applied)
+        applied = configurations.at(node.last_applied)
         current = configurations.current
-        if self._roster_version == (current, settled, node.peers):
+        if self._roster_version == (current, applied, node.peers):
             return
-        self._roster_version = (current, settled, node.peers)
-        self.roster = MemberRoster(current.members, node.peers, frozenset(settled.retired))
+        self._roster_version = (current, applied, node.peers)
+        self.roster = MemberRoster(current.members, node.peers, frozenset(applied.retired))
         self._network.follow(self.roster)

@@ -207,11 +207,11 @@ class PySyncObjLog:
             raise LogUnavailable("this replica is closed")
 
     def _into(self, answer: asyncio.Future[T]) -> Callable[[T], None]:
-        def settle(outcome: T) -> None:
+        def set_result(outcome: T) -> None:
             if not answer.done():
                 answer.set_result(outcome)
 
-        return lambda outcome: self._bridge.post(lambda: settle(outcome))
+        return lambda outcome: self._bridge.post(lambda: set_result(outcome))
 
 
 async def open_replicated_log(

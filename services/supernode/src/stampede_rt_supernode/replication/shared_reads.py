@@ -50,7 +50,7 @@ class SharedReads:
     def close(self) -> None:
         """Answer all waiting callers with None, and begin no more reads."""
         self._closed = True
-        _settle(self._waiting, None)
+        _set_results(self._waiting, None)
         self._waiting = []
 
     def _begin(self) -> None:
@@ -63,11 +63,11 @@ class SharedReads:
 
     def _finish(self, callers: list[_Waiting], index: int | None) -> None:
         self._under_way = False
-        _settle(callers, index)
+        _set_results(callers, index)
         self._begin()
 
 
-def _settle(callers: list[_Waiting], index: int | None) -> None:
+def _set_results(callers: list[_Waiting], index: int | None) -> None:
     for _, answer in callers:
         if not answer.done():
             answer.set_result(index)

@@ -87,11 +87,11 @@ class Following(Membership):
             self.log.append(*entry)
 
     def _cut_off(self, log_index: int) -> None:
-        settled = max(self.commit_index, self.last_applied)
-        if log_index <= settled:
+        committed = max(self.commit_index, self.last_applied)
+        if log_index <= committed:
             assert self.leader is not None, "only a leader's entries are merged"
             raise PeerAtFault(
-                self.leader.id, f"leads, and replaces entry {log_index}, but entry {settled} is committed"
+                self.leader.id, f"leads, and replaces entry {log_index}, but entry {committed} is committed"
             )
         self.log.cut_from(log_index)
 
