@@ -121,7 +121,7 @@ class RaftRules(Following, Leading):
 
         This is as safe as an election timeout that ends early.
         """
-        may_lead = self.is_voter() and not self.stands_aside()
+        may_lead = self.is_voter() and not self.must_not_lead()
         if message.term == self.term and node == self.leader and may_lead:
             self.election_deadline = float("-inf")
 
@@ -170,7 +170,7 @@ class PreVoteElections(RaftRules):
         due = self.election_deadline < self.clock()
         if not due or self.is_leader:
             return
-        if not self.is_voter() or self.stands_aside():
+        if not self.is_voter() or self.must_not_lead():
             # Nobody may vote for a node that is not yet a voter, or was removed. A node with a diverged state, or with
             # a store that another member refuses, must not lead.
             self.put_off_election()

@@ -137,7 +137,7 @@ class Membership(NodeState):
         elif member_id in self.peers and not self.is_stranger(member_id):
             self.disputed_by[member_id] = why
 
-    def stands_aside(self) -> bool:
+    def must_not_lead(self) -> bool:
         """Whether this node must not lead: its state has diverged, or a known member refuses its store."""
         return bool(self.digests.diverged_at or self.disputed_by)
 
