@@ -197,7 +197,7 @@ class RaftReplica:
         self._log.sync()
         self._take_in()
         self._node.keeper.begin_step()
-        self._at_risk(self._node.install_opened)
+        self._drop_if_at_fault(self._node.install_opened)
         self._node.step_down_if_diverged()
         self._node.before_tick()
         confirm = self._node.reads.start_round()
@@ -216,9 +216,9 @@ class RaftReplica:
 
     def _hear(self) -> None:
         for event in self._arrivals.take_events():
-            self._at_risk(lambda event=event: self._node.transport.deliver(event))  # type: ignore[misc]
+            self._drop_if_at_fault(lambda event=event: self._node.transport.deliver(event))  # type: ignore[misc]
 
-    def _at_risk(self, act: Callable[[], None]) -> None:
+    def _drop_if_at_fault(self, act: Callable[[], None]) -> None:
         """Call `act`, which uses a member's data. If the member has broken the protocol, refuse it for a while."""
         try:
             act()

@@ -31,12 +31,12 @@ UNKNOWN = "is no other member of this cluster"
 class HelloRefusal(NamedTuple):
     """The reason why a hello is refused.
 
-    `hears`: the caller still gets the list of members, because it may be a member that this one does not know.
+    `sends_members`: the caller still gets the list of members, because it may be a member that this one does not know.
     """
 
     code: grpc.StatusCode
     why: str
-    hears: bool = False
+    sends_members: bool = False
 
 
 def introduction(
@@ -103,7 +103,7 @@ def refusal_of(
         held, has = f"term {promise.term} and entry {promise.held}", f"{hello.term} and {hello.last_log_index}"
         return HelloRefusal(denied, f"{caller!r} {OLDER_STORE}: it held {held} before, and holds {has} now")
     if caller not in roster.peers:
-        return HelloRefusal(denied, f"{caller!r} {UNKNOWN}", hears=True)
+        return HelloRefusal(denied, f"{caller!r} {UNKNOWN}", sends_members=True)
     return None
 
 

@@ -163,7 +163,7 @@ class RaftServicer:
         self._note_outcome(hello, refusal, context.peer())
         if refusal is None:
             return
-        if refusal.hears:
+        if refusal.sends_members:
             if (met := newly_met(hello, self._settings)) is not None:
                 self._replica.deliver(Introduced(met.member_id, met))
             # The caller may not know the members that already know the caller.

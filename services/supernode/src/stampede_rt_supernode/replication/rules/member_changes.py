@@ -122,7 +122,7 @@ class MemberChanges:
         """Begin a change, or refuse it. If the same change is under way, its caller waits for that one."""
         if not self._node.is_leader:
             self._finish([change], NotLeading("this replica does not lead"))
-        elif self._joins(change):
+        elif self._joins_same_change(change):
             return
         elif self._committing is not None or not self._node.may_change_members():
             self._finish(
@@ -136,7 +136,7 @@ class MemberChanges:
         else:
             if self._addition is not None:
                 self._make_way(self._addition, change.member.member_id)
-            self._introduce(change)
+            self._begin_addition(change)
 
     def hand_over(self, request: HandOver) -> None:
         """Begin to look for a successor."""
@@ -169,7 +169,7 @@ class MemberChanges:
 
     # -- one at a time -------------------------------------------------------------------------------------------
 
-    def _joins(self, change: MemberChange) -> bool:
+    def _joins_same_change(self, change: MemberChange) -> bool:
         addition, committing = self._addition, self._committing
         if addition is not None and not change.is_removal and addition.member == change.member:
             addition.callers.append(change)
@@ -181,7 +181,7 @@ class MemberChanges:
                 return True
         return False
 
-    def _introduce(self, change: MemberChange) -> None:
+    def _begin_addition(self, change: MemberChange) -> None:
         configuration, member = self._node.configuration(), change.member
         if configuration.find(member.member_id) == member:
             self._finish([change], self._node.last_applied)

@@ -148,9 +148,9 @@ class BufferedTransport:
         if isinstance(event, Introduced):
             self._handler.on_introduced(event.member)
         elif (node := self._nodes.get(event.member_id)) is not None:
-            self._hand_over(self._handler, node, event)
+            self._dispatch(self._handler, node, event)
 
-    def _hand_over(self, handler: Handler, node: MemberNode, event: NetworkEvent) -> None:
+    def _dispatch(self, handler: Handler, node: MemberNode, event: NetworkEvent) -> None:
         match event:
             case Received():
                 handler.receive(node, event.message)
