@@ -151,13 +151,15 @@ class Liar:
             term=self._term(),
             last_log_index=self._index(),
             last_log_term=self._term(),
-            trial=self._random_source.random() < 0.5,
+            pre_vote=self._random_source.random() < 0.5,
         )
         return pb.RaftMessage(vote_request=body)
 
     def _vote_reply(self) -> pb.RaftMessage:
-        trial = self._random_source.random() < 0.5
-        return pb.RaftMessage(vote_reply=pb.RaftVoteReply(term=self._term(), trial=trial, voter_term=self._term()))
+        pre_vote = self._random_source.random() < 0.5
+        return pb.RaftMessage(
+            vote_reply=pb.RaftVoteReply(term=self._term(), pre_vote=pre_vote, voter_term=self._term())
+        )
 
     def _command(self) -> pb.RaftMessage:
         body = pb.RaftForwardedCommand(request_id=self._near(5), command=self._entry_command())

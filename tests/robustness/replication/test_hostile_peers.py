@@ -218,7 +218,7 @@ def test_outsiders_stop_no_cluster_and_lose_nothing(seed: int) -> None:
     outsider, storm = Outsider(world), Storm(world)
     outsider.begin()
     assert world.run_until(5.0, lambda: any(one.replica and one.replica.status().is_leader for one in world.alive()))
-    world.run_until(world.now + 2.0)  # two may win their trials at once: the later one leads
+    world.run_until(world.now + 2.0)  # two may win their pre-votes at once: the later one leads
     [leader] = [one for one in world.alive() if one.replica and one.replica.status().is_leader]
     assert leader.replica is not None
     term, acknowledged = leader.replica.status().term, len(world.history.acknowledged)

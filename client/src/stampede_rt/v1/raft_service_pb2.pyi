@@ -179,26 +179,26 @@ class RaftAppendReply(_message.Message):
     def __init__(self, term: _Optional[int] = ..., round: _Optional[int] = ..., next_index: _Optional[int] = ..., reset: bool = ..., success: bool = ..., digest_index: _Optional[int] = ..., digest: _Optional[bytes] = ...) -> None: ...
 
 class RaftVoteRequest(_message.Message):
-    __slots__ = ("term", "last_log_index", "last_log_term", "trial")
+    __slots__ = ("term", "last_log_index", "last_log_term", "pre_vote")
     TERM_FIELD_NUMBER: _ClassVar[int]
     LAST_LOG_INDEX_FIELD_NUMBER: _ClassVar[int]
     LAST_LOG_TERM_FIELD_NUMBER: _ClassVar[int]
-    TRIAL_FIELD_NUMBER: _ClassVar[int]
+    PRE_VOTE_FIELD_NUMBER: _ClassVar[int]
     term: int
     last_log_index: int
     last_log_term: int
-    trial: bool
-    def __init__(self, term: _Optional[int] = ..., last_log_index: _Optional[int] = ..., last_log_term: _Optional[int] = ..., trial: bool = ...) -> None: ...
+    pre_vote: bool
+    def __init__(self, term: _Optional[int] = ..., last_log_index: _Optional[int] = ..., last_log_term: _Optional[int] = ..., pre_vote: bool = ...) -> None: ...
 
 class RaftVoteReply(_message.Message):
-    __slots__ = ("term", "trial", "voter_term")
+    __slots__ = ("term", "pre_vote", "voter_term")
     TERM_FIELD_NUMBER: _ClassVar[int]
-    TRIAL_FIELD_NUMBER: _ClassVar[int]
+    PRE_VOTE_FIELD_NUMBER: _ClassVar[int]
     VOTER_TERM_FIELD_NUMBER: _ClassVar[int]
     term: int
-    trial: bool
+    pre_vote: bool
     voter_term: int
-    def __init__(self, term: _Optional[int] = ..., trial: bool = ..., voter_term: _Optional[int] = ...) -> None: ...
+    def __init__(self, term: _Optional[int] = ..., pre_vote: bool = ..., voter_term: _Optional[int] = ...) -> None: ...
 
 class RaftTimeoutNow(_message.Message):
     __slots__ = ("term",)

@@ -30,7 +30,11 @@ ON_BOTH = pytest.mark.parametrize(
     "rules",
     [
         pytest.param(PreVoteElections, id="our rules"),
-        pytest.param(LibraryNode, id="bare library", marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="PySyncObj 0.3.17")),
+        pytest.param(
+            LibraryNode,
+            id="bare library",
+            marks=pytest.mark.xfail(strict=True, raises=AssertionError, reason="PySyncObj 0.3.17"),
+        ),
     ],
 )
 
@@ -39,7 +43,7 @@ def says_success(message: Message) -> bool:
     return isinstance(message, AppendReply) and message.success
 
 
-def trials(said: list[tuple[str, Message]]) -> list[bool]:
+def pre_votes(said: list[tuple[str, Message]]) -> list[bool]:
     return [message.pre_vote for _, message in said if isinstance(message, VoteRequest)]
 
 
@@ -225,7 +229,7 @@ def test_a_snapshot_in_which_a_bit_has_changed_is_not_opened() -> None:
     assert lone.machine.entries == []
 
 
-def test_a_member_that_hears_its_leader_gives_no_trial_vote() -> None:
+def test_a_member_that_hears_its_leader_gives_no_pre_vote() -> None:
     lone = LoneNode()
     request = VoteRequest(term=2, last_log_index=9, last_log_term=1, pre_vote=True)
     lone.receive("b", append(1, (1, 0), []))
@@ -240,9 +244,9 @@ def test_an_election_begins_only_after_a_majority_would_vote() -> None:
     lone = LoneNode()
     lone.now += 10.0
     lone.node.before_tick()
-    assert trials(lone.tick()) == [True, True]
+    assert pre_votes(lone.tick()) == [True, True]
     assert lone.node.term == 0
     lone.receive("b", VoteReply(term=1, pre_vote=True))
     lone.node.before_tick()
-    assert trials(lone.tick()) == [False, False]
+    assert pre_votes(lone.tick()) == [False, False]
     assert lone.node.term == 1

@@ -1,9 +1,9 @@
 """Elections, and the full set of rules.
 
-An election begins with a trial (PreVote; Ongaro's dissertation, section 9.6): a member asks the others whether they
-would vote for it. It raises its term only if a majority would. Without a trial, a member that cannot hear the leader
+An election begins with a pre-vote (Ongaro's dissertation, section 9.6): a member asks the others whether they would
+vote for it. It raises its term only if a majority would. Without a pre-vote, a member that cannot hear the leader
 raises its term again and again. When the others hear that member, its higher term ends the term of a working leader.
-The library has no trials. A member that the leader has asked to lead needs no trial.
+The library has no pre-votes. A member that the leader has asked to lead needs no pre-vote.
 """
 
 from __future__ import annotations
@@ -153,18 +153,21 @@ class RaftRules(Following, Leading):
 
 
 class PreVoteElections(RaftRules):
-    """The full set of rules: the handlers of RaftRules, and the trial before an election. Tick thread only."""
+    """The full set of rules: the handlers of RaftRules, and the pre-vote before an election. Tick thread only."""
 
-    # A node that has heard the leader within this time votes in no trial.
+    # A node that has heard the leader within this time answers no pre-vote.
     leader_alive_seconds: float
 
-    # The term of the present trial, and the ids of the members that would vote for this node in that term.
+    # The term of the present pre-vote, and the ids of the members that would vote for this node in that term.
     _pre_vote: tuple[int, set[str]] = (0, set())
     # The last term in which a majority would vote for this node.
     _pre_vote_won_term: int = 0
 
     def before_tick(self) -> None:
-        """If an election is due, begin a trial in its place, unless this node has already won the trial."""
+        """Adopt changes of the members. If an election is due, begin a pre-vote in its place.
+
+        The election begins in this tick if this node has won the pre-vote, or is the only voter.
+        """
         self.follow_log()
         self.listen_to_strangers()
         due = self.election_deadline < self.clock()
@@ -224,7 +227,7 @@ class PreVoteElections(RaftRules):
     def _on_timeout_now(self, node: MemberNode, message: TimeoutNow) -> None:
         super()._on_timeout_now(node, message)
         if self.election_deadline == float("-inf"):
-            # Members that hear the leader would refuse a trial, but the leader itself has asked for this election.
+            # Members that hear the leader would refuse a pre-vote, but the leader itself has asked for this election.
             self._pre_vote_won_term = self.term + 1
 
     def send_now(self) -> None:

@@ -163,7 +163,7 @@ def _encode_vote_request(message: VoteRequest) -> pb.RaftMessage:
         term=message.term,
         last_log_index=message.last_log_index,
         last_log_term=message.last_log_term,
-        trial=message.pre_vote,
+        pre_vote=message.pre_vote,
     )
     return pb.RaftMessage(vote_request=body)
 
@@ -173,17 +173,17 @@ def _decode_vote_request(body: pb.RaftVoteRequest) -> VoteRequest:
         term=checked_number(body.term),
         last_log_index=checked_number(body.last_log_index),
         last_log_term=checked_number(body.last_log_term),
-        pre_vote=body.trial,
+        pre_vote=body.pre_vote,
     )
 
 
 def _encode_vote_reply(message: VoteReply) -> pb.RaftMessage:
-    body = pb.RaftVoteReply(term=message.term, trial=message.pre_vote, voter_term=message.voter_term)
+    body = pb.RaftVoteReply(term=message.term, pre_vote=message.pre_vote, voter_term=message.voter_term)
     return pb.RaftMessage(vote_reply=body)
 
 
 def _decode_vote_reply(body: pb.RaftVoteReply) -> VoteReply:
-    return VoteReply(term=checked_number(body.term), pre_vote=body.trial, voter_term=checked_number(body.voter_term))
+    return VoteReply(term=checked_number(body.term), pre_vote=body.pre_vote, voter_term=checked_number(body.voter_term))
 
 
 def _encode_command(message: ForwardedCommand) -> pb.RaftMessage:

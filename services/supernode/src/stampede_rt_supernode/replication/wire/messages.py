@@ -92,7 +92,7 @@ class VoteRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VoteReply:
-    """A vote in `term`, or in its trial, if `pre_vote`. In a trial `voter_term` is the voter's own term."""
+    """A vote in `term`. With `pre_vote`: the sender would vote so, and `voter_term` is the sender's own term."""
 
     term: int
     pre_vote: bool = False
