@@ -1,17 +1,17 @@
-"""Things with deadlines, in a heap. Entries with an outdated deadline are skipped. Pure."""
+"""Things with deadlines, in a heap. A changed deadline leaves its old entry in the heap, to be skipped later. Pure."""
 
 from __future__ import annotations
 
 import heapq
 from typing import Generic, Protocol, TypeVar
 
-_SLACK = 64  # the outdated entries that a small heap may have beyond the half
+_SLACK = 64  # a heap may have so many entries beyond two for each thing with a deadline
 
 
 class Timed(Protocol):
     """A thing with a deadline.
 
-    `order` is unique and decides between equal deadlines. `due` is None if it has no deadline.
+    `order` is unique and decides between equal deadlines. `due` is None while the thing has no deadline.
     """
 
     due: int | None
@@ -31,9 +31,9 @@ _MOVED_PER_ARM = 4  # the entries of the old heap that one `arm` looks at
 class Deadlines(Generic[T]):
     """Things by deadline.
 
-    Each operation costs amortised O(log n). There are hardly more than two entries for each thing. When more than half
-    of the entries are outdated, the heap becomes the old heap. Each `arm` then moves a few entries of the old heap that
-    still count to the new heap. So no call walks over all entries.
+    Each operation costs amortised O(log n). When more than about half of the entries are outdated, the heap becomes the
+    old heap, and a new heap begins. Each `arm` then takes a few entries from the old heap, and moves those that still
+    count to the new heap. So no call walks over all entries.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Deadlines(Generic[T]):
         self._live = 0
 
     def arm(self, thing: T, due: int) -> None:
-        """Set the deadline of a thing. It replaces an earlier one."""
+        """Set the deadline of a thing. The new deadline replaces the former one."""
         if thing.due == due:
             return
         self._live += thing.due is None
@@ -59,7 +59,9 @@ class Deadlines(Generic[T]):
         thing.due = None
 
     def pop(self, now: int) -> T | None:
-        """Remove and return the thing with the earliest deadline up to `now`. None: no deadline has come."""
+        """Remove and return the thing with the earliest deadline. Returns None if this deadline is after `now`, or if
+        no thing has a deadline.
+        """
         first = self._first()
         if not first or first[0][0] > now:
             return None
@@ -68,12 +70,12 @@ class Deadlines(Generic[T]):
         return thing
 
     def next(self) -> int | None:
-        """The next deadline; None: there is none."""
+        """The earliest deadline, or None if no thing has one."""
         first = self._first()
         return first[0][0] if first else None
 
     def _first(self) -> list[Entry[T]]:
-        """The heap with the earliest deadline at its top. An empty heap: there is no deadline."""
+        """The heap whose top is the earliest deadline. The returned heap is empty if no thing has a deadline."""
         for heap in (self._heap, self._old):
             while heap and heap[0][2].due != heap[0][0]:
                 heapq.heappop(heap)
@@ -82,7 +84,10 @@ class Deadlines(Generic[T]):
         return self._heap if self._heap[0][:2] <= self._old[0][:2] else self._old
 
     def _move_some(self) -> None:
-        """Take the last entries of the old heap. The entries before them are still a heap."""
+        """Take the last entries from the old heap, and move those that still count to the new heap.
+
+        The rest of the old heap is still a heap.
+        """
         for _ in range(min(_MOVED_PER_ARM, len(self._old))):
             entry = self._old.pop()
             if entry[2].due == entry[0]:

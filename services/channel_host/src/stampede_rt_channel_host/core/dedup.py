@@ -1,7 +1,7 @@
-"""Recognises retried puts by the latest runs of each producer and their outcomes. Pure.
+"""Recognises retried puts by the numbers of each producer's latest runs, and keeps the outcomes of these runs. Pure.
 
-Nearly every run is accepted as a whole. Such a run takes up five numbers in a column. The memory has a bound in bytes
-and counts against the host's memory.
+Nearly every run is accepted as a whole. Such a run takes up five numbers in an array. The window has a bound in bytes,
+and its bytes count against the host's memory.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from stampede_rt.errors import InvalidArgument
 from stampede_rt_channel_host.core.judging import Judged, RunPart
 
 RUNS_MAX = 1024  # far more than the runs that a producer has in flight
-KEPT_NANOS = 600_000_000_000
+KEPT_NANOS = 600_000_000_000  # how long the window keeps an outcome
 PRODUCERS_MAX = 4096
 WINDOW_BYTES_MAX = 16 * 2**20
-SHED_PARTS = 64  # above a bound, at least this part of the window goes at once
+SHED_PARTS = 64  # above a bound, one step frees about 1/64 of the bound, so that such steps are rare
 PRODUCER_BYTES_MAX = 256 * 2**10
 
 RUN_BYTES = 48  # five numbers of 8 bytes, and the spare room of a growing array
@@ -26,9 +26,11 @@ PRODUCER_BYTES = 400  # the memory of a producer without its runs, as measured
 _PART_BYTES = 200
 _REFUSAL_BYTES = 900  # an error, with a sentence of its own
 
-_FIELDS = 5  # of a run: first number, items, first seq (0: see `odd`), stamp (_NO_STAMP: none), time
+# The numbers of a run in the array: first number, items, first seq (0: see `odd`), time that the host gave the items
+# (_NO_STAMP: none), time of the record.
+_FIELDS = 5
 _NO_STAMP = -(2**63)
-_SLACK_RUNS = 256  # so many forgotten runs stay in the columns, until one step removes them
+_SLACK_RUNS = 256  # up to so many forgotten runs stay in the array; then one step removes them
 
 
 class KeptRun(NamedTuple):
@@ -42,15 +44,15 @@ class KeptRun(NamedTuple):
 class _Producer:
     """One producer's latest runs, in the order in which they were recorded. `end` is above all their numbers.
 
-    `odd` holds the outcomes that do not fit in columns, by first number. `latest` is the time of the last record.
-    `owner` is the caller that put last.
+    `odd` holds the outcomes that do not fit in the array, by first number. `latest` is the time of the last record.
+    `owner` is the name of the caller that put last.
     """
 
     __slots__ = ("_begin", "_columns", "_odd_bytes", "end", "latest", "odd", "owner")
 
     def __init__(self) -> None:
         self._columns = array("q")
-        self._begin = 0  # the number of forgotten runs at the beginning of the columns
+        self._begin = 0  # the number of forgotten runs at the beginning of the array
         self._odd_bytes = 0
         self.odd: dict[int, Judged] = {}
         self.end = 0
@@ -78,7 +80,9 @@ class _Producer:
         self.latest = outcome.time
 
     def runs(self) -> Iterator[tuple[int, Judged]]:
-        """First numbers and outcomes, the latest first. A run that was judged in two steps comes twice."""
+        """First numbers and outcomes, the latest first. A run that was judged in two steps may come twice, both times
+        with its latest outcome.
+        """
         columns = self._columns
         for at in range(len(columns) - _FIELDS, self._begin * _FIELDS - 1, -_FIELDS):
             first, items, first_seq, stamp, time = columns[at : at + _FIELDS]
@@ -128,15 +132,19 @@ class _Producer:
 
 
 class RetryWindow:
-    """The answers to each producer's latest runs. A retried run gets its former answer and is not stored twice.
+    """The outcomes of each producer's latest runs. A retried run gets its former outcome and is not stored twice.
 
     A run that was judged in part continues at its first unjudged item. The time model asks for the last 1024 numbers of
-    each producer for 10 minutes. The window keeps the last 1024 runs of each producer, which hold at least these
-    numbers. It knows at most `producers_max` producers, in at most `bytes_max` bytes, and of each at most
-    PRODUCER_BYTES_MAX. Above a bound it forgets producers of the caller that takes up most, first those that have been
-    silent longest. So one caller does not push out the producers of others. It does not keep runs without an accepted
-    item, which are judged anew. Producer id 0 means that no run is recognised. `now` is the host's clock in
-    nanoseconds and never goes back.
+    each producer for 10 minutes. The window keeps the last 1024 runs of each producer, which have at least these
+    numbers.
+
+    The window knows at most `producers_max` producers, and takes up at most `bytes_max` bytes. Each producer takes up
+    at most PRODUCER_BYTES_MAX bytes, or has a single run. Above a bound of the window, it forgets producers of the
+    caller that takes up most. Of these it first forgets those that have been silent longest. So one caller does not
+    push out the producers of others.
+
+    The window keeps no run without an accepted item; the channel or queue judges such a run anew. A run with producer
+    id 0 is never recognised. `now` is the host's clock in nanoseconds and never goes back.
     """
 
     __slots__ = ("_bytes_max", "_producers", "_producers_max", "footprint_bytes")
@@ -152,7 +160,10 @@ class RetryWindow:
         return len(self._producers)
 
     def kept(self, now: int) -> Iterator[KeptRun]:
-        """Every known run, for `record` at another host. Each producer's runs come in the order of arrival."""
+        """Every run not older than KEPT_NANOS, for `record` at another host.
+
+        Each producer's runs come in the order in which they were recorded.
+        """
         for producer_id, producer in self._producers.items():
             latest = dict(reversed(list(producer.runs())))
             for first_number, outcome in latest.items():
@@ -160,9 +171,9 @@ class RetryWindow:
                     yield KeptRun(producer_id, first_number, outcome)
 
     def find(self, producer_id: int, first_number: int, items: int, now: int) -> Judged | None:
-        """The former answer to a repeated run; None if the run is new, or older than the kept answers.
+        """The former outcome of a repeated run, or None if the window does not know the run.
 
-        Raises InvalidArgument if only some of its numbers, or more than these, were put before as one run.
+        Raises InvalidArgument if some of the run's numbers belong to another known run.
         """
         producer = self._producers.get(producer_id)
         if producer is None or first_number >= producer.end:
@@ -170,9 +181,10 @@ class RetryWindow:
         return producer.find(producer_id, first_number, first_number + items, now - KEPT_NANOS)
 
     def record(self, producer_id: int, first_number: int, outcome: Judged, owner: str = "") -> None:
-        """Keep the outcome of a run, or of its first items, as of `outcome.time`. Keeps nothing for producer id 0.
+        """Keep the outcome of a run, or of its first items, as of `outcome.time`.
 
-        `owner`: the name of the caller; empty if it has none of its own.
+        Keeps nothing for producer id 0, or if no item was accepted. `owner` is the name of the caller; empty if the
+        caller has no name of its own.
         """
         if not producer_id or not outcome.parts:
             return
@@ -208,9 +220,10 @@ class RetryWindow:
             pass
 
     def _shed(self, size: Callable[[_Producer], int], least: int) -> bool:
-        """Forget the longest silent producers of the largest caller, until they have `least` of what `size` measures.
+        """Forget the longest silent producers of the largest caller, until the sum of their `size` is `least`.
 
-        The latest producer stays. Returns whether it forgot any.
+        The largest caller is the one whose producers have the largest sum of `size`. The producer that put last stays.
+        Returns whether a producer was forgotten.
         """
         others = list(self._producers.items())[:-1]
         sizes: Counter[str] = Counter()
@@ -230,7 +243,7 @@ class RetryWindow:
         self.footprint_bytes -= self._producers.pop(producer_id).footprint_bytes
 
     def next_expiry(self) -> int | None:
-        """The time at which `expire` next forgets a producer, if nothing is put; None: there is no producer."""
+        """The time at which `expire` next forgets a producer if nothing is put, or None if the window is empty."""
         longest_silent = next(iter(self._producers.values()), None)
         return None if longest_silent is None else longest_silent.latest + KEPT_NANOS
 

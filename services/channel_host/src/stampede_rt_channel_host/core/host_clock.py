@@ -7,31 +7,31 @@ time).
 from __future__ import annotations
 
 CATCH_UP_NANOS = 30_000_000_000
-"""The time in which host time makes up for an offset.
+"""Host time moves towards the wall clock by such a rate that it would make up for the present offset in this time.
 
-A small offset slews little: a millisecond changes the rate by 33 ppm.
+So a small offset changes the rate little: an offset of a millisecond changes it by 33 ppm.
 """
 
 SLEW_PPM_MAX = 500_000
 """Host time runs at half the rate of the monotonic clock at the least, and at one and a half times that rate at the
 most.
 
-So a retention window holds at least two thirds of its age. A clock that was an hour wrong is right after two hours.
-With NTP's 500 ppm that would take months.
+So a retention window of an hour of host time covers at least 40 real minutes. After a step of the wall clock by an
+hour, host time needs about two hours to follow. With NTP's 500 ppm this would take months.
 """
 
 
 class HostTime:
-    """Nanoseconds since the Unix epoch that never jump and never go back.
+    """Host time, in nanoseconds since the Unix epoch. It never jumps and never goes back.
 
-    The caller gives it the readings of both clocks, taken together. More frequent readings follow the wall clock more
-    closely.
+    The caller passes a reading of the monotonic clock and a reading of the wall clock, both taken at the same moment.
+    Host time follows the wall clock more closely if the caller reads the clocks more often.
     """
 
     __slots__ = ("_carry", "_host", "_monotonic", "_offset")
 
     def __init__(self, monotonic_nanos: int, wall_unix_nano: int) -> None:
-        """Starts at the wall clock's time."""
+        """Host time starts at the wall clock's time."""
         self._monotonic = monotonic_nanos
         self._host = wall_unix_nano
         self._offset = 0
@@ -39,7 +39,7 @@ class HostTime:
         self._carry = 0
 
     def read(self, monotonic_nanos: int, wall_unix_nano: int) -> int:
-        """The host time at these readings. A monotonic reading before the last one counts as the last one."""
+        """The host time at these readings. If the monotonic reading is before the last one, the last one counts."""
         elapsed = max(0, monotonic_nanos - self._monotonic)
         self._monotonic += elapsed
         straight = self._host + elapsed
@@ -49,12 +49,13 @@ class HostTime:
 
     @property
     def offset_nanos(self) -> int:
-        """The wall clock minus host time at the last reading, in nanoseconds: the offset still to be made up for."""
+        """The wall clock minus host time at the last reading, in nanoseconds. Host time still has to make up for it."""
         return self._offset
 
     def _correction(self, offset: int, elapsed: int) -> int:
-        """The part of an offset to make up for in `elapsed` nanoseconds: its share of the time to catch up, within the
-        slew.
+        """The nanoseconds by which host time moves towards the wall clock in `elapsed` nanoseconds.
+
+        This is the share `elapsed / CATCH_UP_NANOS` of the offset, limited by SLEW_PPM_MAX.
         """
         share = self._carry + offset * min(elapsed, CATCH_UP_NANOS)
         made_up = abs(share) // CATCH_UP_NANOS

@@ -1,7 +1,7 @@
-"""The outcome of a run on its way into a channel or queue, item by item from the front. Pure.
+"""The outcome of a put of one run. The channel or queue judges the items one by one, from the first item on. Pure.
 
-If the last items of a run wait for room, the run is judged in part. If the producer repeats the run, the judgement
-continues after the judged items.
+While the last items of a run wait for room, only the items before them are judged. If the producer repeats such a run,
+the judgement continues after the judged items.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from stampede_rt.errors import StampedeError
 class RunPart(NamedTuple):
     """Accepted items of a run, the first of them at `position`. Their seqs are consecutive, from `first_seq` on.
 
-    `stamped_time`: the time that the host gave them; None: the producer gave their times.
+    `stamped_time` is the time that the host gave them, or None if the producer gave their times.
     """
 
     position: int
@@ -32,10 +32,9 @@ class ItemRefusal(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """The outcome of a run of `items` so far. The first `judged_items` items were accepted or refused, as of
-    `time`.
+    """The outcome of a run of `items` items. As of `time`, the first `judged_items` items are accepted or refused.
 
-    `parts` and `refusals` ascend. Nearly every run has one part and no refusals.
+    `parts` and `refusals` ascend in position. Nearly every run has one part and no refusals.
     """
 
     items: int
@@ -51,17 +50,17 @@ class Judged(NamedTuple):
 
     @property
     def first_seq(self) -> int | None:
-        """The first accepted item's seq; None: no item was accepted."""
+        """The first accepted item's seq, or None if no item was accepted."""
         return self.parts[0].first_seq if self.parts else None
 
     @property
     def stamped_time(self) -> int | None:
-        """The time that the host gave the first accepted items; None: it gave none."""
+        """The time that the host gave the first accepted items, or None if the host gave them no time."""
         return self.parts[0].stamped_time if self.parts else None
 
 
 class Judging:
-    """A run in judgement. `judged_items`: the number of its first items that are judged."""
+    """Collects the outcome of a run of `items` items. The first `judged_items` items are judged so far."""
 
     __slots__ = ("_parts", "_refusals", "items", "judged_items")
 
@@ -73,17 +72,17 @@ class Judging:
 
     @property
     def accepted_any(self) -> bool:
-        """Whether some items are accepted. They must not be accepted again."""
+        """Whether some items are accepted. The channel or queue must not accept these items again."""
         return bool(self._parts)
 
     @property
     def first_seq(self) -> int | None:
-        """The first accepted item's seq; None: no item was accepted."""
+        """The first accepted item's seq, or None if no item was accepted."""
         return self._parts[0].first_seq if self._parts else None
 
     @property
     def stamped_time(self) -> int | None:
-        """The time that the host gave the first accepted items; None: it gave none."""
+        """The time that the host gave the first accepted items, or None if the host gave them no time."""
         return self._parts[0].stamped_time if self._parts else None
 
     def accept(self, position: int, first_seq: int, items: int, stamped_time: int | None) -> None:
@@ -99,8 +98,9 @@ class Judging:
         self._refusals.append(ItemRefusal(position, error))
 
     def resume(self, known: Judged) -> bool:
-        """Continue a repeated run after the items that were judged before. Returns False, and changes nothing, if the
-        judgement has come as far already.
+        """Take over the outcome `known` of an earlier put of the same run.
+
+        Returns False, and changes nothing, if `known` has no more judged items than this object.
         """
         if known.judged_items <= self.judged_items:
             return False

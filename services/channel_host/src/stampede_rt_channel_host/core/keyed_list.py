@@ -11,10 +11,11 @@ Thing = TypeVar("Thing")
 
 
 class KeyedList(Generic[Thing]):
-    """At most some ten thousand things, sorted by unique keys.
+    """Things sorted by unique keys. The list may hold some ten thousand things.
 
-    Every channel has four of these lists, and nearly all of them are empty. An empty one takes 100 bytes, an empty
-    `SortedKeyList` 450. An insertion moves the later things: 160 KB at the most for 20,000 things (decision 0148).
+    Every channel has four of these lists, and nearly all of them are empty. An empty `KeyedList` takes 100 bytes, an
+    empty `SortedKeyList` 450. An insertion moves the references to the later things. With 20,000 things these are at
+    most 160 KB (decision 0148).
     """
 
     __slots__ = ("_things", "key")
@@ -40,7 +41,10 @@ class KeyedList(Generic[Thing]):
         del self._things[at]
 
     def after(self, last: Key | None, end: Key, things_max: int) -> list[Thing]:
-        """The first things with keys above `last` and up to `end`, inclusive. None: from the first thing on."""
+        """The first things with keys above `last` and up to `end`, inclusive; at most `things_max` things.
+
+        If `last` is None, the answer starts with the first thing of the list.
+        """
         low = 0 if last is None else bisect_right(self._things, last, key=self.key)
         high = bisect_right(self._things, end, low, key=self.key)
         return self._things[low : min(high, low + things_max)]

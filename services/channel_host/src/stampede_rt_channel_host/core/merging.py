@@ -1,4 +1,4 @@
-"""A merge of many sorted lists that begins in small steps. Pure."""
+"""A merge of many sorted lists. The caller may add the lists in small steps. Pure."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ T = TypeVar("T")
 
 
 class Merge(Generic[T]):
-    """Gives the things of all added lists in ascending order of their keys. Each list is in this order itself.
+    """Iterates over the things of all added lists in ascending order of their keys. Each list must have this order.
 
-    `heapq.merge` needs all lists at once, and looks at the first thing of each in one step. Here, work in pieces adds
-    each list as soon as it has found it. Add all lists before the first thing is taken.
+    `heapq.merge` takes all lists in one call, and that call looks at the first thing of each list. Here, a caller that
+    works in pieces adds each list in a step of its own. The caller adds all lists before it takes the first thing.
     """
 
     def __init__(self, key: Callable[[T], Any]) -> None:
         self._key = key
         self._added = 0
-        # the key of the next thing of a list, the number of the list, that thing, and the things after it
+        # for each list with things left: the key of its next thing, its number, that thing, and the things after it
         self._heap: list[tuple[Any, int, T, Iterator[T]]] = []
 
     def add(self, things: Iterable[T]) -> None:
-        """Add a list. Looks at its first thing."""
+        """Add a list. Takes the first thing from it."""
         self._added += 1
         rest = iter(things)
         for first in rest:
@@ -31,7 +31,7 @@ class Merge(Generic[T]):
             return
 
     def emptying(self) -> Generator[None, None, None]:
-        """Free the remaining things, one list in each piece."""
+        """Free the remaining things in pieces, one list in each piece."""
         while self._heap:
             self._heap.pop()
             yield

@@ -1,7 +1,7 @@
 """Channels, queues and groups as the directory has recorded them. Pure.
 
-`message` is the record as the directory encoded it. A host passes it on to clients, so that a client of a newer release
-gets fields that this release does not know (decision 0113).
+The `message` of a record is the record as the directory encoded it. A host passes `message` on to clients, so that a
+client of a newer release gets fields that this release does not know (decision 0113).
 """
 
 from __future__ import annotations
@@ -16,7 +16,11 @@ from stampede_rt_channel_host.core.group import GroupDefinition
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedChannel:
-    """One channel, with its owner and policy. `created_by`: the name of the caller that created it; empty: unknown."""
+    """One channel, with its owner and policy.
+
+    `created_by` is the name of the caller that created the channel. It is empty if the directory does not know the
+    caller.
+    """
 
     channel_id: bytes
     name: str
@@ -31,10 +35,9 @@ class RecordedChannel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PolicyChange:
-    """A change of a channel's policy. `stated` leaves out unchanged values. `message` is the change as its caller sent
-    it.
+    """A change of a channel's policy. `stated` has the new values only. `message` is the change as its caller sent it.
 
-    The directory gets the message. So the directory refuses values that this host does not know.
+    The host passes `message` to the directory. So the directory also checks fields that this host does not know.
     """
 
     stated: Policy
@@ -45,8 +48,9 @@ class PolicyChange:
 class RecordedQueue:
     """One queue, with its host and policy.
 
-    A mailbox has no name. `mailbox_owner` is the caller that registered the peer, by the caller's name in rules of
-    access.
+    A mailbox has no name. `mailbox_peer_name` is the name of its peer. `mailbox_owner` is the caller that registered
+    the peer, by the caller's name in rules of access. `created_by` is the name of the caller that created the queue; it
+    is empty if the directory does not know the caller.
     """
 
     queue_id: bytes
@@ -65,7 +69,7 @@ class RecordedQueue:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ResolvedQueue:
-    """A queue and its host's address. `target` is None while the host is not alive."""
+    """A queue, and the address of its host as `target`. `target` is None if the host was not alive."""
 
     queue: RecordedQueue
     target: str | None
@@ -82,18 +86,21 @@ class RecordedGroup:
 
     @property
     def incarnation(self) -> int:
-        """The incarnation of the group, within which cuts compare."""
+        """The incarnation of the group. Only cuts of the same incarnation can be compared."""
         return self.definition.incarnation
 
     @property
     def spec_version(self) -> int:
-        """The version of the spec, which grows with each change."""
+        """The version of the group's spec. It rises with each change of the spec."""
         return self.definition.spec_version
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ResolvedGroup:
-    """A group, its member channels, and their hosts by id: the addresses of the live hosts, and the names of all."""
+    """A group, its member channels by channel id, and their hosts by host id.
+
+    `targets` has the addresses of the live hosts. `host_names` has the names of all hosts.
+    """
 
     group: RecordedGroup
     channels: Mapping[bytes, RecordedChannel]
@@ -103,8 +110,9 @@ class ResolvedGroup:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedChange:
-    """A change of the directory. It concerns the channel, queue or group that is set, or, with `is_of_access`, the
-    rules or keys of access.
+    """A change of the directory. It concerns the channel, queue or group whose field is set.
+
+    With `is_of_access` it concerns the rules or keys of access. `removed`: the directory has deleted the thing.
     """
 
     removed: bool

@@ -1,8 +1,8 @@
 """Decides which items of an offer a channel accepts (paper, sections 3.2 and 3.4). Pure.
 
-A put of a run has the same result as one put for each item, all at one instant. So `Acceptance` takes in one item,
-applies retention, and then judges the next item. If the whole run taken in at once certainly gives the same result,
-`Acceptance` takes in the whole run in one step.
+A put of a run has the same result as one put for each item, all at one instant. So `Acceptance` stores one item,
+applies retention, and then judges the next item. If it is certain that one step for the whole run has the same result,
+`Acceptance` stores the whole run in one step.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ REASONS = ("TOO_OLD", "IN_FUTURE", "ITEM_TOO_LARGE", "CHANNEL_FULL", "MALFORMED_
 
 
 class Acceptance:
-    """Takes offers into the holdings and counts refusals.
+    """Judges offers, stores the accepted items in the holdings, and counts the refused items.
 
-    `advance`: the highest instant of an advance so far, None if there was none.
+    `advance` is the highest instant of an advance so far, or None if there was no advance.
     """
 
     __slots__ = ("_channel", "_held", "_rejected", "_retention", "advance")
@@ -49,13 +49,13 @@ class Acceptance:
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
 
     def stamp(self, clock: int) -> int:
-        """The time for items that have none: NOW, or the least time that the channel accepts, if that is later."""
+        """The time for items that have none: NOW, or the least time that the channel accepts, if this is later."""
         now = clock if self._held.newest is None else max(clock, self._held.newest)
         return max(now, self._least_time())
 
     def _fits_at_a_stroke(self, times: Sequence[int], lengths: Sequence[int], clock: int) -> bool:
-        """Whether every item is accepted, and retention after the last item has the same result as retention after
-        each.
+        """Whether the channel accepts every item, and retention after the last item has the same result as retention
+        after each item.
 
         If all items are later than the cutoff of max_age, none of them is outdated, and none of them moves a bucket's
         end to or below the cutoff. `_sheds_alike` tests the other limits.
@@ -85,14 +85,15 @@ class Acceptance:
         return least if advance is None else max(least, advance)
 
     def _sheds_alike(self, items: int, payload_bytes: int, low: int) -> bool:
-        """Whether only max_items or only max_bytes removes items, and the new items do not change the removed spans.
+        """Whether one step for the whole run drops the same items, with the same span ends, as a step for each item.
 
-        That is so if the bucket after the removed items is held already, and begins at or before all new items. If the
-        new items come in order, and the newest bucket stays, no look at the removed items is needed.
+        This needs two things. Only one of max_items and max_bytes drops items. And the bucket after the dropped items
+        is held already and begins at or before all new items, so that no new item ends a dropped span earlier. If the
+        new items come in order, and the newest bucket stays, the second is certain.
         """
         held, limits = self._held, self._retention.limits
         comes_in_order = held.newest is not None and low >= held.newest
-        if comes_in_order and items == 1:  # this is the put of one item, and the newest item is never outdated
+        if comes_in_order and items == 1:  # one item needs one step in any case, and the newest item is never dropped
             return True
         excess_items = 0 if limits.max_items is None else held.items + items - limits.max_items
         excess_bytes = held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES - limits.max_bytes
@@ -117,7 +118,7 @@ class Acceptance:
         return Rejection(index, error)
 
     def count_rejected(self, reason: str, items: int) -> None:
-        """Count items that the channel, or its owner, refused for `reason`."""
+        """Count items that the channel, or its caller, refused for `reason`."""
         self._rejected[reason] = self._rejected.get(reason, 0) + items
 
     @property
@@ -126,7 +127,7 @@ class Acceptance:
         return dict.fromkeys(REASONS, 0) | self._rejected
 
     def full(self, in_vain: bool = False) -> ChannelFull:
-        """The error of an item for which there is no room. `in_vain`: no wait would make room for it."""
+        """The error of an item for which there is no room. `in_vain`: no wait would make room for the item."""
         limits, held = self._retention.limits, self._held
         when = "when consumers have consumed some" if limits.consumers else "when the oldest have grown too old"
         if in_vain:
@@ -139,7 +140,7 @@ class Acceptance:
         )
 
     def fault(self, time: int, duration: int, length: int, clock: int) -> StampedeError | None:
-        """The error with which the channel refuses an item, however much room there is; None: no such error."""
+        """The error with which the channel refuses an item, however much room there is, or None."""
         limits = self._retention.limits
         if length > limits.max_item_bytes or length + ITEM_OVERHEAD_BYTES > limits.max_bytes:
             return ItemTooLarge(
@@ -174,7 +175,7 @@ class Acceptance:
         return None
 
     def _outdated(self, time: int, duration: int, length: int, clock: int) -> str | None:
-        """Says which limit would collect the item right after its acceptance; None: no limit would."""
+        """A text that says which limit would collect the item right after its acceptance, or None if no limit would."""
         held, limits, age = self._held, self._retention.limits, self._retention.age_of_new
         following = held.next_time(time) if held.oldest is None or time >= held.oldest else held.oldest
         if age is not None and following is not None:
@@ -201,7 +202,7 @@ def _offset(time: int, clock: int) -> dict[str, str]:
 
 
 class _ItemByItem:
-    """Takes one offer into one run, item by item."""
+    """Stores the accepted items of one offer in one run, item by item."""
 
     def __init__(
         self, to: Acceptance, held: Holdings, retention: Retention, offer: Offer, times: Sequence[int], clock: int
@@ -216,7 +217,7 @@ class _ItemByItem:
         self._kept: list[int] = []
 
     def run(self, stamp: int | None, seal: Seal) -> PutOutcome:
-        """Judge and take in one item after the other, until an item has to wait."""
+        """Judge one item after the other, and store the accepted ones, until an item has to wait."""
         rejections: list[Rejection] = []
         waiting = retry_at = None
         for index, time in enumerate(self._times):

@@ -32,9 +32,9 @@ class AgedChannel:
     ) -> None:
         """Make an empty channel. Raises InvalidArgument if the policy is not possible (see `ChannelLimits.of`).
 
-        `lost_before`: when this incarnation began, if an earlier one was lost with its host. Readers of earlier times
-        get the reason LOST. `cut` copies the body of some items out of a run's body. Without `cut` the channel
-        keeps the whole body of a run until all items of the run are freed.
+        `lost_before` is the instant at which this incarnation began, if an earlier incarnation was lost with its host.
+        Readers of earlier times get the reason LOST. `cut` copies the body of some items out of a run's body. Without
+        `cut` the channel keeps the whole body of a run until all items of the run are freed.
         """
         self._policy = policy
         self._incarnation = incarnation
@@ -50,9 +50,9 @@ class AgedChannel:
         self._entries_to_free = 0  # entries that puts may have added since they last freed memory
 
     def collect(self, now: int, entries_max: int = 64) -> bool:
-        """Free a part of the memory of outdated items: about `entries_max` index entries.
+        """Free about `entries_max` index entries of outdated items. Returns True if more work is left.
 
-        Returns True if more is left to free. Puts and reads also free a few entries.
+        Puts and reads also free a few entries.
         """
         self._settle(self._tick(now))
         knows_less = self._retention.learn_gone(entries_max // 2)  # half as many, because each of these takes longer
@@ -68,9 +68,9 @@ class AgedChannel:
             yield
 
     def next_deadline(self, now: int) -> int | None:
-        """The time at which `collect` has work; None: not before another call changes the channel.
+        """The time at which `collect` next has work, or None if it has none until another call changes the channel.
 
-        This is now if memory is left to free. Otherwise items grow too old at this time, or a consumer's lease ends.
+        If memory is left to free, this is `now`. Otherwise items grow too old at this time, or a consumer's lease ends.
         """
         clock = self._settle(self._tick(now))
         due = self._retention.next_due()
@@ -97,14 +97,14 @@ class AgedChannel:
     def moment(self, now: int) -> Moment:
         """The channel's present state, for later reads.
 
-        Close it soon: until then the channel frees no item that the moment shows.
+        Close the moment soon: before that, the channel frees no item that the moment shows.
         """
         held, retention = self.look(now)
         return Moment(held, retention, self._incarnation, self.lost_before, self.advanced_to, self._tick(now))
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory of the items (see `HeldItems.footprint_bytes`) and of the consumers, as of the last call."""
+        """The memory of the items (see `HeldItems.footprint_bytes`) and of the consumer places, as of the last call."""
         consumers = self._retention.consumers
         return self._held.footprint_bytes + (0 if consumers is None else consumers.footprint_bytes)
 
@@ -115,12 +115,12 @@ class AgedChannel:
 
     @property
     def policy(self) -> Policy:
-        """The policy as its owner stated it."""
+        """The policy as it was stated, without defaults."""
         return self._policy
 
     @property
     def incarnation(self) -> int:
-        """The incarnation of the channel, within which its seqs hold."""
+        """The incarnation of the channel. Seqs are valid only within one incarnation."""
         return self._incarnation
 
     @property
@@ -147,7 +147,7 @@ class AgedChannel:
 
     @property
     def advanced_to(self) -> int | None:
-        """The highest instant of an advance: no earlier item will come. None: there was no advance."""
+        """The highest instant of an advance, before which no item will come. None if there was no advance."""
         return self._acceptance.advance
 
     def _tick(self, now: int) -> int:
@@ -155,7 +155,7 @@ class AgedChannel:
         return self._clock
 
     def _age(self) -> None:
-        """Apply the age limit as of the last call. Does nothing if the limit is applied already."""
+        """Apply the age limit as of the last call, unless the last call has already done so."""
         if self._clock is not None and (self._puts_unsettled or self._settled != self._clock):
             self._retention.apply_time(self._clock)
 

@@ -44,7 +44,7 @@ from stampede_rt_channel_host.core.channel.values import (
 )
 
 ENTRIES_PER_ITEM_MAX = 3
-"""The most index entries that a late item adds: its own, and the two parts of the entry that it splits."""
+"""A late item changes at most this many index entries: its own entry, and the two parts of the entry that it splits."""
 
 PUTS_PER_SETTLING = 16
 """A put into a channel that is below its other limits does not apply the age limit.
@@ -54,19 +54,20 @@ The next read applies it, or the sixteenth such put. A channel that counts consu
 
 
 class ChannelCore(AgedChannel):
-    """The items of one channel, in memory. Not thread-safe: one owner calls it. Each call is atomic and never waits.
+    """The items of one channel, in memory. Not thread-safe. Each call is atomic and never waits.
 
-    Every call takes `now`, the host's clock (`HostTime`), in nanoseconds since the epoch. A `now` before the latest one
-    counts as the latest. After each put, advance and configure the owner polls its blocked gets, offers waiting puts
-    again and serves its subscriptions. After each consume it offers waiting puts again. Seqs start at 1.
+    The caller is the shell of channels. It passes `now`, the host's clock (`HostTime`) in nanoseconds since the epoch,
+    to every call. A `now` before the latest one counts as the latest. After each put, advance and configure the caller
+    polls its blocked gets, offers waiting puts again and serves its subscriptions. After each consume it offers waiting
+    puts again. Seqs start at 1.
     """
 
     def put(self, offer: Offer, now: int, seal: Seal) -> PutOutcome:
         """Accept or refuse each item of `offer`, in order, and store the accepted items as a run.
 
-        The result is the same as that of one put for each item, all at one instant. The channel calls `seal` once if it
-        accepts any item. The channel neither changes nor keeps the offer. PutOutcome tells which items have to wait.
-        The owner holds later puts back until these items are in, so that the seqs of a run follow each other.
+        The result is the same as that of one put for each item, all at one instant. If the channel accepts any item, it
+        calls `seal` once. The channel neither changes nor keeps the offer. PutOutcome says which items have to wait.
+        Until the channel has judged these items, the caller offers no later put, so that a run has consecutive seqs.
         """
         clock, counts_consumption = self._tick(now), self._retention.consumers is not None
         if counts_consumption:
@@ -85,11 +86,11 @@ class ChannelCore(AgedChannel):
         return PutOutcome(rejections=rejections)
 
     def reject_malformed(self, items: int) -> None:
-        """Count items that the owner refused before they became an offer."""
+        """Count items that the caller refused before they became an offer."""
         self._acceptance.count_rejected("MALFORMED_RUN", items)
 
     def reject_overloaded(self, items: int) -> None:
-        """Count items that the owner refused because a limit of the host is reached."""
+        """Count items that the caller refused because a limit of the host is reached."""
         self._acceptance.count_rejected("OVERLOADED", items)
 
     def read(self, query: Query, now: int) -> ReadAnswer:
@@ -100,16 +101,16 @@ class ChannelCore(AgedChannel):
         return run_to_end(self.reading(query, now))
 
     def reading(self, query: Query, now: int) -> Pieces[ReadAnswer]:
-        """As `read`, in pieces, all as of `now`."""
+        """As `read`, in pieces. The answer is as of `now`."""
         self._check_positions(query)
         clock = self._settle(self._tick(now))
         return self._reading.answer(query, self._reading.resolve(query, clock), clock)
 
     def begin(self, query: Query, now: int) -> Pending:
-        """Begin a blocking get. The owner calls `poll` right afterwards.
+        """Begin a blocking get. The caller calls `poll` right afterwards.
 
-        Resolves the meta-times of the interval now, or, if they need an item, at the first poll that finds one. Raises
-        IncarnationLost if a position comes from another incarnation.
+        Resolves the meta-times of the interval now. If they need an item and the channel has none, the first poll with
+        an item resolves them. Raises IncarnationLost if a position comes from another incarnation.
         """
         self._check_positions(query)
         clock = self._settle(self._tick(now))
@@ -118,13 +119,13 @@ class ChannelCore(AgedChannel):
     def poll(self, pending: Pending, now: int) -> ReadAnswer | WakeAt:
         """The blocking get's answer, or when to poll again.
 
-        Without `complete` the first matching item ends the wait. In any case the wait ends once no more items can come:
-        an item or an advance has passed the interval's end, or the interval is empty or below the frontier.
+        Without `complete` the first matching item ends the wait. In any case the wait ends when no more items can come
+        into the interval: an item or an advance has passed its end, or it is empty or below the frontier.
         """
         return run_to_end(self.polling(pending, now))
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """As `poll`, in pieces, all as of `now`."""
+        """As `poll`, in pieces. The result is as of `now`."""
         clock = self._settle(self._tick(now))
         found = yield from self._reading.poll(pending, clock)
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
@@ -134,7 +135,7 @@ class ChannelCore(AgedChannel):
         return run_to_end(self.giving_up(pending, now))
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
-        """As `give_up`, in pieces, all as of `now`."""
+        """As `give_up`, in pieces. The answer is as of `now`."""
         clock = self._settle(self._tick(now))
         return self._reading.answer(pending.query, pending.interval, clock)
 
@@ -144,11 +145,11 @@ class ChannelCore(AgedChannel):
     ) -> AllCursor:  # fmt: skip
         """Begin a subscription in seq order, or continue a saved one.
 
-        With `start`: held items from that bound on (`start_exclusive`: later than that bound), then new ones. With
-        `after`: all items accepted after that position, which must have a seq. With `saved`: continue from that cursor
-        and ignore the other arguments. Without any of them: only new items. Raises InvalidArgument for `start` together
-        with `after`, for `after` without a seq, and for a cursor that comes from a group. Raises IncarnationLost if
-        `after` or `saved` is of another incarnation.
+        With `start` the subscription has the held items from that bound on, or with `start_exclusive` those later than
+        that bound, and then all new items. With `after` it has all items accepted after that position, which must have
+        a seq. With `saved` it continues from that cursor, and ignores the other arguments. Without any of them it has
+        only new items. Raises InvalidArgument for `start` together with `after`, for `after` without a seq, and for a
+        cursor that comes from a group. Raises IncarnationLost if `after` or `saved` is of another incarnation.
         """
         return run_to_end(
             self.subscribing_all(now, start=start, start_exclusive=start_exclusive, after=after, saved=saved)
@@ -158,7 +159,7 @@ class ChannelCore(AgedChannel):
         self, now: int, *, start: Bound | None = None, start_exclusive: bool = False, after: Position | None = None,
         saved: SavedCursor | None = None,
     ) -> Pieces[AllCursor]:  # fmt: skip
-        """As `subscribe_all`, in pieces, all as of `now`."""
+        """As `subscribe_all`, in pieces. The cursor is as of `now`."""
         if saved is not None:
             self._check_saved(saved)
             self._settle(self._tick(now))
@@ -168,10 +169,10 @@ class ChannelCore(AgedChannel):
         return open_all(self._held, low, None if after_key is None else after_key[1])
 
     def since(self, cursor: AllCursor, now: int, limit_bytes: int) -> SubscriptionBatch:
-        """Take the next part: about `limit_bytes` (payload and overhead), and at least one item. Moves the cursor.
+        """Take the next part of a subscription, and move the cursor.
 
-        If retention collected items before the reader took them, reports each of them once, in a gap. An empty part
-        means: wait for the next put.
+        The part has about `limit_bytes`, counted as payload and ITEM_OVERHEAD_BYTES for each item, and at least one
+        item if there is one. If retention collected items before the reader took them, a gap reports each of them once.
         """
         self._settle(self._tick(now))
         return since(self._held, self._retention.limits, cursor, limit_bytes)
@@ -182,9 +183,9 @@ class ChannelCore(AgedChannel):
     ) -> NewestCursor:  # fmt: skip
         """Begin a subscription to the latest item.
 
-        With `start` the newest held item comes first, unless it is earlier than `start`. With `after` or `saved` it
-        comes first if it is later than that position or cursor. Without any of them the next later item comes first.
-        Raises the errors of `subscribe_all`.
+        With `start` the newest held item comes first, unless it is earlier than `start`. With `after` or `saved` the
+        newest held item comes first if it is later than that position or cursor. Otherwise the first item of the
+        subscription is the next one that is later than all held items. Raises the errors of `subscribe_all`.
         """
         if saved is not None:
             self._check_saved(saved)
@@ -194,7 +195,7 @@ class ChannelCore(AgedChannel):
         return open_newest(self._held, self._start_key(start, start_exclusive, now), after_key)
 
     def latest(self, cursor: NewestCursor, now: int) -> DeliveredSlice | None:
-        """Take the newest item if it is later than the last item taken; else None.
+        """Take the newest item if it is later than the last item taken; else return None.
 
         Moves the cursor and counts the skipped items.
         """
@@ -202,7 +203,7 @@ class ChannelCore(AgedChannel):
         return cursor.take(self._held)
 
     def advance(self, instant: int, now: int) -> int:
-        """Promise that no item before `instant` will come. Returns the highest promise so far.
+        """Note a producer's promise that no item before `instant` will come. Returns the highest promise so far.
 
         Raises InFuture if `instant` is more than max_future ahead of the host's clock.
         """
@@ -220,7 +221,7 @@ class ChannelCore(AgedChannel):
         """Replace the whole policy. Collects the items that the new policy outdates.
 
         Raises InvalidArgument if the policy is not possible, and then changes nothing. If the new policy has fewer
-        places than consumers have taken, the places with the earliest lease ends go.
+        places than consumers have taken, the channel removes the places with the earliest lease ends.
         """
         limits = ChannelLimits.of(policy)
         clock = self._settle(self._tick(now))
@@ -232,12 +233,14 @@ class ChannelCore(AgedChannel):
     def consume(
         self, consumer_id: int, seqs: Sequence[int], now: int, *, lease_nanos: int = LEASE_NANOS, owner: str = ""
     ) -> Consumed:
-        """Consume items for one consumer. Items that all consumers have consumed go, the oldest first. Safe to repeat.
+        """Consume items for one consumer, and collect the items that all consumers have consumed. Safe to repeat.
 
         Takes a place for the consumer if it has none, and keeps the place for `lease_nanos` from now (see the module
-        `consumption`). A lease of 0 gives the place up. `seqs` may be empty. Raises InvalidArgument (see
-        `check_consumption`), ChannelFull if all places are taken, and Overloaded if `owner`, the caller, has as many as
-        one caller may have. Places without an `owner` have no such limit.
+        `consumption`). A lease of 0 gives the place up. `seqs` may be empty. `owner` is the name of the caller; if it
+        is empty, the number of the caller's places has no limit.
+
+        Raises InvalidArgument (see `check_consumption`), ChannelFull if all places are taken, and Overloaded if `owner`
+        has as many places as one caller may have.
         """
         run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
@@ -272,12 +275,13 @@ class ChannelCore(AgedChannel):
         check_consumption(consumer_id, seqs, self.next_seq, lease_nanos)
 
     def catching_up(self, now: int) -> Pieces[None]:
-        """Tell the channel's consumers which items retention has collected, in pieces.
+        """Tell the consumer places which items retention has collected, in pieces.
 
-        Use up these pieces before `consume` and `restore_consumers`, which otherwise do all this work in one go.
+        Perform these pieces before `consume`, `consumer_places` and `restore_consumers`. Otherwise these methods do all
+        this work in one step.
         """
         self._settle(self._tick(now))
-        while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # one takes longer than a look at a slice
+        while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # a report of a slice takes longer than a look
             yield
 
     def consumers(self, now: int) -> list[ConsumerStanding]:
@@ -285,14 +289,14 @@ class ChannelCore(AgedChannel):
         return run_to_end(self.counting_consumers(now))
 
     def counting_consumers(self, now: int) -> Pieces[list[ConsumerStanding]]:
-        """As `consumers`, in pieces. The number of waiting items of a consumer is as of the piece that counted it."""
+        """As `consumers`, in pieces. A consumer's number of waiting items is as of the piece that counted them."""
         yield from self.catching_up(now)
         clock = self._settle(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else (yield from consumers.standings(clock, self.next_seq))
 
     def consumer_places(self, now: int) -> list[ConsumerPlace]:
-        """The taken places, as values that move with the channel to another owner."""
+        """The taken places as values, which can move with the channel to another owner."""
         run_to_end(self.catching_up(now))
         clock = self._settle(self._tick(now))
         consumers = self._retention.consumers
@@ -341,9 +345,10 @@ class ChannelCore(AgedChannel):
         return after.time, after.seq
 
     def _start_key(self, start: Bound | None, exclusive: bool, now: int) -> ItemKey | None:
-        """The key at which a subscription's held items begin; None: the subscription begins without held items.
+        """The key at which a subscription's held items begin.
 
-        That is so without `start`, and if `start` is a meta-time that the empty channel cannot resolve.
+        Returns None if the subscription has no held items: without `start`, or if `start` is a meta-time that the empty
+        channel cannot resolve.
         """
         clock = self._settle(self._tick(now))
         time = None if start is None else self._reading.resolve_bound(start, clock)

@@ -10,10 +10,10 @@ from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 
 class Front(NamedTuple):
-    """The oldest held items: their number and their payload bytes.
+    """Some of the oldest held items, without a gap between them: their number and their payload bytes.
 
-    `last` is their last slice, None if there are no such items. `rest` is the first slice after them, None if no held
-    item follows. Both may be parts of one slice of the index.
+    `last` is their last slice, or None if the front has no items. `rest` is the first slice after them, or None if no
+    held item follows. Both may be parts of one slice of the index.
     """
 
     items: int
@@ -23,7 +23,9 @@ class Front(NamedTuple):
 
 
 Going = Callable[[Slice], int]
-"""Tells how many items at the beginning of a slice belong to the front. Called with the slices from the oldest on."""
+"""Returns how many items at the beginning of a slice belong to the front. `Holdings.front` calls the function with one
+slice after the other, from the oldest on, until a slice has an item that does not belong to the front.
+"""
 
 
 def before(time: int) -> Going:
@@ -48,7 +50,10 @@ def oldest_items(count: int) -> Going:
 
 
 def oldest_bytes(charged_bytes: int) -> Going:
-    """A `Going` that counts items until their charged bytes reach `charged_bytes`."""
+    """A `Going` that counts items until they are together charged with `charged_bytes` or more.
+
+    An item is charged with its payload and ITEM_OVERHEAD_BYTES.
+    """
 
     def going(part: Slice) -> int:
         nonlocal charged_bytes

@@ -1,4 +1,4 @@
-"""The slices of a large answer, in parts. One step frees one part, never all of them. Pure."""
+"""The slices of a large answer, in parts. One step frees one part only, so that it delays no other caller. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.channel.run import Slice
 
 
 class Gathered(Sequence[Slice]):
-    """Slices in order. Each part holds the slices that one piece of work found."""
+    """Slices in order, kept in parts. Each part holds the slices that one piece of work found."""
 
     __slots__ = ("_parts",)
 
@@ -34,11 +34,11 @@ class Gathered(Sequence[Slice]):
     @overload
     def __getitem__(self, at: slice) -> Sequence[Slice]: ...
     def __getitem__(self, at: int | slice) -> Slice | Sequence[Slice]:
-        """The slice or slices at `at`. Walks all slices, except for -1."""
+        """The slice or slices at `at`. Walks all slices, unless `at` is -1."""
         return self._parts[-1][-1] if at == -1 else [*self][at]
 
     def drained(self) -> Iterator[Slice]:
-        """Each slice in turn. Frees a part once its last slice was given."""
+        """Each slice in turn. Frees a part when the caller asks for the slice after it."""
         while self._parts:
             yield from self._parts[0]
             self._parts.popleft()
@@ -51,11 +51,11 @@ class Gathered(Sequence[Slice]):
 
 
 def drained(slices: Sequence[Slice]) -> Iterator[Slice]:
-    """The slices of an answer, one by one. Empties the answer on the way if it is a `Gathered`."""
+    """The slices of an answer, one by one. If the answer is a `Gathered`, the iteration empties it."""
     return slices.drained() if isinstance(slices, Gathered) else iter(slices)
 
 
 def emptying(slices: Sequence[Slice]) -> Pieces[None]:
-    """Free the slices of an answer that no caller gets, in pieces. Does nothing unless they are `Gathered`."""
+    """Free in pieces the slices of an answer that no caller gets. Does nothing if they are not a `Gathered`."""
     if isinstance(slices, Gathered):
         yield from slices.emptying()

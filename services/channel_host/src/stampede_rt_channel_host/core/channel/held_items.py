@@ -1,7 +1,7 @@
 """The items that a channel holds, for reading, and the counts of collected items. Pure.
 
-Items below `floor` are outdated: every count counts them as collected, and no read returns them. Their memory may be
-freed later.
+Items below `floor` are outdated: they count as collected, and no read returns them. The channel frees their memory
+later.
 """
 
 from __future__ import annotations
@@ -17,18 +17,20 @@ from stampede_rt_channel_host.core.channel.tally import Tally
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
 
 Cut = Callable[[bytes, int, int], bytes]
-"""Returns the body of the items from one position up to another, exclusive."""
+"""Takes a run's body and two positions. Returns the body of the items from the first position up to the second,
+exclusive.
+"""
 
 
 class HeldItems:
-    """Held items and counts, without the methods that change them. `accepted == items + sum(collected.values())` holds.
+    """Held items and counts. `Holdings` adds the methods that change them.
 
-    `items`: the number of held items. `newest`, `oldest`: the latest and the earliest time of held items, None if there
-    are none. `newest_collected`: the latest time of an item collected for age, count or bytes. `collected_end`: the
-    latest span end of such items. `collected_by`: why the item with that span end was collected. `newest_consumed`: the
-    latest time of an item collected by consumption. `last_cause`: why the items collected last were collected.
-    `overlap_nanos`: a later item within this time does not end the span of an item with a duration. `freed_entries`:
-    the number of entries freed so far.
+    Always `accepted == items + sum(collected.values())`. `items` is the number of held items. `newest` and `oldest` are
+    the latest and the earliest time of held items, or None if no item is held. `newest_collected` is the latest time of
+    an item collected for age, count or bytes, and `collected_end` the latest span end of such an item. `collected_by`
+    is the cause for which the item with that span end was collected. `newest_consumed` is the latest time of an item
+    collected by consumption. `last_cause` is the cause of the last collection. `overlap_nanos`: within this time after
+    an item with a duration, a later item does not end its span. `freed_entries` counts the entries freed so far.
     """
 
     __slots__ = (
@@ -40,7 +42,9 @@ class HeldItems:
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
-        """`cut` copies a part of a run's body; None: runs are kept whole."""
+        """`cut` copies a part of a run's body. If it is None, each body stays whole until all items of the run are
+        freed.
+        """
         self.index = ChannelIndex()
         self.floor: ItemKey = FIRST_KEY
         self.items = 0
@@ -58,15 +62,15 @@ class HeldItems:
         self.overlap_nanos = 0
         self._on_gone: Callable[[int, int], None] | None = None  # tells the consumers; see `Holdings.tell`
         self._reported_to: ItemKey = FIRST_KEY  # the consumers know of all collected items below this key
-        self._came_up_to: int | None = None  # bounds `frontier` while no item is held
+        self._came_up_to: int | None = None  # the upper bound of `frontier` while no item is held
         # A time and the time of the next bucket, as of the last `next_time`; a new item resets both.
         self._following: tuple[int | None, int | None] = (None, None)
-        self._newest_is_open = False  # an item of the newest bucket has no duration
+        self._newest_is_open = False  # whether an item of the newest bucket has no duration
         self._newest_longest = 0  # the longest duration of an item in the newest bucket
-        self._newest_items_most = 0  # the newest bucket has at most as many items
-        self._newest_bytes_most = 0  # and at most as many charged bytes
+        self._newest_items_most = 0  # an upper bound of the number of items in the newest bucket
+        self._newest_bytes_most = 0  # an upper bound of the charged bytes of the newest bucket
         self._snapshots: dict[ChannelSnapshot, None] = {}  # the snapshots whose items must not be freed
-        self._tally = Tally()  # of the held items, without the newest ones
+        self._tally = Tally()  # counts the held items, except those after its last block
         self._stored_bytes = 0  # charged bytes of every entry in the index, outdated entries included
         self._stored_items = 0  # the items of these entries
         self._kept_body_bytes = 0  # the bodies of all runs with an entry in the index
@@ -90,18 +94,18 @@ class HeldItems:
 
     @property
     def footprint_bytes(self) -> int:
-        """The bytes in memory: the bodies of all runs with an item left, and 64 bytes for each item."""
+        """The bytes in memory: the bodies of all runs with an item in the index, and 64 bytes for each such item."""
         return self._kept_body_bytes + self._stored_items * ITEM_OVERHEAD_BYTES
 
     @property
     def has_backlog(self) -> bool:
-        """Whether there are entries to free, now or once the consumers know of them."""
+        """Whether there are entries to free, now or after `report_gone` has told the consumers of them."""
         unreported = self._on_gone is not None and self._reported_to < self.floor
         return unreported or self.index.has_below(self._free_floor)
 
     @property
     def _free_floor(self) -> ItemKey:
-        """The key below which the host frees items: no snapshot shows them, and the consumers know of them."""
+        """The key below which the channel may free items: no snapshot shows them, and the consumers know of them."""
         floor = self.floor if self._on_gone is None else min(self.floor, self._reported_to)
         return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
 
@@ -109,9 +113,10 @@ class HeldItems:
     def frontier(self) -> int | None:
         """The latest span end of items collected for age, count or bytes, but not above a bound.
 
-        The bound is the oldest held item's time. If no item is held, it is the time of the item that went last, or the
-        host's clock at that moment, if that is later and consumption did not take the item. So the long duration of a
-        collected item does not move the frontier past times at which items may still come.
+        The bound is the oldest held item's time. If no item is held, the bound is the time of the last collected item,
+        or the clock at its collection if the clock was later. If consumption collected that item, the clock does not
+        count. So the long duration of a collected item does not move the frontier past times at which items may still
+        come.
         """
         bound = self._came_up_to if self.oldest is None else self.oldest
         if self.collected_end is None or bound is None:
@@ -124,14 +129,14 @@ class HeldItems:
         return LAST_KEY
 
     def snapshot(self) -> ChannelSnapshot:
-        """A snapshot of the held items, for a walk while the channel changes."""
+        """A snapshot of the held items. A reader can walk it while the channel changes."""
         return ChannelSnapshot(self.index, self.floor, self.next_seq, self._snapshots)
 
     @property
     def gone_before(self) -> int | None:
-        """The instant before which spans of collected items are missing.
+        """The instant before which an answer may lack collected items.
 
-        With overlap it may be later than the frontier.
+        With overlap this instant may be later than the frontier.
         """
         frontier = self.frontier
         if not self.overlap_nanos or frontier is None or self.newest_collected is None:
@@ -148,14 +153,15 @@ class HeldItems:
 
     @property
     def newest_seq(self) -> int | None:
-        """The seq of the newest item; None if there is none."""
+        """The seq of the newest item, or None if no item is held."""
         last = next(self.slices_down(), None)
         return None if last is None else last.end_seq - 1
 
     def newest_end(self, now: int) -> int | None:
-        """The latest span end of the newest bucket; None if no item is held. A span without an end holds until `now`.
+        """The latest span end of the newest bucket, or None if no item is held. A span without a duration lasts until
+        `now`.
 
-        Items of this bucket that were collected count, too.
+        Collected items of this bucket count, too.
         """
         if self.newest is None:
             return None
@@ -163,14 +169,16 @@ class HeldItems:
         return max(end, now) if self._newest_is_open else end
 
     def reaches_no_newest(self, items: int, charged_bytes: int) -> bool:
-        """Whether the oldest `items` items, or those with `charged_bytes`, surely lie before the newest bucket."""
+        """Whether the oldest `items` items, and the oldest items charged with `charged_bytes`, surely lie before the
+        newest bucket.
+        """
         return (
             items <= self.items - self._newest_items_most
             and charged_bytes <= self.charged_bytes - self._newest_bytes_most
         )
 
     def items_below(self, key: ItemKey) -> int:
-        """The number of held items below a key. Walks only over the items outside whole blocks of the tally."""
+        """The number of held items below a key. Takes most of it from the tally, and walks over the other items."""
         whole = self._tally.whole_below(key)
         return whole.items + sum(part.items for part in self.slices(whole.end, key))
 
@@ -179,17 +187,15 @@ class HeldItems:
         return self.index.slices_by_seq(low, high, self.floor)
 
     def seq_from(self, low: int, high: int, entries_max: int) -> int:
-        """The first held seq from `low` on, or the seq below which certainly none is held (see
-        `ChannelIndex.seq_from`).
-        """
+        """The first held seq from `low` on, or a lower seq if the search is long (see `ChannelIndex.seq_from`)."""
         return self.index.seq_from(low, high, self.floor, entries_max)
 
     def held_up_to(self, low: int, high: int, entries_max: int) -> int:
-        """The end of the unbroken sequence of held seqs from `low` on (see `ChannelIndex.held_up_to`)."""
+        """The first seq from `low` on that is not held, `high` at most (see `ChannelIndex.held_up_to`)."""
         return self.index.held_up_to(low, high, self.floor, entries_max)
 
     def next_time(self, time: int) -> int | None:
-        """The time of the next bucket after `time`; None: there is none."""
+        """The time of the next bucket after `time`, or None if there is none."""
         if self.newest is None or time >= self.newest:
             return None
         known, following = self._following
@@ -199,7 +205,7 @@ class HeldItems:
         return following
 
     def floor_time(self, time: int) -> int | None:
-        """The time of the bucket at or before `time`; None: there is none."""
+        """The time of the last bucket at or before `time`, or None if there is none."""
         if self.oldest is None or time < self.oldest:
             return None
         return self.index.floor_time(time)
@@ -213,9 +219,10 @@ class HeldItems:
     def counted_end(self, time: int, own_end: int | None, bound: int) -> int:
         """The span end from which the age of an item at `time` counts.
 
-        `own_end` is the item's end by duration, if it has one. `bound` is the time of the next bucket.
+        `own_end` is the item's time plus its duration, or None if it has no duration. `bound` is the time of the next
+        bucket.
 
-        With overlap, every item counts with the longest possible span. So the ends ascend with the buckets.
+        With overlap, every item counts with the longest possible span. So a later bucket never has an earlier end.
         """
         if self.overlap_nanos:
             return max(bound, time + self.overlap_nanos)

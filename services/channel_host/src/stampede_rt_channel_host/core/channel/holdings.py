@@ -1,6 +1,7 @@
-"""Changes the items of a channel: new items come in, retention outdates items, and their memory is freed later. Pure.
+"""Changes the items of a channel: stores new items, outdates old items, and frees the memory of outdated items. Pure.
 
-Because the memory is freed later, in parts, a policy that outdates a million items in one step delays no other caller.
+The channel frees this memory later, in parts. So a policy that outdates a million items in one step delays no other
+caller.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, lates
 from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Whole
 
 REPORTED_SLICES_MAX = 64
-"""The most collected slices of which one call tells the consumers. The next calls go on."""
+"""The most collected slices that one call reports to the consumers. The next calls report the rest."""
 
 FREED_ENTRIES_MAX = 2048
-"""The most entries that one call frees, however many items are outdated. The next calls go on."""
+"""The most entries that one call frees, however many items are outdated. The next calls free the rest."""
 
 LIVE_SHARE_MIN = 4
 COPIED_BYTES_MIN = 4096
@@ -82,7 +83,7 @@ class Holdings(HeldItems):
         self._meet(time, ABSENT if run.durations is None else run.durations[at])
 
     def _make_way(self) -> None:
-        """Free all outdated items from the index, because a new item is earlier than some consumed ones."""
+        """Free all outdated items, and reset the floor, because a new item is earlier than some consumed items."""
         for snapshot in self._snapshots:
             snapshot.detach()
         self._snapshots.clear()
@@ -109,6 +110,7 @@ class Holdings(HeldItems):
                 return
 
     def _count_in(self, items: int, payload_bytes: int, low: int) -> None:
+        """Count new items, the earliest of them at `low`, in all sums. Close a block of the tally if it is full."""
         self._following = (None, None)
         if self.items - self._tally.items >= tally.BLOCK_ITEMS and self.newest is not None and low >= self.newest:
             end = self.newest, self.next_seq
@@ -124,7 +126,9 @@ class Holdings(HeldItems):
             self._close_block()
 
     def _count_newest(self, items: int, payload_bytes: int, high: int) -> None:
-        """Count new items, of which the latest is at `high`, as if all of them belonged to one bucket."""
+        """Count new items in the newest bucket if the latest of them, at `high`, belongs there. Then all of them count
+        there, because only an upper bound is needed.
+        """
         if self.newest is not None and high < self.newest:
             return
         if self.newest is None or high > self.newest:
@@ -133,7 +137,7 @@ class Holdings(HeldItems):
         self._newest_bytes_most += payload_bytes + items * ITEM_OVERHEAD_BYTES
 
     def _close_block(self) -> None:
-        """Add a block to the tally, because very many items came in below the newest one, and no block counts them."""
+        """Add a block to the tally, because very many items earlier than the newest one are in no block."""
         items = payload_bytes = 0
         for part in self.slices(self._tally.end):
             items += part.items
@@ -151,10 +155,7 @@ class Holdings(HeldItems):
             self._newest_longest = max(self._newest_longest, duration)
 
     def front(self, going: Going, whole: Whole = NO_BLOCKS) -> Front:
-        """The oldest held items: those of `whole`, and those of the next slices that `going` counts.
-
-        `going` gets one slice after the other, and returns how many of its items belong to the front.
-        """
+        """The oldest held items: those of the blocks `whole`, and the items that `going` counts after these blocks."""
         items, payload_bytes = whole.items, whole.payload_bytes
         last: Slice | None = None
         for part in self.slices(whole.end) if items else self.index.slices_from(self.floor):
@@ -181,12 +182,14 @@ class Holdings(HeldItems):
         return self.front(oldest_items(count - whole.items), whole)
 
     def front_of_bytes(self, charged_bytes: int) -> Front:
-        """The oldest items that are together charged with at least `charged_bytes`, and no more items than needed."""
+        """The fewest oldest items that are together charged with at least `charged_bytes`."""
         whole = self._tally.whole_within(charged_bytes=charged_bytes)
         return self.front(oldest_bytes(charged_bytes - whole.payload_bytes - whole.items * ITEM_OVERHEAD_BYTES), whole)
 
     def time_behind(self, front: Front) -> int | None:
-        """The time of the bucket after the last bucket of a front that is not empty; None: there is no such bucket."""
+        """The time of the bucket after the front's last bucket, or None if there is no such bucket or the front is
+        empty.
+        """
         if front.rest is None or front.last is None:
             return None
         last_time, first_held = front.last.last_time, front.rest.first_time
@@ -201,7 +204,7 @@ class Holdings(HeldItems):
         if last is None:
             return
         self.last_cause = cause
-        if cause == CONSUMPTION:  # consumption moves no frontier: items may still come in below
+        if cause == CONSUMPTION:  # consumption does not move the frontier: earlier items may still come
             before = self.newest_consumed
             self.newest_consumed = last.last_time if before is None else max(before, last.last_time)
         else:
@@ -219,7 +222,10 @@ class Holdings(HeldItems):
         self.report_gone(REPORTED_SLICES_MAX)
 
     def tell(self, on_gone: Callable[[int, int], None] | None) -> None:
-        """From now on call `on_gone` with the seqs of collected items: the first, and the end, exclusive."""
+        """From now on call `on_gone` with the seqs of collected items: the first seq and the end, exclusive.
+
+        None stops these calls.
+        """
         self._on_gone, self._reported_to = on_gone, self.floor
 
     def report_gone(self, slices_max: int) -> bool:
@@ -241,7 +247,7 @@ class Holdings(HeldItems):
         Earlier buckets end at or before the last bucket's time, so only the last bucket counts.
         """
         time, following = last.last_time, self.time_behind(front)
-        # If a full channel has taken in one item, there is nothing to look for.
+        # The usual case: a full channel has taken in one item and drops one item, which the caller passes as `last`.
         is_one = front.items == last.items == 1
         bucket = iter((last,)) if is_one else self.slices((time, 0), (time, last.end_seq))
         if following is not None:
@@ -258,10 +264,10 @@ class Holdings(HeldItems):
             self.newest_collected = time
 
     def free(self, entries_max: int, backlog_bytes_max: int | None = None) -> bool:
-        """Free up to `entries_max` entries of outdated items. Returns True if any are left to free.
+        """Free up to `entries_max` entries of outdated items. Returns True if another call may free more.
 
-        Frees more while the outdated items are charged with more than `backlog_bytes_max`, but FREED_ENTRIES_MAX at the
-        most.
+        While the outdated items are charged with more than `backlog_bytes_max`, frees more entries, but at most
+        FREED_ENTRIES_MAX.
         """
         floor = self._free_floor
         for freed in range(FREED_ENTRIES_MAX):
@@ -288,7 +294,7 @@ class Holdings(HeldItems):
                 self._forget(trimmed)
 
     def _forget(self, part: Slice) -> None:
-        """Take freed items off the sums of memory. Also free the rest of a large run's body, if few items are left."""
+        """Subtract freed items from the sums of memory. If few items of a large run are left, also free its body."""
         self._stored_bytes -= part.payload_bytes + part.items * ITEM_OVERHEAD_BYTES
         self._stored_items -= part.items
         run = part.run
@@ -302,7 +308,7 @@ class Holdings(HeldItems):
             self._copy_rest(run)
 
     def _copy_rest(self, run: ColumnRun) -> None:
-        """Move the rest of a run into bodies of its own, if that saves as much memory as it costs."""
+        """Copy the remaining items of a run into new, smaller runs, if these take at most half of the body's memory."""
         parts = self.index.parts_of(run, COPIED_PARTS_MAX + 1)
         if self._cut is None or len(parts) > COPIED_PARTS_MAX:
             return

@@ -21,23 +21,26 @@ from sortedcontainers import SortedKeyList
 from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
 
 ItemKey = tuple[int, int]
-"""An item's place in the order (time, seq), as a pair that sorts."""
+"""The time and seq of an item. Keys sort in the order in which reads return items."""
 
 SEQ_END = 1 << 64
 """A number greater than every seq."""
 
 FIRST_KEY: ItemKey = (-(1 << 64), 0)
+"""A key below the keys of all items."""
+
 LAST_KEY: ItemKey = (1 << 64, 0)
+"""A key above the keys of all items."""
 
 _BUCKET_ENTRIES_SCANNED = 8
 """The index scans up to this many entries with the same first time one after the other. Among more it bisects."""
 
 
 class IndexPart:
-    """An entry of a run of several items: positions `lo` to `hi` of the run.
+    """An entry of a run of several items: positions `lo` up to `hi` of the run, exclusive.
 
-    A split changes `hi`. A trim within the first bucket changes `lo`; `first_seq` stays then, because the index finds
-    the entry by it.
+    A split changes `hi`. A trim that leaves items of the entry's first bucket changes `lo`. It does not change
+    `first_seq`, because the index finds the entry by this number.
     """
 
     __slots__ = ("first_seq", "first_time", "hi", "lo", "run")
@@ -74,7 +77,7 @@ def index_of(entry: Entry, key: ItemKey) -> int:
 
 
 class ChannelIndex:
-    """Entries by time and by seq. They may hold items below the channel's floor; the caller leaves these out."""
+    """Entries by time and by seq. The index may hold items below the channel's floor; the caller leaves these out."""
 
     __slots__ = ("_by_seq", "_by_time")
 
@@ -171,7 +174,7 @@ class ChannelIndex:
             yield from _clipped(entry, low, high)
 
     def _entries_from(self, low: ItemKey, last_time: int) -> Iterator[Entry]:
-        """Entries that begin between `low`'s time and `last_time`, without most of those that end below `low`."""
+        """Entries that begin between `low`'s time and `last_time`, both inclusive, without most entries below `low`."""
         time, seq = low
         entries = self._by_time.irange_key(time, last_time)
         first = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq else []
@@ -181,7 +184,10 @@ class ChannelIndex:
         return iter(self._by_time.islice(at, self._by_time.bisect_key_right(last_time)))
 
     def _entries_down(self, high: ItemKey, first_time: int) -> Iterator[Entry]:
-        """Entries from `high`'s time down to `first_time`, without most of those that begin at or above `high`."""
+        """Entries that begin between `first_time` and `high`'s time, both inclusive, the last one first.
+
+        Leaves out most entries that begin at or above `high`.
+        """
         time, seq = high
         entries = self._by_time.irange_key(first_time, time, reverse=True)
         last = list(islice(entries, _BUCKET_ENTRIES_SCANNED)) if seq < SEQ_END else []
@@ -191,10 +197,10 @@ class ChannelIndex:
         return iter(self._by_time.islice(self._by_time.bisect_key_left(first_time), end, reverse=True))
 
     def _entry_in_bucket(self, time: int, seq: int) -> int:
-        """The position of the last entry that begins at `time` with a seq up to `seq`, or if there is none, of the
-        first entry that begins at `time`.
+        """The position of the last entry that begins at `time` and whose first seq is at most `seq`.
 
-        Bisects, because a bucket may hold any number of entries.
+        If there is no such entry, returns the position of the first entry that begins at `time`. Bisects, because a
+        bucket may hold any number of entries.
         """
         lo: int = self._by_time.bisect_key_left(time)
         hi: int = self._by_time.bisect_key_right(time)
@@ -202,7 +208,7 @@ class ChannelIndex:
         return above - 1 if above > lo else above
 
     def slices_from(self, floor: ItemKey) -> Iterator[Slice]:
-        """The items at or above `floor`, in ascending order. The fastest way if few entries lie below `floor`."""
+        """The items at or above `floor`, in ascending order. Faster than `slices` if few entries lie below `floor`."""
         if self._by_time and self._by_time[0].last_time < floor[0]:
             yield from self.slices(floor, LAST_KEY)
             return
@@ -224,7 +230,7 @@ class ChannelIndex:
             yield from _clipped(before, low, high)
 
     def copy_from(self, low: ItemKey) -> ChannelIndex:
-        """A separate index by time of the items at or above `low`. Changes of this index do not affect the copy."""
+        """A new index of the items at or above `low`, by time only. Changes of this index do not affect the copy."""
         copy = ChannelIndex()
         copy._by_time.update(IndexPart(part.run, part.lo, part.hi) for part in self.slices(low, LAST_KEY))
         return copy
@@ -238,10 +244,11 @@ class ChannelIndex:
             yield from _clipped_by_seq(entry, low, high, floor)
 
     def seq_from(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
-        """The first seq from `low` on of an item at or above `floor`; `high` if there is none below `high`.
+        """The first seq from `low` on whose item is at or above the key `floor`. If no such seq is below `high`,
+        returns `high`.
 
-        Looks at `entries_max` entries at most. If they hold no such item, returns the seq at which the next entry
-        begins: no item from `low` up to this seq is left.
+        Looks at `entries_max` entries at most. If these hold no such item, returns the first seq of the next entry: no
+        item with a seq from `low` up to this one is left.
         """
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
@@ -252,10 +259,9 @@ class ChannelIndex:
         return high if beyond is None else beyond.first_seq
 
     def held_up_to(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
-        """The end of the unbroken sequence of seqs from `low` on of items at or above `floor`; `low` if `low` is
-        not the seq of such an item.
+        """The first seq from `low` on whose item is missing from the index or below the key `floor`; `high` at most.
 
-        Looks at `entries_max` entries at most.
+        Looks at `entries_max` entries at most. If all of these hold such items, returns the seq after their last item.
         """
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
@@ -267,7 +273,7 @@ class ChannelIndex:
         return low
 
     def next_time(self, time: int) -> int | None:
-        """The earliest item time after `time`; None: there is none."""
+        """The earliest item time after `time`, or None if there is none."""
         entry = self._floor(time)
         if entry is not None and entry.last_time > time:
             times = entry.run.times
@@ -276,7 +282,7 @@ class ChannelIndex:
         return None if later is None else later.first_time
 
     def floor_time(self, time: int) -> int | None:
-        """The latest item time at or before `time`; None: there is none."""
+        """The latest item time at or before `time`, or None if there is none."""
         entry = self._floor(time)
         if entry is None or entry.last_time <= time:
             return None if entry is None else entry.last_time
@@ -284,11 +290,11 @@ class ChannelIndex:
         return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
 
     def has_below(self, floor: ItemKey) -> bool:
-        """Whether all items of the first entry are below `floor`."""
+        """Whether there is an entry, and all items of the first entry are below `floor`."""
         return bool(self._by_time) and _is_below(self._by_time[0], floor)
 
     def pop_below(self, floor: ItemKey) -> Entry | None:
-        """Remove and return the first entry if all its items are below `floor`."""
+        """Remove and return the first entry if all its items are below `floor`; else return None."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
         if entry is None or not _is_below(entry, floor):
             return None
@@ -300,7 +306,10 @@ class ChannelIndex:
         return entry
 
     def share_below(self, floor: ItemKey) -> Slice | None:
-        """The items below `floor` of the first entry, if the entry also has later items; else None."""
+        """The items below `floor` of the first entry; perhaps an empty slice.
+
+        None if the first entry begins after the floor's time, has a run of one item, or does not exist.
+        """
         entry: Entry | None = self._by_time[0] if self._by_time else None
         if not isinstance(entry, IndexPart) or entry.first_time > floor[0]:
             return None
@@ -312,14 +321,17 @@ class ChannelIndex:
         return list(islice(self._by_seq.irange_key(run.first_seq, end_seq, (True, False)), parts_max))
 
     def trim_below(self, floor: ItemKey) -> Slice | None:
-        """Remove and return the items below `floor` of the first entry, if it also has later items; else None."""
+        """Remove and return the items below `floor` of the first entry, if it has such items and also other items.
+
+        Otherwise returns None.
+        """
         entry: Entry | None = self._by_time[0] if self._by_time else None
         at = 0 if entry is None else index_of(entry, floor)
         if entry is None or not entry.lo < at < entry.hi:
             return None
         assert isinstance(entry, IndexPart), "an entry of one item has nothing between its ends"
         trimmed = Slice(entry.run, entry.lo, at)
-        if entry.run.times[at] == entry.first_time:  # the entry stays before the others that begin at this time
+        if entry.run.times[at] == entry.first_time:  # the entry stays the first of those that begin at this time
             entry.lo = at
         else:
             self._by_time.remove(entry)
@@ -336,6 +348,7 @@ def _is_below(entry: Entry, floor: ItemKey) -> bool:
 
 
 def _clipped(entry: Entry, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
+    """The items of the entry at or above `low` and below `high`: one slice, or none."""
     lo = entry.lo if entry.first_time > low[0] else index_of(entry, low)
     hi = entry.hi if entry.last_time < high[0] else index_of(entry, high)
     if lo < hi:
@@ -343,6 +356,7 @@ def _clipped(entry: Entry, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
 
 
 def _clipped_by_seq(entry: Entry, low: int, high: int, floor: ItemKey) -> Iterator[Slice]:
+    """The items of the entry with seqs from `low` up to `high`, exclusive, and keys at or above `floor`."""
     first = entry.run.first_seq
     lo = max(entry.lo, low - first)
     hi = min(entry.hi, high - first)

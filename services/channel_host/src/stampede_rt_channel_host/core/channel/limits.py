@@ -24,7 +24,7 @@ REJECT = "reject"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelLimits:
-    """The limits of a channel. None: there is no such limit."""
+    """The limits of a channel. A field is None if the channel has no such limit."""
 
     max_age_nanos: int | None
     max_items: int | None
@@ -39,10 +39,11 @@ class ChannelLimits:
     @classmethod
     @lru_cache(maxsize=POLICIES_SHARED_MAX)  # channels with equal policies share one object
     def of(cls, policy: Policy) -> ChannelLimits:
-        """The policy with defaults: max_age 10 s if it states no limit at all, max_bytes 256 MiB if it does not state
-        that.
+        """The limits of a policy, with the defaults for values that it does not state.
 
-        Raises InvalidArgument, which names the value, the reason and the way out.
+        The default of max_bytes is 256 MiB. The default of max_age is 10 s if the policy states none of max_age,
+        max_items, max_bytes and consumers; otherwise there is no limit of age. Raises InvalidArgument if a value, or a
+        combination of values, is not possible.
         """
         _check(policy)
         stated = (policy.max_age_nanos, policy.max_items, policy.max_bytes, policy.consumers)
@@ -66,15 +67,17 @@ class ChannelLimits:
 
     @property
     def consumer_places(self) -> int:
-        """The number of consumers that the channel counts; 0: it counts no consumption, and keeps no data for it."""
+        """The number of consumer places. If it is 0, the channel counts no consumption, and keeps no data for it."""
         adapts = self.max_age_unconsumed_nanos is not None
         return self.consumers or (CONSUMERS_MAX if adapts else 0)
 
     def describe(self, cause: str) -> str:
-        """The limit behind a cause of collection, for a reader: `max_age (10 s)`."""
+        """The limit that has the effect `cause`, as a text for readers, such as `max_age (10 s)`."""
         if cause == "age" and self.max_age_nanos is not None:
             longest = self.max_age_unconsumed_nanos
-            more = "" if longest is None else f", of what a consumer has yet to consume {format_duration(longest)}"
+            more = (
+                "" if longest is None else f", {format_duration(longest)} for items that a consumer has yet to consume"
+            )
             return f"max_age ({format_duration(self.max_age_nanos)}{more})"
         if cause == "consumption":
             return f"consumers ({self.consumers})" if self.consumers else "an earlier number of consumers"

@@ -18,7 +18,10 @@ from stampede_rt_channel_host.core.channel.values import ReadAnswer, WakeAt
 
 
 class HeldThen:
-    """The items held at one moment, to read like `Holdings`. Its entries stay in the index until `close`."""
+    """The items held at one moment, with the reading methods of `Holdings`.
+
+    The channel keeps the entries of these items in the index until `close`.
+    """
 
     def __init__(self, held: Holdings) -> None:
         self.newest = held.newest
@@ -37,19 +40,19 @@ class HeldThen:
         return LAST_KEY
 
     def snapshot(self) -> ChannelSnapshot:
-        """The items held at that moment, as a snapshot of its own, which may outlive this object."""
+        """A separate snapshot of the items held at that moment. It stays valid after `close` of this object."""
         return self._snapshot.copy()
 
     def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY) -> Iterator[Slice]:
-        """See `Holdings`."""
+        """See `HeldItems.slices_down`."""
         return (part for part in self._snapshot.slices_down(low, high) if self._snapshot.shows(part))
 
     def next_time(self, time: int) -> int | None:
-        """The time of the next bucket after `time`."""
+        """The time of the next bucket after `time`, or None if there is none."""
         return self._snapshot.next_time(time, LAST_KEY)
 
     def floor_time(self, time: int) -> int | None:
-        """The time of the bucket at or before `time`."""
+        """The time of the last bucket at or before `time`, or None if there is none."""
         last = next(self.slices_down(FIRST_KEY, (time, SEQ_END)), None)
         return None if last is None else last.last_time
 
@@ -68,7 +71,7 @@ class Moment:
         self, held: Holdings, retention: Retention, incarnation: int, lost_before: int | None, advance: int | None,
         clock: int,
     ) -> None:  # fmt: skip
-        """`clock`: the host's clock to which the channel was aged."""
+        """`clock` is the host's clock at which the channel last outdated items."""
         self.incarnation = incarnation
         self.lost_before = lost_before
         self.advanced_to = advance
@@ -88,5 +91,5 @@ class Moment:
         return WakeAt(found.instant, reading.needs(pending)) if isinstance(found, WakeAt) else found
 
     def close(self) -> None:
-        """Let the channel free the items again. Idempotent."""
+        """Let the channel free the moment's items again. Idempotent."""
         self._held.close()

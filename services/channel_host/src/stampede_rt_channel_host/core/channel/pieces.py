@@ -11,7 +11,7 @@ STEPS_PER_PIECE = 256
 """The slices, or the amount of work equal to them, that make one piece."""
 
 ITEMS_PER_STEP = 8
-"""This many items count as one step where work looks at single items."""
+"""If work looks at single items, so many items count as one step."""
 
 Result = TypeVar("Result")
 Thing = TypeVar("Thing")
@@ -19,20 +19,20 @@ Pieces = Generator[None, None, Result]
 """Work that stops after each piece and continues when the caller asks for the next piece. The last piece returns the
 result.
 
-Unless the work says otherwise, the result is as of the moment at which the first piece began. If the work is dropped
-before its end, close it, or use `abandoning` if it may have collected many things.
+Unless the docstring of the work says otherwise, the result is as of the moment at which the first piece began. A caller
+that drops the work before its end closes it, or uses `abandoning` if the work may have collected many things.
 """
 
 
 class Abandoned(Exception):
-    """Raised inside work that its caller drops.
+    """`abandoning` raises this error inside the work.
 
-    The work frees what it has collected, in pieces, and raises the error again.
+    The work frees the things that it has collected, in pieces, and raises the error again.
     """
 
 
 def abandoning(pieces: Pieces[Any]) -> Pieces[None]:
-    """Drop the work, and free what it has collected, in pieces."""
+    """Drop the work. Frees the things that it has collected, in pieces."""
     try:
         pieces.throw(Abandoned())
         while True:  # ends when the work has freed everything
@@ -50,9 +50,9 @@ def batched(things: Sequence[Thing], size: int) -> Iterator[Sequence[Thing]]:
 
 
 def batched_keys(keys: Any, size: int) -> Iterator[list[Any]]:
-    """The keys of a SortedList or SortedDict in parts of `size`, in order. No step copies all of them.
+    """The keys of a SortedList or SortedDict in parts of `size`, in order. No step copies all keys.
 
-    Keys may come and go between two parts. Keys that come are included only if they belong behind the last part.
+    Keys may come and go between two parts. A new key is included only if it is greater than the keys of the last part.
     """
     part = [*islice(keys, size)]
     while part:
@@ -77,7 +77,7 @@ class Unfinished(Generic[Result]):
 
 
 def first_of(pieces: Pieces[Result]) -> Result | Unfinished[Result]:
-    """Perform the first piece. Returns the result if the work is done, as is usual, and an `Unfinished` otherwise."""
+    """Perform the first piece. Returns the result if the work is done, and otherwise an `Unfinished`."""
     try:
         next(pieces)
     except StopIteration as end:
@@ -86,13 +86,16 @@ def first_of(pieces: Pieces[Result]) -> Result | Unfinished[Result]:
 
 
 def rest_of(pieces: Pieces[None]) -> list[Pieces[None]]:
-    """Perform the first piece. Returns the rest of the work, in a list for `one_after_another`; empty: it is done."""
+    """Perform the first piece. Returns the rest of the work, in a list for `one_after_another`.
+
+    The list is empty if the work is done.
+    """
     found = first_of(pieces)
     return [found.rest] if isinstance(found, Unfinished) else []
 
 
 def one_after_another(works: list[Pieces[None]]) -> Pieces[None]:
-    """Perform begun work, the last one of the list first. Empties the list. The first piece does nothing."""
+    """Perform the works of a list, the last one first, and empty the list. The first piece does nothing."""
     while works:
         yield
         yield from works.pop()

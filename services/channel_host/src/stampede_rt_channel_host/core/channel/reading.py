@@ -15,9 +15,9 @@ from stampede_rt_channel_host.core.channel.waiting import BEFORE_ALL, Needs
 
 
 class Pending:
-    """A blocking get under way, made by `ChannelCore.begin`.
+    """A blocking get that has not ended. `ChannelCore.begin` makes it.
 
-    `interval` is None until its meta-times can be resolved.
+    `interval` is None until the channel can resolve the meta-times of the query's interval.
     """
 
     __slots__ = ("interval", "query")
@@ -28,7 +28,7 @@ class Pending:
 
 
 class Reading:
-    """Answers queries from holdings. `clock` is the host's clock, to which the holdings are aged."""
+    """Answers queries from held items. `clock` is the host's clock, as of which the held items are not too old."""
 
     __slots__ = ("_held", "_incarnation", "_lost_before", "_retention", "advance", "consumed_up_to")
 
@@ -38,23 +38,22 @@ class Reading:
         self._incarnation = incarnation
         self._lost_before = lost_before  # all items of a lost earlier incarnation lie before this instant
         self.advance: int | None = None  # the highest instant of an advance
-        # the latest time of a consumed item, which counts as an item that has come
-        self.consumed_up_to: int | None = None
+        self.consumed_up_to: int | None = None  # the latest time of a consumed item: the channel has passed this time
 
     def now(self, clock: int) -> int:
         """The instant of the meta-time NOW: the later of the clock and the newest item's time."""
         return clock if self._held.newest is None else max(clock, self._held.newest)
 
     def resolve(self, query: Query, clock: int) -> ResolvedInterval | None:
-        """The query's interval in instants; None if a meta-time in it depends on items and there are none."""
+        """The query's interval in instants, or None if it has a meta-time that needs an item and no item is held."""
         return self.resolve_interval(query.interval, clock)
 
     def resolve_interval(self, interval: Interval, clock: int) -> ResolvedInterval | None:
-        """An interval in instants; None if a meta-time in it depends on items and there are none."""
+        """An interval in instants, or None if it has a meta-time that needs an item and no item is held."""
         return interval.resolve(now=self.now(clock), newest=self._held.newest, oldest=self._held.oldest)
 
     def resolve_bound(self, bound: Bound, clock: int) -> int | None:
-        """The instant of one bound; None if it depends on items and there are none."""
+        """The instant of one bound, or None if it is a meta-time that needs an item and no item is held."""
         resolved = self.resolve_interval(Interval(bound, bound), clock)
         return None if resolved is None else resolved.start
 
@@ -68,13 +67,13 @@ class Reading:
             )
 
     def answer(self, query: Query, within: ResolvedInterval | None, clock: int) -> Pieces[ReadAnswer]:
-        """The held items of the query, in pieces, all as of the first piece."""
+        """The answer to a query, in pieces. It is as of the first piece."""
         if within is None:
             return self._unresolved()
         region = _region(query, within)
         truncated = not region.is_empty and self._is_truncated(region)
         complete = self._is_over(region)
-        # for an answer in several pieces: the reasons with and without items that the limit cuts off
+        # For an answer in several pieces: the reason if the limit cuts items off, and the reason if it does not.
         reasons: dict[bool, Reason | None] = {}
 
         def judge() -> None:
@@ -99,7 +98,7 @@ class Reading:
         )
 
     def poll(self, pending: Pending, clock: int) -> Pieces[ReadAnswer | WakeAt]:
-        """The answer if the get is released, or when to look again."""
+        """The answer if the get is released, or when to poll again."""
         query = pending.query
         if pending.interval is None:
             pending.interval = self.resolve(query, clock)
@@ -126,9 +125,9 @@ class Reading:
         return Needs(passed, time=region.start)
 
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
-        """When to look again: at the interval's first instant, if NOW is still before it.
+        """When to poll again: at the interval's first instant, if NOW is before that instant.
 
-        At that instant the open span of the newest item reaches into the interval.
+        At that instant the span of a newest item without a duration reaches into the interval.
         """
         return WakeAt(first_instant if self.now(clock) < first_instant else None)
 
@@ -145,13 +144,15 @@ class Reading:
         return Reason("NOT_YET", nothing)
 
     def _is_over(self, region: ResolvedInterval) -> bool:
-        """Whether no more items can come: an item or advance is past the end, or the region is empty or below the
-        frontier.
+        """Whether no more items can come into the region: an item or an advance has passed the region's end, or the
+        region is empty or below the frontier.
         """
         return region.is_empty or self._is_below_frontier(region) or self._is_finished(region)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
-        """Whether an item or an advance is at or past an exclusive end, or past an inclusive end."""
+        """Whether an item or an advance has passed the region's end: it is at or after an exclusive end, or after an
+        inclusive end.
+        """
         marks = [mark for mark in (self._held.newest, self.advance, self.consumed_up_to) if mark is not None]
         return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
 
@@ -177,6 +178,7 @@ class Reading:
         return None
 
     def _absence(self, query: Query, region: ResolvedInterval) -> Reason:
+        """The reason why an answer has no items."""
         if region.is_empty:
             if query.after or query.newer_than:
                 return Reason("NEVER", "the given position leaves no instant of the interval")
@@ -211,7 +213,9 @@ class Reading:
         return Reason("COLLECTED", f"{policy} has collected the items before {before}")
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
-        """The reason while no item matches yet. If the region reaches back into a loss, the reason is the loss."""
+        """The reason if no item matches, but one may still come. If the region begins before a loss, that loss is the
+        reason.
+        """
         return self._lost() if self._reaches_into_loss(region) else self._not_yet(query, region)
 
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
@@ -240,8 +244,9 @@ def _from(region: ResolvedInterval, position: Position) -> ResolvedInterval:
 
 
 def _up_to(region: ResolvedInterval, time: int) -> ResolvedInterval:
-    """The region before `time`, exclusive.
+    """The part of the region before `time`.
 
-    The bucket at `time` can bring nothing more: its new items get higher seqs, and newest first these come earlier.
+    The answer continues newest first after a position in the bucket at `time`. New items of this bucket get higher
+    seqs, so they come before that position.
     """
     return replace(region, end=time, end_exclusive=True) if time <= region.end else region

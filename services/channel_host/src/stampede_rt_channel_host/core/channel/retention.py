@@ -1,9 +1,9 @@
 """Decides when items leave a channel (paper, section 3.4): by age, count, bytes or consumption. Pure.
 
-Consumption takes the oldest items, in order, as soon as no consumer has still to consume them. A consumed item in the
-middle stays until the items before it go. If it went first, the span of the item before it would grow. With
-`max_age_unconsumed` the age depends on the slowest live consumer. Items that all live consumers have consumed go at
-max_age. The others go later, at max_age_unconsumed at the latest.
+Consumption collects the oldest items, in order, as soon as no consumer has still to consume them. A consumed item in
+the middle stays until the items before it are collected. Otherwise the span of the item before it would grow. With
+`max_age_unconsumed` the age depends on the slowest live consumer. The channel collects items that all live consumers
+have consumed at max_age, and other items later, at max_age_unconsumed at the latest.
 
 `clock` is the host's clock. The time model's `now` is the later of the clock and the newest item's time. But items age
 by the clock alone. So a producer whose clock is ahead does not shorten the other producers' window.
@@ -20,17 +20,19 @@ from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 SLICES_USED_UP_MAX = 64
-"""The most slices that one call frees by consumption, so that a consumer that catches up delays no other caller."""
+"""The most slices that one call collects by consumption, so that a consumer that catches up delays no other caller."""
 ENTRIES_PER_LOOK = 8
 """The most index entries or ranges of seqs that one step of `learn_gone` looks at."""
 SLICES_AGED_MAX = 256
-"""The most slices that one call checks for items that a consumer has still to consume, if age depends on that."""
+"""The most slices that one call checks for items that a consumer has still to consume. Only `max_age_unconsumed` needs
+this check.
+"""
 CONSUMERS_ASKED_MAX = 512
-"""After this number of looks at single consumers, one call takes no further slice."""
+"""After this number of looks at single consumers, a call checks no further slice."""
 
 
 class Retention:
-    """Applies limits to holdings. `consumers` is None if the limits count no consumption."""
+    """Applies limits to holdings. `consumers` is None if the limits have no consumer places."""
 
     __slots__ = (
         "_consumed_to", "_has_more_to_age", "_has_more_to_ask", "_has_more_used_up", "_held", "_unknown_from",
@@ -40,17 +42,19 @@ class Retention:
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
-        # A key, and `Consumers.arrivals` when the key was noted. All consumers of that moment have consumed the items
-        # of the key's bucket that lie below the key.
+        # A key, and `Consumers.arrivals` when the key was noted. All consumers with a place at that moment have
+        # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
-        self._unknown_from = self._unknown_to = 1  # the consumers do not know which seqs between the two are gone
+        # `consumers` does not know yet which seqs from the first number up to the second, exclusive, are collected.
+        self._unknown_from = self._unknown_to = 1
         self.consumers: Consumers | None = None
         self.set_limits(limits)
 
     def set_limits(self, limits: ChannelLimits) -> None:
         """Set other limits.
 
-        If they count consumption and the present ones do not, the next calls of `learn_gone` walk the index once.
+        If the new limits have consumer places and the present limits have none, the next calls of `learn_gone` walk the
+        index once.
         """
         self.limits = limits
         self._held.overlap_nanos = limits.overlap_nanos
@@ -87,7 +91,7 @@ class Retention:
 
     @property
     def has_more(self) -> bool:
-        """Whether more items may be ready for collection. The next call collects them."""
+        """Whether an earlier call stopped at a bound of its work, so that more items may be ready for collection."""
         return self._has_more_to_age or self._has_more_to_ask or self._has_more_used_up
 
     def apply_time(self, clock: int) -> None:
@@ -98,26 +102,29 @@ class Retention:
         self.consumers.expire(clock)
         self.age_out(clock)
         while self.use_up(clock) and self.age_out(clock):
-            pass  # without the consumed items the bucket's span may end sooner, and then the next bucket may be due
+            pass  # without the consumed items, the oldest bucket may end sooner, and so may now be too old
 
     def cutoff(self, clock: int) -> int | None:
-        """The channel collects buckets whose last span ended at or before this instant, except those that a live
-        consumer has still to consume.
+        """By age, the channel collects only buckets whose last span ended at or before this instant.
 
-        It collects no other bucket by age.
+        Of these it keeps the buckets that a live consumer has still to consume, until `max_age_unconsumed`. None if
+        there is no limit of age.
         """
         age = self.limits.max_age_nanos
         return None if age is None else clock - age
 
     @property
     def age_of_new(self) -> int | None:
-        """The max_age of an item that no consumer has consumed yet."""
+        """The limit of age of an item that no consumer has consumed yet: max_age_unconsumed if a consumer is live."""
         longest = self.limits.max_age_unconsumed_nanos
         owed = longest is not None and self.consumers is not None and self.consumers.live
         return longest if owed else self.limits.max_age_nanos
 
     def age_out(self, clock: int) -> bool:
-        """Collect the buckets that are too old, as whole buckets, never the newest. Returns True if there were any."""
+        """Collect the buckets that are too old, always whole buckets, and never the newest bucket.
+
+        Returns True if an item was collected.
+        """
         cutoff = self.cutoff(clock)
         held = self._held
         self._has_more_to_age = False
@@ -133,9 +140,9 @@ class Retention:
         return front.items > 0
 
     def _age_bound(self, cutoff: int) -> int | None:
-        """The time of the first bucket that is not too old.
+        """The time of the first bucket that is not too old, or None if the oldest bucket is not.
 
-        Span ends ascend with the buckets, so one bucket decides.
+        A later bucket never ends earlier, so the search looks at the spans of one bucket only.
         """
         oldest = self._held.oldest
         bucket = self._held.floor_time(cutoff - self._held.overlap_nanos)
@@ -149,8 +156,9 @@ class Retention:
     def _prolonged(self, bound: int, cutoff: int) -> int:
         """The time of the first bucket that stays, if the buckets before `bound` are past max_age.
 
-        A bucket that a consumer has still to consume stays until `cutoff` passes it, and so do all later buckets.
-        Checks the buckets that go and one slice more. A very long check takes several calls.
+        A bucket that a live consumer has still to consume stays until its last span ended at or before `cutoff`. While
+        it stays, all later buckets stay, too. The method checks the buckets to collect and one slice more. A very long
+        check takes several calls.
         """
         owed = self._first_owed(self._age_bound(cutoff), bound)
         return bound if owed is None else owed
@@ -158,8 +166,8 @@ class Retention:
     def _first_owed(self, start: int | None, end: int) -> int | None:
         """The time of the first item from `start` up to `end`, exclusive, that a live consumer has still to consume.
 
-        None: there is no such item. After very many consumed items the search returns the time that it reached. In a
-        very large bucket the next call continues the search at the same place.
+        Returns None if there is no such item. After very many consumed items the search stops and returns the time that
+        it reached. If it stopped within a very large bucket, the next call continues there.
         """
         consumers = self.consumers
         assert consumers is not None, "limits that ask for it count consumption"
@@ -181,27 +189,27 @@ class Retention:
         return None
 
     def _bucket_from(self, start: int | None) -> int:
-        """The later of `start` and the oldest bucket's time. `start`: a bucket's time; None: the oldest bucket's."""
+        """The later of `start`, which is the time of a bucket, and the oldest bucket's time. `start` may be None."""
         oldest = self._held.oldest
         assert oldest is not None, "the caller has checked that the channel holds items"
         return oldest if start is None else max(start, oldest)
 
     def _asked_as_far_as(self, time: int, first: int) -> int:
-        """Note that the check reached `time`, and return it.
+        """Note that the check stopped at `time`, and return `time`. `first` is the time of the first checked bucket.
 
-        A bucket goes as a whole, so nothing goes while the first bucket is only partly checked.
+        The channel collects whole buckets only, so it collects nothing while the first bucket is only partly checked.
         """
         self._has_more_to_age = time > first
         self._has_more_to_ask = time == first
         return time
 
     def ask_on(self) -> None:
-        """Continue to check whether all consumers have consumed a very large oldest bucket, if that is unknown."""
+        """Continue a check of a very large oldest bucket: have all consumers consumed its items?"""
         if self._has_more_to_ask:
             self._age_of_oldest()
 
     def _age_of_oldest(self) -> int | None:
-        """The max_age that holds for the oldest bucket at present."""
+        """The limit of age that holds for the oldest bucket at present: max_age or max_age_unconsumed."""
         longest, oldest = self.limits.max_age_unconsumed_nanos, self._held.oldest
         self._has_more_to_ask = False
         if longest is None or oldest is None or self._first_owed(oldest, oldest + 1) is None:
@@ -209,7 +217,7 @@ class Retention:
         return longest
 
     def next_due(self) -> int | None:
-        """The instant at which time alone next collects an item or ends a consumer's lease; None: there is none."""
+        """The instant at which the passing of time next makes an item too old or ends a consumer's lease, or None."""
         held, age = self._held, self._age_of_oldest()
         following = None if held.oldest is None else held.next_time(held.oldest)
         if age is None or held.oldest is None or following is None:
@@ -217,7 +225,7 @@ class Retention:
         return self._or_lease_end(held.bucket_end(held.oldest, following) + age)
 
     def _lease_end(self) -> int | None:
-        """The next lease end of a consumer that may keep items."""
+        """The next end of a consumer's lease, or None if no lease keeps items."""
         return None if self.consumers is None or not self._held.items else self.consumers.next_lease_end
 
     def _or_lease_end(self, instant: int) -> int:
@@ -225,11 +233,11 @@ class Retention:
         return instant if end is None else min(instant, end)
 
     def use_up(self, clock: int) -> bool:
-        """Collect the oldest items that all consumers have consumed, a bounded part. Returns True if there were any.
+        """Collect and free the oldest items that all consumers have consumed, at most SLICES_USED_UP_MAX slices.
 
-        Looks at the items that go and one slice more, and frees the items. So the cost of each item is the same,
-        however many go together. If no consumer keeps anything, all items but the newest bucket go, because a
-        new consumer begins with the newest item.
+        Returns True if an item was collected. Looks at the items to collect and one slice more. So the cost of each
+        item is the same, however many are collected together. If all leases have ended, collects all items except the
+        newest bucket, because a new consumer begins with the newest item.
         """
         self._has_more_used_up = False
         consumers, held = self.consumers, self._held
@@ -245,14 +253,14 @@ class Retention:
 
     @property
     def _nobody_holds(self) -> bool:
-        """Whether all places were taken, and all their leases have ended."""
+        """Whether every place was taken, and every lease has ended."""
         consumers = self.consumers
         if consumers is None or self.limits.consumers is None:
             return False
         return not consumers.untaken and not consumers.live
 
     def drop_excess(self, clock: int) -> None:
-        """Collect the oldest items beyond the limits, if the policy of a full channel is to drop them."""
+        """Collect the oldest items above max_items and max_bytes, if the policy is to drop them (on_full)."""
         held, limits = self._held, self.limits
         if not limits.drops_oldest:
             return
@@ -262,15 +270,15 @@ class Retention:
             held.outdate(held.front_of_bytes(held.charged_bytes - limits.max_bytes), BYTES, clock)
 
     def has_room(self, items: int, payload_bytes: int) -> bool:
-        """Whether `items` more items fit in without the collection of others."""
+        """Whether the channel has room for `items` more items without the collection of other items."""
         held, limits = self._held, self.limits
         within_items = limits.max_items is None or held.items + items <= limits.max_items
         return within_items and held.charged_bytes + payload_bytes + items * ITEM_OVERHEAD_BYTES <= limits.max_bytes
 
     def has_room_as_if_put(self, time: int, payload_bytes: int, clock: int) -> bool:
-        """Whether one item at `time` fits in.
+        """Whether the channel has room for one item at `time`, now or as a result of its put.
 
-        If the item ends the oldest bucket's span early enough, that bucket is collected first and makes room.
+        The put may end the oldest bucket's span so early that this bucket is too old. Its collection then makes room.
         """
         if self.has_room(1, payload_bytes):
             return True
@@ -278,11 +286,12 @@ class Retention:
         return freed_items > 0 and self.has_room(1 - freed_items, payload_bytes - freed_bytes)
 
     def _freed_by(self, time: int, payload_bytes: int, clock: int) -> tuple[int, int]:
-        """The items and payload bytes that would be collected because an item at `time` comes in.
+        """The number and payload bytes of the items that the channel would collect because of a put of an item at
+        `time`.
 
-        By age: the item changes only the end of the bucket before it, and only the oldest bucket can go first. By
-        consumption: if no consumer keeps anything, all items before the newest bucket go, perhaps the item at
-        `time` itself.
+        By age it may collect the oldest bucket, if the new item is the one that ends this bucket's span. By
+        consumption, if all leases have ended, it collects all items before the newest bucket, perhaps the new item
+        itself.
         """
         held = self._held
         if self._nobody_holds and held.newest is not None and time != held.newest:
@@ -297,7 +306,7 @@ class Retention:
         return bucket.items, bucket.payload_bytes
 
     def release_oldest(self, clock: int) -> None:
-        """Collect the oldest bucket, after the put of the item that needed its room."""
+        """Collect the oldest bucket, after the put of an item that needed the bucket's room."""
         oldest = self._held.oldest
         following = None if oldest is None else self._held.next_time(oldest)
         if following is not None:
@@ -311,11 +320,11 @@ class Retention:
         return self.limits.consumers is None and self._held.oldest == self._held.newest == time
 
     def retry_at(self, time: int, own_end: int | None) -> int | None:
-        """When the passing of time next makes room for an item at `time`. `own_end` is its end by duration, if any.
+        """The instant at which the passing of time next makes room for an item at `time`.
 
-        This is the earlier of two instants: when the channel with the item collects something, and when the channel
-        without it does. The second may be earlier if the item would belong to the oldest bucket. None: only another put
-        or a consumption makes room.
+        `own_end` is the item's time plus its duration, or None. Returns the earlier of two instants: the next
+        collection of the channel with the item, and that of the channel without the item. The second may be earlier if
+        the item would belong to the oldest bucket. Returns None if only another put or a consumption makes room.
         """
         instants = (self._due_as_if_put(time, own_end), self.next_due())
         return min((one for one in instants if one is not None), default=None)
@@ -339,7 +348,7 @@ class Retention:
 
 
 class _AtMost:
-    """Counts like `going`, but in a bounded number of slices, and in fewer slices if it checks very many consumers.
+    """Counts like `going`, but stops after `slices` slices, or after about CONSUMERS_ASKED_MAX looks at consumers.
 
     `held_back`: the count stopped at one of these limits.
     """

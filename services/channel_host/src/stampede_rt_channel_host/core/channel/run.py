@@ -1,7 +1,7 @@
-"""Runs of accepted items, the unit of the store, and slices of them, which readers get. Pure.
+"""Runs of accepted items, which a channel stores, and slices of runs, which readers get. Pure.
 
-A run is a producer's batch in columns. The producer encodes it, and the host does not decode it again (paper, section
-4.1). A run of one item has a flat layout, because a channel may hold millions of them.
+A run is a producer's batch in columns. The producer encodes the batch, and the host keeps the encoded payloads as they
+are (paper, section 4.1). A run of one item has a flat layout, because a channel may hold millions of such runs.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ ITEM_OVERHEAD_BYTES = 64
 
 
 class Run(ABC):
-    """Accepted items in the order of acceptance; immutable. `first_seq` is the first item's seq. The others follow one
-    by one.
+    """Accepted items in the order of acceptance; immutable. `first_seq` is the first item's seq, and each next item has
+    the next seq.
 
     `times` are in nanoseconds since the epoch, in any order. `durations` are in nanoseconds, -1 for none, or None if no
-    item has one. `lengths` are payload bytes. `body` is the result of the owner's seal function.
+    item has one. `lengths` are in bytes of payload. `body` holds the bytes that the `Seal` returned.
     """
 
     __slots__ = ("body", "first_seq")
@@ -55,7 +55,7 @@ class Run(ABC):
 
 
 class Slicer(Protocol):
-    """Cuts parts out of a run's body. The channel's owner makes it when a reader first needs a part."""
+    """Cuts parts out of a run's body. The shell of channels makes the slicer when a reader first needs a part."""
 
     def cut(self, lo: int, hi: int, *, without_payloads: bool) -> bytes:
         """The body of the items from position `lo` up to `hi`, exclusive."""
@@ -64,8 +64,8 @@ class Slicer(Protocol):
 class ColumnRun(Run):
     """A run of any number of items.
 
-    `kept`: the number of its items that are in an index, because they are held or not freed yet. `slicer`: the
-    channel's owner keeps it here, so that the body is parsed once.
+    `kept` is the number of its items that are in the index, because they are held or not freed yet. The shell of
+    channels keeps the run's `slicer` here, so that it parses the body once.
     """
 
     __slots__ = ("durations", "kept", "lengths", "slicer", "times")
@@ -110,7 +110,7 @@ class OneRun(Run):
 
     @property
     def run(self) -> Run:
-        """This object, in the role of an entry's run."""
+        """This object: it is both the index entry and the run of that entry."""
         return self
 
     @property
@@ -177,7 +177,7 @@ class Slice(NamedTuple):
 
     @property
     def end_seq(self) -> int:
-        """The seq after the last item's."""
+        """The seq after the last item's seq."""
         return self.run.first_seq + self.hi
 
     @property
@@ -206,7 +206,7 @@ class Slice(NamedTuple):
         return self.payload_bytes + self.items * ITEM_OVERHEAD_BYTES
 
     def within(self, credit_bytes: int) -> Slice:
-        """The first items: as many as begin while some credit is left, and always the first item."""
+        """The first items of the slice, each of which begins while some credit is left. Always has the first item."""
         if self.charge_bytes <= credit_bytes:
             return self
         left, at = credit_bytes, self.lo

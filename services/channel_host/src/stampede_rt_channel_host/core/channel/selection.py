@@ -1,10 +1,10 @@
 """Decides which held items an interval selects (paper, section 3.2). Pure.
 
-The matching items follow each other in the order (time, seq). A read must look at each item of only one bucket. With
-`span` this is the last bucket at or before the lower bound: the spans of its items may reach into the interval. With
-`whole` it is the last bucket in the interval: the spans of its items may end after the interval. So a read costs two
-searches and the items that it returns. With overlap the read also looks at each item that begins at most one `overlap`
-before the bound. The span of an earlier item cannot reach so far.
+The matching items follow each other in the order (time, seq), except in one bucket, where the read looks at each item.
+With `span` this is the last bucket at or before the lower bound: the spans of its items may reach into the interval.
+With `whole` it is the last bucket in the interval: the spans of its items may end after the interval. So a read costs
+two searches, that bucket, and the items that the read returns. With overlap the read also looks at each item that
+begins at most one `overlap` before the bound. The span of an earlier item cannot reach so far.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ class Readable(Protocol):
 
     @property
     def newest(self) -> int | None:
-        """The latest time of an item; None if there are no items."""
+        """The latest time of an item, or None if there are no items."""
 
     @property
     def oldest(self) -> int | None:
-        """The earliest time of an item; None if there are no items."""
+        """The earliest time of an item, or None if there are no items."""
 
     @property
     def frontier(self) -> int | None:
@@ -55,20 +55,20 @@ class Readable(Protocol):
 
     @property
     def end(self) -> ItemKey:
-        """The key below which all visible items lie."""
+        """A key above the keys of all visible items, and at or below the keys of all hidden items."""
 
     def snapshot(self) -> ChannelSnapshot:
         """All items that the channel holds now, visible or not."""
 
     def next_time(self, time: int, /) -> int | None:
-        """The time of the next bucket after `time`."""
+        """The time of the next bucket after `time`, or None if there is none."""
 
     def floor_time(self, time: int, /) -> int | None:
-        """The time of the bucket at or before `time`."""
+        """The time of the last bucket at or before `time`, or None if there is none."""
 
 
 class _Stretch(NamedTuple):
-    """Items at or above `low` and below `high`. With `fits`, only those that pass the test."""
+    """The items at or above `low` and below `high`. With `fits`, only items that pass this test."""
 
     low: ItemKey
     high: ItemKey
@@ -78,8 +78,8 @@ class _Stretch(NamedTuple):
 class Selected(NamedTuple):
     """The matching slices, in ascending order.
 
-    `more`: the limit cut off further items. `next_time`: the time of the bucket after the last item; None: the last
-    item is in the newest bucket.
+    `more`: the limit cut off further items. `next_time` is the time of the bucket after the last item, or None if the
+    last item is in the newest bucket.
     """
 
     slices: Sequence[Slice]
@@ -95,7 +95,7 @@ def select(
 ) -> Pieces[Selected]:  # fmt: skip
     """The matching items, in pieces. `now` is the instant of the meta-time NOW.
 
-    Calls `on_hold` at the end of the first piece if there are more pieces.
+    If there is more than one piece, calls `on_hold` at the end of the first piece.
     """
     if within.is_empty or held.oldest is None:
         return NOTHING
@@ -136,7 +136,10 @@ class _Taking:
         self.more = False
 
     def take(self, stretch: _Stretch) -> _Stretch | None:
-        """Take one piece of a stretch. Returns the rest of the stretch, None if nothing is left."""
+        """Take slices from a stretch, as many as one piece of work allows.
+
+        Returns the rest of the stretch, or None if the stretch is done or the limit is reached.
+        """
         if self.more:
             return None
         fits, all_shown = stretch.fits, not self._snapshot.is_held
@@ -165,7 +168,7 @@ class _Taking:
         return stretch._replace(low=(part.last_time, part.end_seq))
 
     def _take_fitting(self, part: Slice, fits: Fits | None) -> bool:
-        """Take the fitting items of a slice. Returns False once the limit is reached."""
+        """Take the fitting items of a slice. Returns False if the limit cut items off."""
         found: Iterable[Slice] = (part,) if fits is None else _fitting(part, fits)
         for one in reversed(list(found)) if self._down else found:
             if self._left is not None and one.items > self._left:
@@ -202,7 +205,7 @@ def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int)
 
 
 def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_Stretch]:
-    """The items that begin at or before the lower bound and whose spans hold an instant of the interval."""
+    """The items that begin at or before the lower bound, and whose spans contain an instant of the interval."""
     bucket = held.floor_time(within.start)
     if bucket is None:
         return []
@@ -231,7 +234,10 @@ def _reaching_over(overlap: int, start: int, bucket: int) -> list[_Stretch]:
 
 
 def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int) -> list[_Stretch]:
-    """The buckets in the interval. Only spans of the last bucket can end outside it, unless items overlap."""
+    """The items whose whole spans lie in the interval.
+
+    Without overlap, only the spans of the last bucket in the interval can end outside it.
+    """
     bucket = held.floor_time(within.end - 1 if within.end_exclusive else within.end)
     if bucket is None or bucket not in within:
         return []
@@ -256,7 +262,7 @@ def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int
 
 
 def _clip(stretch: _Stretch, query: Query, end: ItemKey) -> _Stretch:
-    """The stretch without the items that positions exclude, and without items at or above `end`."""
+    """The stretch without the items that the query's positions exclude, and without items at or above `end`."""
     low, high, fits = stretch
     high = min(high, end)
     if query.newer_than is not None:

@@ -14,8 +14,9 @@ _LAST = MAX_INSTANT
 
 
 class SeqSet:
-    """All seqs below `below`, and ranges above it. `add` costs amortised O(log ranges), and O(1) if the
-    seqs come in order.
+    """A set that has all seqs below `below`, and ranges of seqs above `below`.
+
+    `add` costs amortised O(log ranges), and O(1) if the seqs come in order.
     """
 
     __slots__ = ("_ranges", "below", "size")
@@ -23,7 +24,7 @@ class SeqSet:
     def __init__(self, below: int = 1, ranges: Iterable[tuple[int, int]] = ()) -> None:
         """Make a set.
 
-        Seqs start at 1, so `below` 1 means an empty set. `ranges` are pairs of first seq and end, exclusive.
+        Seqs start at 1, so with `below` 1 the set has only `ranges`: pairs of first seq and end, exclusive.
         """
         self.below = below
         self.size = below - 1  # the number of seqs in the set
@@ -34,7 +35,7 @@ class SeqSet:
             self.add(first, end)
 
     def first_range(self, seq: int) -> tuple[int, int] | None:
-        """The first range above `below` that begins at or above `seq`; None: there is none."""
+        """The first range above `below` that begins at or above `seq`, or None if there is none."""
         return next(self._ranges.irange((seq, 0)), None)
 
     @property
@@ -48,9 +49,9 @@ class SeqSet:
         return len(self._ranges)
 
     def until(self, first: int, end: int, ranges_max: int) -> int:
-        """The end of the seqs from `first` on that one step may add; `end` at most.
+        """A seq up to which one step may add the seqs from `first` on. It is `end` or lower.
 
-        The step joins about `ranges_max` ranges at most.
+        A step that adds the seqs up to there joins about `ranges_max` ranges at most.
         """
         if len(self._ranges) <= ranges_max:
             return end
@@ -70,8 +71,9 @@ class SeqSet:
         yield from self._ranges.irange((first, _LAST), (end, _LAST))
 
     def _floor(self, seq: int) -> tuple[int, int] | None:
-        """The last range that begins at or below `seq`. Searches by value: by position, the list would first count all
-        its elements.
+        """The last range that begins at or below `seq`, or None.
+
+        Searches by value. For a search by position the sorted list would first have to count all its elements.
         """
         return next(self._ranges.irange(None, (seq, _LAST), reverse=True), None)
 
@@ -110,8 +112,9 @@ class SeqSet:
         return first, end
 
     def _meet(self, first: int, end: int) -> None:
-        """Called when an added range has seqs that the set has already: from `first` up to `end`. `CountedSeqs`
-        overrides it.
+        """`add` calls this method with seqs that the set has already: those from `first` up to `end`, exclusive.
+
+        `CountedSeqs` overrides it.
         """
 
 
@@ -119,11 +122,11 @@ BLOCK_SEQS = 1024
 """`CountedSeqs` counts the seqs of a set in blocks of this many."""
 
 BLOCKS_FORGOTTEN_MAX = 64
-"""The most blocks below `below` that one call forgets."""
+"""The most blocks below `below` that one `add` forgets."""
 
 
 class CountedSeqs(SeqSet):
-    """A set of seqs that can count its seqs between two others, however many ranges it has."""
+    """A set of seqs that quickly counts its seqs within given bounds, however many ranges it has."""
 
     __slots__ = ("_blocks", "_first_block")
 
@@ -139,7 +142,7 @@ class CountedSeqs(SeqSet):
         self._count(first, end, 1)
         added = super().add(first, end)
         outdated = range(self._first_block, self.below // BLOCK_SEQS)[:BLOCKS_FORGOTTEN_MAX]
-        for block in outdated:  # no caller asks for these blocks again; the next calls forget the rest
+        for block in outdated:  # `count` does not need them; the next calls forget the rest
             self._blocks.pop(block, None)
         self._first_block += len(outdated)
         return added
@@ -157,8 +160,8 @@ class CountedSeqs(SeqSet):
     def count(self, first: int, end: int) -> int:
         """How many of the seqs from `first` up to `end`, exclusive, are in the set.
 
-        Walks one block, and adds the stored counts of the other blocks. If a range holds `first`, its seqs count in
-        one step.
+        Walks the ranges of the first and the last block, and adds the stored counts of the blocks between. If a range
+        has `first`, the method counts the seqs of that range in one step.
         """
         behind = max(first, min(end, self.end_of(first)))
         known, first = behind - first, behind

@@ -11,14 +11,15 @@ from stampede_rt_channel_host.core.channel.run import Slice
 class ChannelSnapshot:
     """The items at or above `floor` with seqs below `end_seq`.
 
-    The snapshot copies nothing. From `hold` to `close` its entries stay in the index. `shows` tells by the seqs
-    which items came later. A walk continues at a key, so the channel may add and split entries between two pieces.
+    The snapshot copies nothing. From `hold` to `close` the channel keeps the snapshot's entries in the index. `shows`
+    tells by the seqs which items came later. A walk continues at a key, so the channel may add and split entries
+    between two pieces.
     """
 
     __slots__ = ("_end_seq", "_holders", "_index", "floor", "is_held")
 
     def __init__(self, index: ChannelIndex, floor: ItemKey, end_seq: int, holders: dict[ChannelSnapshot, None]) -> None:
-        """`holders`: the held snapshots, whose items the channel must not free."""
+        """`holders` are the channel's held snapshots. The channel does not free their items."""
         self.floor = floor
         self.is_held = False
         self._index = index
@@ -45,7 +46,10 @@ class ChannelSnapshot:
         self._holders.pop(self, None)
 
     def detach(self) -> None:
-        """Walk a copy of the index from now on, because the channel frees items of the snapshot. Copies each entry."""
+        """Walk a copy of the index from now on, because the channel is about to free items of the snapshot.
+
+        Copies each entry in one step.
+        """
         self._index = self._index.copy_from(self.floor)
 
     def shows(self, part: Slice) -> bool:
@@ -65,6 +69,6 @@ class ChannelSnapshot:
         return self._index.slices_down(max(low, self.floor), high)
 
     def next_time(self, time: int, high: ItemKey) -> int | None:
-        """The time of the next bucket after `time`, below `high`."""
+        """The time of the first bucket of the snapshot after `time` that begins below `high`, or None."""
         parts = self.slices((time, SEQ_END), high)
         return next((part.first_time for part in parts if self.shows(part)), None)

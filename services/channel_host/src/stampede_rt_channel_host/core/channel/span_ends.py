@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 
 SLICES_MAX = 512
-"""The most slices of a bucket at which one call looks. The call assumes that the spans of a larger bucket are as long
-as possible. The caller asks at each change, and a look at all slices would hold the event loop each time.
+"""The most slices of a bucket at which one call looks. If the bucket has more slices, the call returns the latest end
+that is possible. A look at all slices at each change of the channel would hold the event loop too long.
 """
 
 
 def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
-    """The latest span end of items at `time`, at most `bound`, the next bucket's time."""
+    """The latest span end of the items of the bucket at `time`. `bound`, the next bucket's time, ends every span."""
     longest = 0
     for looked_at, part in enumerate(bucket):
         durations = None if part.run.durations is None else part.run.durations[part.lo : part.hi]
@@ -26,9 +26,10 @@ def latest_end(bucket: Iterator[Slice], time: int, bound: int) -> int:
 
 
 def end_of_newest(bucket: Iterator[Slice], time: int, now: int, bound: int) -> int:
-    """The latest span end of items in the newest bucket. No span of the bucket ends later than at `bound`.
+    """The latest span end of the items of the newest bucket, which begins at `time`.
 
-    Durations have no limit there, and open spans hold until `now`.
+    No later bucket ends these spans. So each span lasts for its whole duration, or until `now` if it has no duration.
+    `bound` is the latest span end of the whole bucket, of which `bucket` may be a part.
     """
     end = time
     for looked_at, part in enumerate(bucket):

@@ -1,4 +1,4 @@
-"""The places of subscriptions in a channel, and the items that come next (paper, section 4.1: push). Pure."""
+"""The cursors of subscriptions to a channel, and the items that come next (paper, section 4.1: push). Pure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stampede_rt_channel_host.core.merging import Merge
 GAP_ENTRIES_MAX = 1024
 """The most outdated entries that one call looks at.
 
-So a reader that is far behind blocks nobody, and gets several gaps.
+So a reader that is far behind does not delay other callers. Such a reader gets several gaps.
 """
 
 
@@ -29,9 +29,10 @@ Range = tuple[int, int]
 
 
 class AllCursor:
-    """The place of a subscription in seq order. `ChannelCore.subscribe_all` makes it, `ChannelCore.since` moves it.
+    """The position of a subscription in seq order.
 
-    `delivered` counts the items given so far, `dropped` the items reported in gaps.
+    `ChannelCore.subscribe_all` makes the cursor, and `ChannelCore.since` moves it. `delivered` counts the items given
+    to the reader so far, `dropped` the items reported in gaps. An owed item is one that the reader still has to get.
     """
 
     __slots__ = ("_begun_seq", "_live_seq", "_low", "_owed", "_owed_before", "delivered", "dropped")
@@ -39,9 +40,8 @@ class AllCursor:
     def __init__(self, owed: Iterator[Range], live_seq: int, low: ItemKey | None = None, begun_seq: int = 0) -> None:
         """Make the cursor.
 
-        `owed`: the ranges of seqs of items held at the beginning that are still to deliver, ascending, below
-        `live_seq`. All seqs from `live_seq` on are to be delivered, too. Of the items below `begun_seq` only those at
-        or above the key `low` belong to the subscription.
+        `owed` are the ranges of owed seqs below `live_seq`, ascending. All seqs from `live_seq` on are owed, too. Of
+        the items with seqs below `begun_seq`, only those at or above the key `low` belong to the subscription.
         """
         self._owed_before = owed
         self._live_seq = live_seq
@@ -64,24 +64,28 @@ class AllCursor:
         return SavedCursor(incarnation=incarnation, next_seq=next_seq, low=self._low, live_seq=self._begun_seq)
 
     def owed(self, next_seq: int) -> Range | None:
-        """The first range still to deliver, None if there is none. All seqs below `next_seq` were given out."""
+        """The first range of owed seqs, or None if no seq is owed. `next_seq` is the seq of the next accepted item."""
         if self._owed is None and next_seq > self._live_seq:
             self._owed, self._live_seq = (self._live_seq, next_seq), next_seq
-        # this is the last range, and it ends where the new seqs begin: make them one range
+        # The range is the last one, and it ends at the first new seq: add the new seqs to it.
         elif self._owed is not None and self._owed[1] == self._live_seq:
             self._owed, self._live_seq = (self._owed[0], next_seq), next_seq
         return self._owed
 
     def mark_done(self, seq: int) -> None:
-        """Note that the reader received or lost all items below `seq`, which lies in the first range or at its end."""
+        """Note that the reader has received or lost all items below `seq`.
+
+        `seq` lies in the first owed range, or is its end.
+        """
         assert self._owed is not None, "something is owed"
         end = self._owed[1]
         self._owed = (seq, end) if seq < end else next(self._owed_before, None)
 
 
 def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Pieces[AllCursor]:
-    """Begin with the held items from the key `low` on, or with all items accepted after `after_seq`, or with new items
-    only.
+    """A cursor that begins with the items accepted after `after_seq`, or with the held items from the key `low` on.
+
+    If both are None, the cursor begins with the next accepted item.
     """
     next_seq = held.next_seq
     if after_seq is not None:
@@ -94,11 +98,11 @@ def open_all(held: Holdings, low: ItemKey | None, after_seq: int | None) -> Piec
 
 
 def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
-    """Continue a saved subscription.
+    """A cursor that continues a saved subscription.
 
-    If retention has collected items at or above the cursor's `low`, nobody knows whether they belonged to the
-    subscription. Then all held items count as the subscription's, and all missing ones as collected before the reader
-    took them. So the gaps may count too many items, but never too few.
+    If retention has collected items at or above the saved `low`, the host does not know whether they belonged to the
+    subscription. Then all seqs from `next_seq` on count as the subscription's, and the missing seqs as collected before
+    the reader took them. So the gaps may count too many items, but never too few.
     """
     first, live = min(saved.next_seq, held.next_seq), min(saved.live_seq, held.next_seq)
     low = saved.low if first < live else None
@@ -116,9 +120,9 @@ def resume_all(held: Holdings, saved: SavedCursor) -> Pieces[AllCursor]:
 
 
 class _Ranges:
-    """Ranges of seqs in ascending order, two numbers for each. Ranges that are next to each other are one range.
+    """Ranges of seqs in ascending order, in an array with two numbers for each range. Adjacent ranges become one range.
 
-    A cursor may have half a million ranges. It frees them in one step, because one array holds all of them.
+    A cursor may have half a million ranges. A single array is freed in one short step.
     """
 
     __slots__ = ("_bounds",)
@@ -140,14 +144,14 @@ class _Ranges:
             yield max(bounds[low], first), min(bounds[low + 1], end)
 
     def takes(self, ranges: _Ranges) -> bool:
-        """Append `ranges` if all of them lie behind the present ranges. Otherwise return False, and append nothing."""
+        """Append `ranges` if all of them lie above the present ranges. Otherwise append nothing, and return False."""
         if ranges._bounds and self._bounds and ranges._bounds[0] < self._bounds[-1]:
             return False
         self.extend(ranges)
         return True
 
     def extend(self, ranges: Iterable[Range]) -> None:
-        """Append `ranges`, which ascend and lie behind the present ranges."""
+        """Append `ranges`, which ascend and lie above the present ranges."""
         bounds = self._bounds
         for low, high in ranges:
             if bounds and bounds[-1] == low:
@@ -157,7 +161,7 @@ class _Ranges:
 
 
 def _seq_ranges(held: Holdings, low: ItemKey) -> Pieces[_Ranges]:
-    """The ranges of seqs of the held items from `low` on."""
+    """The ranges of seqs of the held items from the key `low` on."""
     last, merge = _Ranges(), Merge[Range](_itself)
     snapshot = held.snapshot()
     try:
@@ -178,7 +182,7 @@ def _seq_ranges(held: Holdings, low: ItemKey) -> Pieces[_Ranges]:
 
 
 def _merged(last: _Ranges, others: Merge[Range]) -> Pieces[_Ranges]:
-    """One list of all ranges."""
+    """The ranges of `last` and `others` in one list."""
     if others.is_empty:
         return last
     others.add(last)
@@ -194,7 +198,10 @@ def _itself(one: Range) -> Range:
 
 
 def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
-    """The next part: a gap if one comes first, then slices up to the next gap or the byte limit."""
+    """The next part of a subscription: a gap if the next items are missing, then slices.
+
+    The slices end before the next gap, or at about `limit_bytes`.
+    """
     gap: Gap | None = None
     slices: list[DeliveredSlice] = []
     while (owed := cursor.owed(held.next_seq)) is not None and limit_bytes > 0:
@@ -232,10 +239,11 @@ def _gap(limits: ChannelLimits, held: Holdings, first: int, last: int) -> Gap:
 
 
 class NewestCursor:
-    """The place of a subscription to the newest item. `ChannelCore.subscribe_newest` makes it, `latest` moves it.
+    """The position of a subscription to the newest item.
 
-    `delivered` counts the items given. `skipped` counts the other items of the subscription, as of the last `latest`,
-    and `next_seq` is the channel's next seq at that time.
+    `ChannelCore.subscribe_newest` makes the cursor, and `ChannelCore.latest` moves it. `delivered` counts the items
+    given to the reader. `skipped` counts the other items of the subscription, as of the last `latest`. `next_seq` is
+    the channel's next seq at that time.
     """
 
     __slots__ = ("_base_seq", "_low", "delivered", "next_seq", "skipped")
@@ -266,12 +274,15 @@ class NewestCursor:
 
 
 def resume_newest(held: Holdings, saved: SavedCursor) -> NewestCursor:
-    """Continue with items later than the last item taken."""
+    """A cursor that continues a saved subscription with items later than its last item."""
     return NewestCursor(saved.low or FIRST_KEY, min(saved.next_seq, held.next_seq))
 
 
 def open_newest(held: Holdings, low: ItemKey | None, after: ItemKey | None) -> NewestCursor:
-    """Begin with the newest item at or above the key `low`, or after the key `after`; else with new items only."""
+    """A cursor that begins with the newest item after the key `after`, or at or above the key `low`.
+
+    If both are None, the cursor begins with the next item that is later than all held items.
+    """
     if after is not None:
         return NewestCursor((after[0], after[1] + 1), after[1] + 1)
     if low is not None:

@@ -1,8 +1,9 @@
 """Counts the items of a channel below an item key, and their bytes, without a walk over all of them. Pure.
 
-Retention needs both sums when it outdates items, even a million at once. So held items are counted in blocks. Blocks
-are consecutive stretches of the order (time, seq). Items after the last block are in no block, so a put in order
-updates no count. A block that gets many late items is split, so that no block grows to much more than twice its size.
+Retention needs both sums when it outdates items, perhaps a million in one step. So the channel counts held items in
+blocks. A block holds the items between two item keys. Items after the last block are in no block, so a put in order
+updates no block. The channel splits a block that gets many late items, so that no block grows to much more than twice
+its usual size.
 """
 
 from __future__ import annotations
@@ -16,13 +17,16 @@ from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 BLOCK_ITEMS = 1024
-"""The usual number of items in a block. To count the oldest items, however many, takes a walk over hardly more items
-than one block has.
+"""The usual number of items in a block. To count any number of the oldest items, the channel walks over hardly more
+items than one block has.
 """
 
 
 class Whole(NamedTuple):
-    """The first blocks: the number of their items and of their payload bytes. All their items are below `end`."""
+    """Some of the first blocks: the number of their items and of their payload bytes.
+
+    They hold all held items below `end`.
+    """
 
     items: int
     payload_bytes: int
@@ -35,7 +39,7 @@ NO_BLOCKS = Whole(0, 0, FIRST_KEY)
 class Tally:
     """Held items by blocks. A block begins at the end of the block before it, and ends at its own end, exclusive.
 
-    `items`, `payload_bytes`: the sums over all blocks, which cover all held items below `end`.
+    `items` and `payload_bytes` are the sums over all blocks. The blocks hold all held items below `end`.
     """
 
     __slots__ = ("_ends", "_items", "_payload_bytes", "end", "items", "payload_bytes")
@@ -57,7 +61,7 @@ class Tally:
         self._count(len(self._ends) - 1, items, payload_bytes)
 
     def add_late(self, first_seq: int, times: Sequence[int], lengths: Sequence[int]) -> tuple[ItemKey, ItemKey] | None:
-        """Count a run that may have items below `end`.
+        """Count those items of a run that are below `end`.
 
         Returns the bounds of a block that must be split, if there is one.
         """
@@ -91,7 +95,7 @@ class Tally:
         self.payload_bytes += payload_bytes
 
     def take(self, items: int, payload_bytes: int) -> None:
-        """Take off the oldest items: `items` of them, with `payload_bytes` payload bytes."""
+        """Subtract the oldest `items` items, which have `payload_bytes` payload bytes."""
         gone = 0
         while gone < len(self._items) and items >= self._items[gone]:  # ends with the last block
             items -= self._items[gone]
@@ -110,7 +114,7 @@ class Tally:
         return self._whole(self._block(key))
 
     def whole_within(self, *, items: int | None = None, charged_bytes: int | None = None) -> Whole:
-        """The first blocks with at most `items` items, or with at most `charged_bytes` charged bytes.
+        """As many first blocks as have at most `items` items, or at most `charged_bytes` charged bytes, together.
 
         One step for each block.
         """

@@ -21,9 +21,9 @@ from stampede_rt_channel_host.core.channel.waiting import Needs
 class Offer:
     """A run that a producer wants to put. All columns have the same length, at least 1; -1 marks an absent duration.
 
-    `times` None: the channel stamps all items with one time when it accepts them. `since`: when the first item began to
-    wait for room, by the host's clock; None: it has not waited. The channel judges the room for items without times as
-    if they had been put then. Otherwise a channel of one item would never have room.
+    If `times` is None, the channel gives all items one time when it accepts them. `since` is the time at which the
+    first item began to wait for room, by the host's clock, or None if it has not waited. Items without times that wait
+    count as put at `since` when the channel looks for room. Otherwise a channel of one item would never have room.
     """
 
     times: Sequence[int] | None
@@ -42,7 +42,8 @@ class Offer:
     def rest(self, index: int, now: int) -> Offer:
         """The items from position `index` on, to offer again.
 
-        The first of them waits from `now` on. If it waited already (`index` 0), the start of its wait stays the same.
+        The first of these items waits from `now` on. If it has waited before (`index` is 0 and `since` is set), `since`
+        stays the same.
         """
         return Offer(
             times=None if self.times is None else self.times[index:],
@@ -53,31 +54,32 @@ class Offer:
 
 
 class Seal(Protocol):
-    """Makes the stored bytes of an accepted run. A put calls it once at the most. It must not raise."""
+    """Makes the stored bytes of an accepted run. A put calls the seal at most once. The seal must not raise."""
 
     def __call__(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
         """The bytes to store.
 
-        `kept`: the accepted positions of the offer, None for all. `stamped_time`: the time of all items, if the
-        offer had no times; else None.
+        `kept` are the accepted positions of the offer; None stands for all positions. `stamped_time` is the time that
+        the channel gave the items, or None if the offer had times.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """A refused item: its position in the offer and the error (TooOld, InFuture, ItemTooLarge, ChannelFull)."""
+    """A refused item: its position `index` in the offer and the error (TooOld, InFuture, ItemTooLarge, ChannelFull)."""
 
     index: int
     error: StampedeError
 
 
 class PutOutcome(NamedTuple):
-    """The outcome of an offer. Each item before `waiting` (each item, if None) was accepted, or refused with a
-    rejection.
+    """The outcome of an offer. The channel accepted each item, or refused it with a rejection, or lets it wait.
 
-    `run` holds the accepted items, None if there are none. Their seqs begin at `run.first_seq`, in the offer's order.
-    The items from position `waiting` on must wait (on_full="block"). Offer `offer.rest(waiting, now)` again after the
-    next change of the channel, and at `retry_at`, if it is set. To stop the wait, call `ChannelCore.give_up_put`.
+    `run` holds the accepted items, or is None if there are none. Their seqs begin at `run.first_seq`, in the offer's
+    order. `stamped_time` is the time that the channel gave them, or None if the offer had times. The items from
+    position `waiting` on must wait (on_full="block"); if `waiting` is None, no item waits. Offer `offer.rest(waiting,
+    now)` again after the next change of the channel, and at `retry_at`, if it is set. To stop the wait, call
+    `ChannelCore.give_up_put`.
     """
 
     run: Run | None = None
@@ -88,7 +90,10 @@ class PutOutcome(NamedTuple):
 
 
 class Position(NamedTuple):
-    """A position in the order (time, seq). `seq` None: after all items of that time. `incarnation` 0: not compared."""
+    """A position in the order (time, seq). If `seq` is None, the position lies after all items of that time.
+
+    The channel refuses a position of another incarnation. It does not compare `incarnation` 0.
+    """
 
     time: int
     seq: int | None = None
@@ -97,11 +102,12 @@ class Position(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SavedCursor:
-    """The place from which a subscription continues later: all items below `next_seq` are done.
+    """The position from which a subscription continues later. The subscription is done with all seqs below `next_seq`.
 
-    `low`: only items at or above this key belong to the subscription. In a subscription in seq order, `low` applies
-    only to seqs below `live_seq`; all later items belong to it. `cut`: only for a subscription through a group. The
-    items that lie before the cut and have seqs below `next_seq` are done. `incarnation` 0: not compared.
+    Only items at or above the key `low` belong to the subscription; None stands for all items. In a subscription in seq
+    order, `low` applies only to seqs below `live_seq`; all later items belong to the subscription. Only a subscription
+    through a group has a `cut`. It is done with seqs below `next_seq` only if their items lie before the cut. The
+    channel does not compare `incarnation` 0.
     """
 
     incarnation: int
@@ -115,9 +121,9 @@ class SavedCursor:
 class Query:
     """A read (paper, section 3.2). `limit` keeps the earliest items, or with `newest_first` the latest.
 
-    `after` continues after a position in reading order: with later items, or with `newest_first` with earlier ones.
-    `newer_than` selects only items later than a position, in either order. `complete` makes a blocking get wait until
-    the interval is finished.
+    `after` continues after a position in reading order: with later items, or with `newest_first` with earlier items.
+    `newer_than` selects only items later than a position, in either order. With `complete` a blocking get waits until
+    no more items can come into the interval.
     """
 
     interval: Interval
@@ -136,11 +142,11 @@ class Query:
 class ReadAnswer(NamedTuple):
     """The answer to a read. `slices` ascend in (time, seq), also with `newest_first`.
 
-    `next_time` is the time of the bucket after the last item, None if the last item is in the newest bucket. A reader
-    computes every span's end from it. `interval` is None if a meta-time could not be resolved. `complete`: no more
-    items can come. `truncated`: the interval, or the part of it that `after` and `newer_than` leave, begins where
-    items are missing, because they were collected or lost. `more`: the limit cut items off. `reason` (with its
-    `detail`) says why the answer is empty or partial.
+    `next_time` is the time of the bucket after the last item, or None if the last item is in the newest bucket. The
+    reader needs `next_time` to compute the ends of the last spans. `interval` is None if the channel could not resolve
+    a meta-time. `complete`: no more items can come into the interval. `truncated`: at the beginning of the interval, or
+    of the part that `after` and `newer_than` leave, items may be missing that were collected or lost. `more`: the limit
+    cut items off. `reason` (with its `detail`) says why the answer is empty or partial.
     """
 
     slices: Sequence[Slice]  # large answers are `Gathered`
@@ -154,9 +160,9 @@ class ReadAnswer(NamedTuple):
 
 
 class WakeAt(NamedTuple):
-    """There is no answer yet: poll again at `instant`, if it is set, and after the changes that reach `needs`.
+    """There is no answer yet. Poll again at `instant`, if it is set, and after each change that meets `needs`.
 
-    Other changes cannot release the get. `needs` None: any change may.
+    Other changes cannot release the get. If `needs` is None, any change may release it.
     """
 
     instant: int | None
@@ -164,8 +170,9 @@ class WakeAt(NamedTuple):
 
 
 class DeliveredSlice(NamedTuple):
-    """A slice for a subscriber, and the present time of the bucket after its last item (None: that item is in the
-    newest bucket).
+    """A slice for a subscriber. `next_time` is the present time of the bucket after the slice's last item.
+
+    `next_time` is None if that item is in the newest bucket.
     """
 
     slice: Slice
@@ -174,8 +181,9 @@ class DeliveredSlice(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Gap:
-    """Items that the reader will not get: `items` of the seqs from `first_seq` to `last_seq` belonged to the
-    subscription.
+    """Items that the reader will not get. Their seqs lie between `first_seq` and `last_seq`, both inclusive.
+
+    `items` is the number of these items that belonged to the subscription.
     """
 
     first_seq: int
@@ -186,9 +194,9 @@ class Gap:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SubscriptionBatch:
-    """The next part of a subscription: first the gap, if any, then the slices in seq order.
+    """The next part of a subscription: first the gap, if there is one, then the slices in seq order.
 
-    `more`: there are more items to look at, so ask for the next part without a wait for a put.
+    If `more` is set, ask for the next part now: the channel has more items to look at. Otherwise wait for a put.
     """
 
     slices: Sequence[DeliveredSlice] = ()
@@ -197,7 +205,7 @@ class SubscriptionBatch:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing to send. Then wait for the next put, unless `more` is set."""
+        """Whether there is nothing to send."""
         return not self.slices and self.gap is None
 
 

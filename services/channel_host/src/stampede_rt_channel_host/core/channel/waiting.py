@@ -1,8 +1,8 @@
-"""The needs of blocked gets, and how far new items reach. A change looks only at the gets that it may release. Pure.
+"""The needs of blocked gets, and how far new items reach. A change polls only the gets that it may release. Pure.
 
-An item releases a get if its time reaches the get's interval. Under the match mode `span`, the item's span decides. Any
-event after which no item can come into the interval releases the get, too. A look at a get that stays blocked covers
-all items present. So only an item accepted after that look can release the get.
+A new item may release a get if the item's time, or under the match mode `span` its span, reaches the get's interval.
+The channel also releases a get when no more item can come into the interval. A poll of a get looks at all items
+present. So if the get stays blocked, only an item accepted after that poll can release it.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 BEFORE_ALL, AFTER_ALL = FIRST_KEY[0], LAST_KEY[0]
 _BUCKET_PARTS_MAX = 16
-"""In a bucket of more slices `_bucket_end` does not look at the spans."""
+"""If a bucket has more slices, `_bucket_end` does not look at its spans."""
 
 
 class Needs(NamedTuple):
-    """The events that may release a get. None: events of that kind do not.
+    """The events that may release a get. A field is None if its kind of event does not release the get.
 
-    `passed`: the channel has passed this instant. `time`: an item comes with this time or a later one. `end`: an item
-    comes whose span lasts until this instant or longer.
+    `passed`: the channel passes this instant, so that no item before it can come. `time`: an item comes with this time
+    or a later time. `end`: an item comes whose span lasts until this instant or longer.
     """
 
     passed: int | None = None
@@ -35,10 +35,11 @@ class Needs(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far a channel and its new items since the last look reach. None: no such instant.
+    """How far a channel reaches, and the items that are new since the last reach. A field is None if there is no such
+    instant.
 
     `passed`: the latest instant that the channel has passed. `time`: the latest time of a new item. `end`: the latest
-    span end of a new item. The reach may be too far, which only costs a look. It is never too short.
+    span end of a new item. Each instant may be too late, which only costs a poll in vain. It is never too early.
     """
 
     passed: int | None
@@ -47,9 +48,9 @@ class Reach(NamedTuple):
 
 
 class Coming:
-    """Follows a channel, or the part of it before a cut, for the gets that wait there.
+    """Computes the `Reach` of a channel, or of its part before a cut, for the gets that wait at the channel.
 
-    A call looks at the items since the last call.
+    Each call looks at the items that came after the last call.
     """
 
     def __init__(self, channel: ChannelCore) -> None:
@@ -58,13 +59,13 @@ class Coming:
         self._cut = AFTER_ALL
 
     def begin(self, cut: int = AFTER_ALL) -> None:
-        """Note that the gets have seen all present items before the cut."""
+        """Note that the polls of all gets have seen the present items before the cut."""
         self._seen_seq, self._cut = self._channel.next_seq, cut
 
     def reach(self, now: int, cut: int = AFTER_ALL) -> Reach:
-        """The reach of the channel with the items since the last call.
+        """The reach of the channel, and of the items that came, or became visible, after the last call.
 
-        `cut`: items from this time on are not visible.
+        Items at or after `cut` are not visible.
         """
         held, _ = self._channel.look(now)
         before, time = self._cut, self._newly_visible(held, cut)
@@ -78,12 +79,13 @@ class Coming:
         return Reach(self._passed(held, cut), time, end)
 
     def _passed(self, held: Holdings, cut: int) -> int | None:
+        """The instant that the channel has passed: no item before it can come or become visible late."""
         marks = [mark for mark in (held.newest, self._channel.advanced_to, held.newest_consumed) if mark is not None]
         passed = [min(max(marks), cut)] if marks else []
         return max([*passed, *([] if held.frontier is None else [held.frontier])], default=None)
 
     def _newly_visible(self, held: Holdings, cut: int) -> int | None:
-        """The latest time of an item that became visible after the last call."""
+        """The latest time of an item that came, or became visible, after the last call; or None."""
         found = []
         for part in held.slices_by_seq(self._seen_seq, self._channel.next_seq):
             if part.first_time < cut:
@@ -106,9 +108,9 @@ class Coming:
 
 
 def _bucket_end(held: Holdings, time: int, now: int) -> int:
-    """The latest span end of the bucket at `time`, if no later bucket bounds the spans.
+    """The latest span end of the bucket at `time`, as if no later bucket ended the spans.
 
-    AFTER_ALL for a large bucket, without a look at each item.
+    Returns AFTER_ALL for a large bucket, without a look at each item.
     """
     end = time
     parts = list(islice(held.slices((time, 0), (time, SEQ_END)), _BUCKET_PARTS_MAX + 1))
