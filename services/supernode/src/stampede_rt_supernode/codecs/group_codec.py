@@ -91,5 +91,5 @@ def group_entry(group: GroupRecord, witnesses: tuple[bytes, ...]) -> pb.GroupEnt
 
 
 def group_entry_from(entry: pb.GroupEntry) -> tuple[GroupRecord, tuple[bytes, ...]]:
-    """The group, and the host ids of its witnesses, from an entry that this codec wrote."""
+    """The group and the host ids of its witnesses, from an entry that this codec wrote."""
     return group_from(entry.record), tuple(entry.witness_host_ids)

@@ -18,7 +18,7 @@ def attributes_from(attributes: Mapping[str, str]) -> tuple[tuple[str, str], ...
 
 
 def peer_record(peer: PeerRecord, clock: ClockOffset | None = None) -> peer_pb2.PeerRecord:
-    """The record that clients get. It has the peer's clock if `clock` is given; the log holds no clocks."""
+    """The record that clients get. `clock`: the peer's clock report, which is not in the log; None to leave it out."""
     return peer_pb2.PeerRecord(
         peer_id=peer.peer_id,
         name=peer.name,

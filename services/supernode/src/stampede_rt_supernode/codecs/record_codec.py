@@ -82,7 +82,7 @@ def channel_from(record: channel_pb2.ChannelRecord) -> ChannelRecord:
 def _held_policy(spec: bytes) -> Policy:
     """The policy in an encoded spec, one object for all channels with the same spec.
 
-    To decode a policy takes more time than the rest of a record. The supernodes checked each spec before they stored
+    It takes more time to decode a policy than the rest of a record. The supernodes checked each spec before they stored
     it, so the keys of the cache are short.
     """
     return policy_from(channel_pb2.ChannelSpec.FromString(spec))
@@ -105,7 +105,10 @@ def channel_record(channel: ChannelRecord) -> channel_pb2.ChannelRecord:
 
 @lru_cache(_POLICIES_MAX)
 def _held_spec(policy: Policy) -> channel_pb2.ChannelSpec:
-    """The spec of a policy, cached like `_held_policy`. Callers must not change it. They copy it into a record."""
+    """The spec of a policy, cached as in `_held_policy`.
+
+    Callers must not change the message, but copy it into a record.
+    """
     return spec_of(policy)
 
 

@@ -18,7 +18,7 @@ def kind_from(kind: replica_pb2.ReplicaKind) -> ReplicaKind:
     """The kind in a message. Raises InvalidArgument for a kind that a caller may not request."""
     if kind not in _KINDS_FROM_WIRE:
         raise InvalidArgument(
-            f"kind is {kind}; state REPLICA_KIND_PROXY or REPLICA_KIND_WARM: moves make their copies themselves",
+            f"kind is {kind}; state REPLICA_KIND_PROXY or REPLICA_KIND_WARM, the kinds that a caller can add",
             metadata={"field": "kind"},
         )
     return _KINDS_FROM_WIRE[kind]
@@ -36,7 +36,7 @@ def channel_id_of(subject: subject_pb2.Subject) -> bytes:
     """
     if subject.WhichOneof("id") == "queue_id":
         shown = subject.queue_id.hex()
-        text = f"queue {shown} cannot be copied: this version copies channels only; name one by its channel_id"
+        text = f"queue {shown} cannot be copied: this version copies only channels; name a channel by its channel_id"
         raise StampedeError(text, reason="QUEUE_NOT_FOUND", metadata={"queue_id": shown})
     return subject.channel_id
 
@@ -75,7 +75,7 @@ def replica_from(record: replica_pb2.ReplicaRecord) -> ReplicaRecord:
 
 
 def load_message(load: ReplicaLoad) -> replica_pb2.ReplicaLoad:
-    """The message of a host's load."""
+    """The message of the load of a host by a channel."""
     return replica_pb2.ReplicaLoad(
         subject=subject_of(load.channel_id),
         host_id=load.host_id,

@@ -1,9 +1,9 @@
 """Converts the whole directory from and to the bytes of a snapshot.
 
-A worker thread encodes a snapshot while the log goes on. The values are immutable, so the writer keeps their encoded
-forms and uses them again. A snapshot costs the encoding of changed values and a copy of the rest. Each part is an
-encoded message of its own, and the snapshot is their concatenation: protobuf merges concatenated messages when it
-decodes them (protobuf.dev, "Encoding", "Last One Wins").
+A worker thread encodes a snapshot while the supernode applies further commands. The records are immutable, so the
+writer keeps their encoded forms for the next snapshot. Then it encodes only the changed records, and copies the rest.
+Each record is encoded as a message of its own, and the snapshot is their concatenation: protobuf merges concatenated
+messages when it decodes them (protobuf.dev, "Encoding", "Last One Wins").
 """
 
 from __future__ import annotations
@@ -43,8 +43,10 @@ from stampede_rt_supernode.core.snapshot_view import SnapshotView, snapshot_view
 from stampede_rt_supernode.core.tables import Tables
 
 FORMAT_VERSION = 1
-FORMAT_VERSION_WITH_GROUPS = 2  # has groups or copies of channels, which a reader of version 1 would lose in silence
-FORMAT_VERSION_WITH_QUEUES = 3  # has queues or peers
+# The snapshot has groups or copies of channels, which a reader of version 1 would lose in silence.
+FORMAT_VERSION_WITH_GROUPS = 2
+# The snapshot has queues or peers, which a reader of version 2 would lose in silence.
+FORMAT_VERSION_WITH_QUEUES = 3
 
 T = TypeVar("T")
 
@@ -68,9 +70,9 @@ class SnapshotWriter:
         )
 
     def begin(self, directory: Directory) -> Callable[[], bytes]:
-        """Take the present state. The returned function encodes it, on any thread; call it before the next `begin`.
+        """Take a view of the present state. Returns a function that encodes the view, on any thread.
 
-        The same state gives the same bytes on every replica.
+        Call that function before the next `begin`. The same state gives the same bytes on every replica.
         """
         view = snapshot_view(directory, self._channels.position)
         return lambda: self._write(view)
@@ -91,7 +93,10 @@ class SnapshotWriter:
 
 
 class _ChannelParts:
-    """The encoded forms of all channels as of the change `position`, which is None before the first snapshot."""
+    """The encoded forms of all channels as of the last snapshot.
+
+    `position`: that of its view; None before the first one.
+    """
 
     def __init__(self) -> None:
         self.position: int | None = None
@@ -176,7 +181,7 @@ def _remembered(answer: Answer) -> pb.RememberedOperation:
 
 
 def encode_snapshot(directory: Directory) -> bytes:
-    """The bytes of one snapshot. Keeps no encoded forms for another."""
+    """The bytes of one snapshot. Keeps no encoded forms for another snapshot."""
     return SnapshotWriter().begin(directory)()
 
 
@@ -186,7 +191,7 @@ def decode_snapshot(encoded: bytes) -> Directory:
         return _directory(pb.DirectorySnapshot.FromString(encoded))
     except StampedeError:
         raise
-    except Exception as error:  # the bytes are no state, and even valid parts may contradict each other
+    except Exception as error:  # the bytes may be no snapshot, or its records may contradict each other
         raise StampedeError(f"the snapshot holds no directory ({error!r}); use another one") from error
 
 

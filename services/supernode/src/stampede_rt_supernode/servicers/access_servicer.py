@@ -42,9 +42,9 @@ SERIAL_BYTES = 8
 
 
 class _Change(NamedTuple):
-    """The rules before and after a planned change, and its effects.
+    """The rules before and after a planned change, and the effects of the change.
 
-    `version`: the log position of the last change of access that was made.
+    `version`: the log position of the last change of the AccessTable before it.
     """
 
     version: int
@@ -90,7 +90,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
 
     @errors_as_status
     async def AddAccessRule(self, request: pb.AddAccessRuleRequest, context: Context) -> pb.AddAccessRuleResponse:
-        """With dry_run it adds nothing: it answers with the effects that the rule would have."""
+        """With dry_run, adds nothing, and answers with the effects that the rule would have."""
         operation = commands.AddAccessRule(rule=rule_from(request.rule))
         change = await self._change(context, operation, lambda rules: with_rule(rules, operation.rule))
         added, version = change.after is not change.before, change.version
@@ -106,7 +106,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
     async def RemoveAccessRule(
         self, request: pb.RemoveAccessRuleRequest, context: Context
     ) -> pb.RemoveAccessRuleResponse:
-        """With dry_run it removes nothing: it answers with the effects that the removal would have."""
+        """With dry_run, removes nothing, and answers with the effects that the removal would have."""
         operation = commands.RemoveAccessRule(rule=rule_from(request.rule))
         change = await self._change(context, operation, lambda rules: without_rule(rules, operation.rule))
         removed, version = len(change.after.rules) < len(change.before.rules), change.version
@@ -124,7 +124,7 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
         operation: commands.AddAccessRule | commands.RemoveAccessRule,
         change: Callable[[AccessRules], AccessRules],
     ) -> _Change:
-        """The effects of a change at present. Raises InvalidArgument for a rule that can match nothing."""
+        """The effects that a change of the present rules would have. Raises InvalidArgument for an invalid rule."""
         check_operation(operation)
 
         def judge(directory: Directory) -> _Change:
@@ -175,9 +175,10 @@ class AccessServicer(access_service_pb2_grpc.AccessServiceServicer):
 
 
 def _plain(serial: str) -> str:
-    """A serial number in the form in which credentials have it.
+    """A serial number as credentials state it.
 
-    That of a certificate has no leading zeros. That of a token has a fixed number of digits, so it may have some.
+    The serial of a certificate has no leading zeros. The serial of a token has a fixed number of digits, so it may have
+    leading zeros.
     """
     return serial if len(serial) == 2 * SERIAL_BYTES else serial.lstrip("0") or serial[:1]
 

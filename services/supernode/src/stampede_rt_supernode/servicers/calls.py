@@ -33,9 +33,9 @@ from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.submission import Submission
 
-# the longest time that a call waits for the other supernodes, even if the caller's deadline is later
+# The longest time that a call waits for the other supernodes, even if the caller's deadline is later.
 WAIT_SECONDS_MAX = 10.0
-# subtracted from the caller's deadline, so that the caller gets the reason and not only a deadline error
+# This time is subtracted from the caller's deadline, so that the caller gets the reason and not only a deadline error.
 ANSWER_SECONDS = 0.1
 
 T = TypeVar("T")
@@ -63,9 +63,9 @@ def check_age(context: Context) -> None:
 
 
 class DirectoryCalls:
-    """The reads and updates of one supernode.
+    """The reads and updates of one supernode. Reads are linearizable unless `stale_ok` is set.
 
-    Reads are linearizable unless `stale_ok`. Updates are done once per request id.
+    The directory performs an update only once for each request id.
     """
 
     def __init__(self, replica: DirectoryReplica, submission: Submission) -> None:
@@ -73,7 +73,11 @@ class DirectoryCalls:
         self._submission = submission
 
     async def read(self, context: Context, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
-        """The answer of `question`, as in `DirectoryReplica.read`. Raises Unavailable with reason NO_QUORUM."""
+        """The result of `question`, called with the directory. Raises Unavailable with reason NO_QUORUM or
+        SHUTTING_DOWN.
+
+        `stale_ok`: do not wait for a majority; the state may then lack the latest updates.
+        """
         self._submission.check_state()
         if not stale_ok:
             await self._submission.confirm(seconds=seconds_left(context))
@@ -87,9 +91,10 @@ class DirectoryCalls:
         op_id: bytes,
         as_of_index: int | None = None,
     ) -> S:
-        """The result of `operation`, as in `Submission.submit`. Raises InvalidArgument for an impossible operation.
+        """The result of `operation`. Raises the errors of `check_operation` and `check_age`, and of
+        `Submission.submit`.
 
-        `as_of_index`: the result of `reached` when the request came; None if it came just now.
+        `as_of_index`: the result of `reached` when the request came; None if the request came just now.
         """
         check_id(op_id, "request_id")
         check_operation(operation)
@@ -118,9 +123,11 @@ class DirectoryCalls:
         """Submit an operation that opens a thing, see `submit`.
 
         A first request that changes nothing gets its answer from a confirmed read, without a log entry. A repeated
-        request always gets an entry, because the network may still delay its first attempt. The delayed attempt then
-        finds the answer. So it opens nothing after somebody has deleted the thing. `unchanged`: the answer if the thing
-        exists in the requested form. `check` is called before the entry, and raises for forbidden operations.
+        request gets an entry, unless the directory remembers its answer, because the network may still delay the first
+        attempt. The delayed attempt then finds that answer. So it opens nothing after somebody has deleted the thing.
+
+        `unchanged`: returns the answer if the thing exists in the requested form, else None. `check`: is awaited before
+        the entry is proposed, and raises for a forbidden operation.
         """
         check_id(op_id, "request_id")
         is_repeated = request_age_nanos(context.invocation_metadata()) > 0
@@ -138,14 +145,17 @@ class DirectoryCalls:
         return await self.submit(context, operation, kind, op_id, as_of_index)
 
     async def check_level(self, context: Context, what: str, needed: int) -> None:
-        """Raises VersionMismatch if the cluster's feature level is below `needed`. `what`: what needs the level."""
+        """Raises VersionMismatch if the cluster's feature level is below `needed`.
+
+        `what`: names the use in the error.
+        """
         await self.confirm(context)
         self._submission.check_level(what, needed)
 
     async def confirm(self, context: Context) -> None:
-        """Wait until the local state includes every update acknowledged before.
+        """Wait until the local state includes every update that was acknowledged before the call.
 
-        Raises Unavailable with reason NO_QUORUM.
+        Raises Unavailable with reason NO_QUORUM or SHUTTING_DOWN.
         """
         await self._submission.confirm(seconds=seconds_left(context))
 
@@ -182,7 +192,7 @@ class DirectoryCalls:
             check_access(verb, kind, found)
 
     async def _known(self, context: Context, question: Callable[[Directory], T | None]) -> T | None:
-        """The answer of this replica, or if it is None, that of a confirmed read."""
+        """The result of `question` on the local state; if that is None, its result after a confirmed read."""
         found = self._replica.read(question)
         return await self.read(context, question) if found is None else found
 

@@ -59,7 +59,7 @@ LOST_SHOWN_NANOS = 3600 * 10**9
 class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     """One supernode's answers about channels and hosts.
 
-    Reads are linearizable unless `stale_ok`. Updates are done once for each request id.
+    Reads are linearizable unless `stale_ok` is set. The directory performs an update only once for each request id.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         self._access = access
 
     async def Ping(self, request: pb.DirectoryServicePingRequest, context: Context) -> pb.DirectoryServicePingResponse:
-        """Answers from this supernode's own knowledge. Needs no leader."""
+        """Answers from the local state. Needs no leader."""
         return pb.DirectoryServicePingResponse(
             time_unix_nano=self._clock.time_unix_nano(),
             supernode_id=self._members.self_id,
@@ -262,7 +262,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         )
 
     async def ListSupernodes(self, request: pb.ListSupernodesRequest, context: Context) -> pb.ListSupernodesResponse:
-        """Answers from local knowledge, so that it also works without a majority."""
+        """Answers from the local state, so that the call works also without a majority."""
         records, term = self._members.records()
         index = self._replica.read(lambda directory: directory.applied_index)
         return pb.ListSupernodesResponse(
@@ -288,7 +288,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
 
 def _owned(directory: Directory, host_id: bytes) -> tuple[int, tuple[ChannelRecord, ...], tuple[QueueRecord, ...]]:
-    """The TTL of leases, and the channels and queues that the host must serve."""
+    """The TTL of leases, and the first 1000 channels and queues that the host owns."""
     return directory.lease_ttl_nanos, channels_of(directory.tables, host_id), queues_of(directory.tables, host_id)
 
 

@@ -1,4 +1,4 @@
-"""Manages the leases of hosts and peers while this supernode leads: takes them over, prolongs them, ends them.
+"""Grants, prolongs and ends the leases of hosts and peers, while this supernode leads.
 
 A thin shell around `core.lease`.
 """
@@ -82,10 +82,10 @@ class LeaseKeeper:
         self._peers_followed: tuple[int, int] | None = None
         # The log position of the last mark of time, and when this leader first saw the mark, or began to lead.
         self._last_mark = self._marked_nanos = 0
-        # The id that the founder gave the cluster, and whether callers of the cluster that was restored here may go
+        # The id that the founder gave the cluster. In a restored cluster, whether callers of the former cluster may go
         # over to this one.
         self.founding_cluster_id, self.takes_over = "", False
-        # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id says so.
+        # Whether the cluster keeps everything in memory. If the first leader makes the cluster's id, the id tells this.
         self.in_memory = False
 
     async def run(self) -> None:
@@ -95,7 +95,11 @@ class LeaseKeeper:
             await asyncio.sleep(TICK_SECONDS)
 
     async def tick(self) -> None:
-        """Follow the leadership. As the leader, end the due leases. The next tick repeats failed work."""
+        """Take over the leases if this supernode has begun to lead, drop them if it has ceased to lead, or end the due
+        leases.
+
+        The next tick repeats failed work.
+        """
         status = self._log.status()
         try:
             if not status.is_leader:
@@ -123,7 +127,7 @@ class LeaseKeeper:
             supernode_id=status.self_id,
             new_cluster_id=self.founding_cluster_id or new_cluster_id(in_memory=self.in_memory),
             new_lease_ttl_nanos=self._founding_ttl_nanos,
-            # A restored cluster gets a new id. So front-ends do not mistake the former cluster for it.
+            # A restored cluster gets a new id. So front-ends do not mistake the former cluster for the restored one.
             founded_anew=bool(cluster_id and self.founding_cluster_id and cluster_id != self.founding_cluster_id),
             takes_over=self.takes_over,
             new_feature_level=max(FIRST_LEVEL, status.level_of_members),
@@ -148,7 +152,7 @@ class LeaseKeeper:
             )
 
     async def _mark_time(self) -> None:
-        """Mark the time in the log, as long as the directory has anything to forget later."""
+        """Add a mark of time to the log if one is due, and the directory remembers any answers."""
         now = self._clock.boottime_nanos()
         kept, last_mark = self._replica.read(lambda one: (len(one.answered), one.answered.last_mark))
         if last_mark != self._last_mark:
@@ -189,7 +193,10 @@ class LeaseKeeper:
             logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
 
     async def _follow_peers(self, now: int) -> None:
-        """Follow the peers that came and went, a part in each turn. If the ring has dropped some, go through all."""
+        """Apply the changes of peers to the table of leases, some in each turn of the event loop.
+
+        If the ring has dropped some of these changes, go through all peers.
+        """
         while True:  # ends with the last change
             page = self._replica.read(self._changed_peers)
             if page is None:
@@ -245,7 +252,7 @@ class LeaseKeeper:
     async def renew_peer(
         self, peer_id: bytes, boot_incarnation: int, clock: ClockOffset | None, *, seconds: float
     ) -> PeerRenewal:
-        """As `renew`, for a peer. `clock`: the peer's report of its clock; None if it made none."""
+        """As `renew`, for a peer. `clock`: the peer's report of its clock; None if the peer did not report it."""
         received = self._clock.boottime_nanos()
         ttl_nanos, tenure = await self._renew(
             self._peers, lambda: self._registered_peer(peer_id, boot_incarnation), seconds, clock
@@ -256,13 +263,15 @@ class LeaseKeeper:
         return PeerRenewal(ttl_nanos, tenure, self._clock.time_unix_nano(), self_id, held)
 
     def note_clock(self, peer: PeerRecord, clock: ClockOffset | None) -> None:
-        """Keep the clock report of this registration, if this supernode leads and the peer still lives."""
+        """Keep the clock report of a registration, if this supernode leads and the directory still has the
+        registration.
+        """
         now_there = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer.peer_id))
         if clock is not None and peer == now_there:
             self._peers.note_clock(peer, clock, self._clock.boottime_nanos())
 
     def clock_of(self, peer: PeerRecord) -> ClockOffset | None:
-        """The last clock report of a peer, if it reported to this supernode as the leader."""
+        """The last clock report of a peer to this supernode as the leader; None if there is none."""
         return self._peers.clock(peer)
 
     async def _renew(
@@ -280,8 +289,8 @@ class LeaseKeeper:
     def check_leads(self, since: int = 0) -> int:
         """The tenure under which this supernode grants leases.
 
-        `since`: the tenure that must still hold; 0 if any will do. Raises NotLeader, or Unavailable with reason
-        NO_QUORUM while this supernode takes over or if another tenure holds.
+        `since`: the tenure that must not have ended; 0 if any tenure will do. Raises NotLeader. Raises Unavailable with
+        reason NO_QUORUM while this supernode takes over, or if the tenure has changed.
         """
         status = self._log.status()
         if not status.is_leader:

@@ -1,4 +1,4 @@
-"""Manages the cluster's feature level while this supernode leads: raises it once all members know a higher one."""
+"""Raises the cluster's feature level, while this supernode leads, once all members know a higher level."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stampede_rt_supernode.servicers.submission import Submission
 logger = logging.getLogger(__name__)
 
 TICK_SECONDS = 0.5
-# how long a tick waits for the outcome of its command
+# The longest time that a tick waits for the outcome of its command.
 PROPOSAL_SECONDS = 5.0
 
 
@@ -35,7 +35,10 @@ class LevelKeeper:
             await asyncio.sleep(TICK_SECONDS)
 
     async def tick(self) -> None:
-        """As the leader of a founded cluster, raise its level if all members know a higher one."""
+        """If this supernode leads a founded cluster, raise the cluster's level to the highest that all members know.
+
+        The next tick repeats a failed attempt.
+        """
         status = self._log.status()
         level = status.level_of_members
         founded = self._replica.read(lambda directory: directory.tenure > 0)

@@ -1,6 +1,6 @@
-"""Pages of listings with only what the caller may list.
+"""Makes the pages of listings. A page has only the things that the caller may list.
 
-The answer, and the token of the next page, depend on shown things only. So a caller cannot find the names of other
+The answer, and the token of the next page, depend only on these things. So a caller cannot find the names of other
 things by small pages or by patterns.
 """
 
@@ -19,7 +19,7 @@ from stampede_rt_supernode.core.queries import PAGE_SIZE_MAX
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 
 JUDGED_PER_TURN = 100
-"""The most things whose right is judged in one turn of the event loop: 0.1 ms each with a thousand rules."""
+"""In one turn of the event loop, `list_shown` judges this many things at most: 0.1 ms each with a thousand rules."""
 
 Record = TypeVar("Record")
 Place = TypeVar("Place")
@@ -27,9 +27,9 @@ Place = TypeVar("Place")
 
 @dataclass(frozen=True, slots=True)
 class Looked(Generic[Record, Place]):
-    """Matching things with their places in the order of the listing.
+    """One step of a search: matching things, each with its position in the order of the listing.
 
-    The search goes on behind `last`, which is None at the end of the listing.
+    The next step begins after `last`, which is None at the end of the listing.
     """
 
     found: Sequence[tuple[Place, Record]]
@@ -38,9 +38,9 @@ class Looked(Generic[Record, Place]):
 
 @dataclass(frozen=True, slots=True)
 class Listed(Generic[Record, Place]):
-    """The things on a page. The next page begins behind `last`, which is None for the last page.
+    """The things on a page. The next page begins after `last`, which is None for the last page.
 
-    All changes up to `applied_index` are in the page.
+    The page includes all changes up to log position `applied_index`.
     """
 
     things: list[Record]
@@ -58,10 +58,11 @@ async def list_shown(
     *,
     stale_ok: bool,
 ) -> Listed[Record, Place]:
-    """At most `page_size` (0: the limit) things behind `after` for which `is_shown` is true.
+    """At most `page_size` (0: PAGE_SIZE_MAX) things after the position `after` for which `is_shown` is true.
 
-    `look` gives at most so many matching things behind a place. Raises Overloaded if the caller's time ends first, and
-    the errors of `look` and of `DirectoryCalls.read`.
+    `look` gets the directory, a position and a number, and returns at most that many matching things after the
+    position. Raises Overloaded if the caller's time ends first. Raises also the errors of `look` and of
+    `DirectoryCalls.read`.
     """
     limit, place = min(page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX), after
     until_s = time.monotonic() + seconds_left(context)

@@ -1,4 +1,4 @@
-"""Manages the loads of owners and copies while this supernode leads: takes the hosts' reports, answers callers.
+"""Keeps the loads of owners and copies that hosts report, while this supernode leads, and returns them to callers.
 
 A thin shell around `core.replicas.loads`.
 """
@@ -20,7 +20,7 @@ from stampede_rt_supernode.servicers.lease_keeper import not_leader
 
 
 class LoadKeeper:
-    """The loads that hosts report. Each host reports about every 2 s. Use it on one event loop. No method waits."""
+    """The loads that hosts report. Use it on one event loop. No method waits."""
 
     def __init__(self, log: ReplicatedLog, replica: DirectoryReplica, *, clock: HostClock) -> None:
         self._log = log
@@ -34,7 +34,7 @@ class LoadKeeper:
         Ignores channels that the host neither owns nor holds a copy of, because they may just have been taken away.
         """
         if len(loads) > REPORT_LOADS_MAX:
-            raise InvalidArgument(f"the report has {len(loads)} loads; {REPORT_LOADS_MAX} at most, send the rest apart")
+            raise InvalidArgument(f"the report has {len(loads)} loads; {REPORT_LOADS_MAX} at most; send two reports")
         for load in loads:
             if load.host_id != host_id:
                 raise InvalidArgument(f"host {host_id.hex()} reports a load of host {load.host_id.hex()}; leave it out")

@@ -31,13 +31,14 @@ from stampede_rt_supernode.replication.interface import too_old
 from stampede_rt_supernode.servicers.lease_keeper import not_leader
 
 PROTOCOL_VERSION = 1
-# the longest time that a call waits for the newcomer and the other supernodes, even if the caller's deadline is later
+# The longest time that a call waits for the newcomer and the other supernodes, even if the caller's deadline is later.
 WAIT_SECONDS_MAX = 60.0
-# subtracted from the caller's deadline, so that the caller gets the reason and not only a deadline error
+# This time is subtracted from the caller's deadline, so that the caller gets the reason and not only a deadline error.
 ANSWER_SECONDS = 0.1
 MEMBER_ID_CHARACTERS_MAX = 128
 SNAPSHOTS_MAX = 4  # the most calls of TakeSnapshot at the same time
-QUORUM_SECONDS = 5.0  # the wait for a majority; a reachable one answers at once, or elects a leader within 4 s
+# How long TakeSnapshot waits for a majority. Members that reach each other answer soon, or elect a leader within 4 s.
+QUORUM_SECONDS = 5.0
 
 
 class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
@@ -90,7 +91,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         self, request: pb.TakeSnapshotRequest, context: Context
     ) -> AsyncIterator[pb.TakeSnapshotResponse]:
         if self._snapshots_under_way >= SNAPSHOTS_MAX:
-            raise Overloaded(f"{SNAPSHOTS_MAX} snapshots are asked for already; try again in a moment")
+            raise Overloaded(f"{SNAPSHOTS_MAX} other calls take snapshots already; try again in a moment")
         self._snapshots_under_way += 1
         try:
             backup, facts = await self._taken(stale_ok=request.stale_ok, seconds=_seconds(context))
@@ -101,7 +102,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
             self._snapshots_under_way -= 1
 
     async def _taken(self, *, stale_ok: bool, seconds: float) -> tuple[replication.Backup, pb.TakeSnapshotResponse]:
-        """A snapshot as a file, and the response that describes it. Raises Unavailable."""
+        """A snapshot in the form of a backup file, and the response that describes it. Raises Unavailable."""
         began, status = self._clock.boottime_nanos(), self._log.status()
         if status.diverged_at:
             text = f"{why_diverged(status)}; its snapshot is no backup of the directory; take one of another supernode"
@@ -155,7 +156,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         return member, ticket
 
     def _check_is_new(self, member_id: str) -> None:
-        """Raises InvalidArgument for an id that can never join. The leader decides again when the newcomer asks."""
+        """Raises InvalidArgument for an id that can never join. The leader checks the id again in AddSupernode."""
         status = self._log.status()
         if member_id in status.retired:
             text = f"{member_id} was a member before; a removed id is never used again: let it join under a new one"
@@ -169,7 +170,7 @@ class MembershipServicer(membership_service_pb2_grpc.MembershipServiceServicer):
         return JoinTokens(self._replica.read(lambda directory: directory.join_key))
 
     async def _done(self, change: Awaitable[int]) -> int:
-        """The log position of a change. Raises the errors that the contract names."""
+        """The log position of a change of the members. Raises the error of the contract for each error of the log."""
         try:
             return await change
         except replication.NotLeading as error:

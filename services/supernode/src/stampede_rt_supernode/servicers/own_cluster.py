@@ -10,25 +10,28 @@ from stampede_rt_supernode.replica import DirectoryReplica
 
 
 class OwnCluster:
-    """Knows the cluster's id from the data folder, or, if a list of members founded the cluster, from the directory."""
+    """Knows the cluster's id from the data folder. If a list of members founded the cluster, from the directory."""
 
     def __init__(self, replica: DirectoryReplica) -> None:
         self._replica = replica
         self._known = ""
 
     def learn(self, log_cluster_id: str) -> None:
-        """Take over the id by which the members know the cluster. Call it at the start, before any call is served."""
+        """Take the id by which the members know the cluster.
+
+        Call this at the start, before the supernode serves calls.
+        """
         self._known = cluster_id_of(log_cluster_id)
 
     def id(self) -> str:
-        """The id that this cluster has, or will have once its founder leads; empty if it is not known yet."""
+        """The id that this cluster has, or will have once its founder leads; empty if the id is not known yet."""
         return self._known or self._replica.read(_id_of)
 
     def judge(self, callers: str) -> StampedeError | None:
         """The error for a caller of the cluster with the id `callers`; None if the supernode serves that caller.
 
-        Serves no caller while the state is still empty, or, in a restored cluster, still that of the former cluster.
-        Reads and updates would concern that state.
+        The supernode serves no caller while its state is still empty, or, in a restored cluster, still that of the
+        former cluster, because reads and updates would concern that state.
         """
         own, held = self.id(), self._replica.read(_id_of)
         if not own or held != own:

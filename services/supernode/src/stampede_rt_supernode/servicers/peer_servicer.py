@@ -168,7 +168,7 @@ def _clock_told(request: pb.RegisterPeerRequest | pb.RenewPeerLeaseRequest) -> C
 
 
 def _entering(request: pb.RegisterPeerRequest) -> RegisterPeer:
-    """The operation of a request. It contains only a hash of the proof."""
+    """The operation of a request. It has a hash of the proof, and not the proof itself."""
     check_proof(request.proof)
     return RegisterPeer(
         peer_id=request.peer_id,

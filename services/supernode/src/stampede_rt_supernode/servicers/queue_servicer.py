@@ -144,7 +144,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     async def _check_dead_letter(self, context: Context, spec: QueueSpec) -> None:
         """Check that the caller may send to the dead-letter queue.
 
-        Later the host sends there, and rules of access do not judge hosts.
+        Later the host sends messages to that queue, and rules of access do not limit hosts.
         """
         if spec.HasField("dead_letter_queue_id"):
             await self._calls.check_thing(context, AccessVerb.SEND, AccessKind.QUEUE, spec.dead_letter_queue_id)

@@ -18,7 +18,7 @@ from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, Quot
 from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
 
-# Members below GROUPS_AND_PEERS_LEVEL cannot read a command about these.
+# Members of a release below GROUPS_AND_PEERS_LEVEL cannot read a command about these quotas.
 LATER_QUOTAS = frozenset({Quota.GROUPS, Quota.PEERS})
 
 

@@ -10,9 +10,10 @@ from stampede_rt_supernode.core.records import ChannelRecord, DirectoryChange, G
 
 
 def shown_to_caller() -> Callable[[DirectoryChange], bool]:
-    """Returns a function that tells whether the caller gets a change, by the rules at the time of the function's call.
+    """Returns a function that tells whether the caller gets a change.
 
-    Everybody gets changes of hosts, and the news that the rules have changed.
+    The function judges each change by the rules that hold when it is called. Every caller gets the changes of hosts,
+    and every AccessChange.
     """
     may_list = {kind: allowed_to(AccessVerb.LIST, kind) for kind in AccessKind}
 

@@ -1,4 +1,4 @@
-"""Commands and confirmed reads that survive changes of the leader: repeats an operation until its outcome is known."""
+"""Repeats commands and confirmed reads until their outcome is known, so that they survive a change of the leader."""
 
 from __future__ import annotations
 
@@ -33,23 +33,26 @@ class Submission:
         self._closed = False
 
     def close(self) -> None:
-        """Repeat nothing from now on. Calls under way end with SHUTTING_DOWN, unless their present attempt succeeds."""
+        """Repeat nothing from now on.
+
+        Calls under way end with their present attempt, with SHUTTING_DOWN if it fails.
+        """
         self._closed = True
 
     async def submit(
         self, operation: Operation, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0
     ) -> R:
-        """Replicate `operation` and return its result, a `kind`. The directory does it once for each `op_id`.
+        """Replicate `operation`, and return its result, a `kind`. The directory performs it only once for each `op_id`.
 
-        `as_of_index`: see Command. Raises the error of the directory's refusal. Raises VersionMismatch if the command
-        needs a higher feature level than the cluster's. Raises Unavailable with reason AMBIGUOUS if the operation may
-        be done or not, NO_QUORUM if it is certainly not done, SHUTTING_DOWN if this supernode stops or its state has
-        diverged.
+        Waits for at most `seconds`. `as_of_index`: see Command. Raises the error of the directory's refusal. Raises
+        VersionMismatch if the command needs a higher feature level than the cluster's. Raises Unavailable with reason
+        AMBIGUOUS if nobody knows whether the operation is done. If it is certainly not done, the reason is NO_QUORUM,
+        or SHUTTING_DOWN if this supernode stops or its state has diverged.
         """
         now = self._time_unix_nano()
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))
         if not self._replica.takes(encoded):
-            await self.confirm(seconds=seconds)  # the level may have risen, and this supernode may be behind
+            await self.confirm(seconds=seconds)  # the level may have risen, while this supernode lags behind
             self._check_level(encoded)
         result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds)
         if isinstance(result, Refused):
@@ -59,7 +62,10 @@ class Submission:
         return result
 
     def check_level(self, what: str, needed: int) -> None:
-        """Raises VersionMismatch if the cluster's feature level is below `needed`. `what`: what needs the level."""
+        """Raises VersionMismatch if the cluster's feature level is below `needed`.
+
+        `what`: names the use in the error.
+        """
         if self._replica.feature_level < needed:
             raise above_level(what, needed, self._log.status())
 
@@ -75,7 +81,8 @@ class Submission:
         return result
 
     async def confirm(self, *, seconds: float) -> int:
-        """Wait until the local state includes every update acknowledged before.
+        """Wait, for at most `seconds`, until the local state includes every update that was acknowledged before the
+        call.
 
         Raises Unavailable with reason NO_QUORUM or SHUTTING_DOWN.
         """

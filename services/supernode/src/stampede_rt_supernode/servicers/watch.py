@@ -1,7 +1,7 @@
-"""Watches: every watcher holds a position in the ring of recent changes, and has no buffer.
+"""Serves watches. A watch is a position in the ring of recent changes, and has no buffer of its own.
 
-So a slow watcher costs no memory. If the ring drops changes that the watcher has not read, the watcher gets
-WATCH_RESTART and lists again.
+So a slow watcher costs no memory. If the ring drops changes that the watcher has not read, the watch ends with
+WATCH_RESTART, and the watcher lists again.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ IsShown = Callable[[DirectoryChange], bool]
 
 @dataclass(frozen=True, slots=True)
 class WatchBatch:
-    """Changes in order, perhaps none. All changes up to `applied_index` have been given out."""
+    """Changes in order, perhaps none. The watch has returned all its changes up to log position `applied_index`."""
 
     changes: tuple[DirectoryChange, ...]
     applied_index: int
@@ -78,9 +78,10 @@ class Watches:
         include_access: bool = False,
         is_shown: IsShown = lambda change: True,
     ) -> AsyncIterator[WatchBatch]:
-        """Changes of channels, and of other things as requested; see `_follow`.
+        """The changes of channels, and of other things as requested; see `_follow`.
 
-        A change that `is_shown` refuses makes no batch: a batch without changes would tell that there was one.
+        A change for which `is_shown` is false makes no batch, because an empty batch would tell that there was a
+        change.
         """
         wanted = _filter(glob, include_hosts, include_groups, include_queues, include_access)
         return self._follow(
@@ -90,7 +91,7 @@ class Watches:
     def follow_peers(
         self, glob: str, after_index: int, *, is_shown: IsShown = lambda change: True
     ) -> AsyncIterator[WatchBatch]:
-        """Changes of peers, of nameless ones only without a pattern; see `follow` and `_follow`."""
+        """The changes of peers; with an empty `glob` also of peers without a name; see `follow` and `_follow`."""
         wanted = _peer_filter(glob)
         return self._follow(
             lambda directory: directory.tables.peers.changes, lambda one: wanted(one) and is_shown(one), after_index
@@ -101,9 +102,10 @@ class Watches:
     ) -> AsyncIterator[WatchBatch]:
         """Batches without end. The first batch is empty and tells where the watch begins. Signs of life are empty, too.
 
-        `after_index`: the log position after which the watch begins; 0 for the present one. Confirm a read just before
-        the call. Raises WatchRestart, and Unavailable when this supernode stops or knows no leader any more. `follow`
-        raises InvalidArgument for an invalid pattern.
+        `after_index`: the log position after which the watch begins; 0 for the present position. The caller must
+        confirm a read just before the call. Raises WatchRestart if the ring lacks changes for this watch. Raises
+        Unavailable when this supernode stops or knows no leader. `follow` raises InvalidArgument for an invalid
+        pattern.
         """
         position, index, life = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
         yield WatchBatch((), index)
@@ -191,12 +193,12 @@ def _peer_filter(glob: str) -> Callable[[DirectoryChange], bool]:
 
 
 def _matches(name: str, glob: str, matches: Callable[[str], bool]) -> bool:
-    """Whether the name matches the pattern. A mailbox has no name, and matches only if there is no pattern."""
+    """Whether the name matches the pattern. A mailbox or peer without a name matches only an empty pattern."""
     return matches(name) if name else not glob
 
 
 async def _happens(event: asyncio.Event, seconds: float) -> None:
-    """Wait for the event, for so many seconds at most."""
+    """Wait for the event, for at most `seconds`."""
     with suppress(TimeoutError):
         async with asyncio.timeout(seconds):
             await event.wait()
@@ -214,7 +216,7 @@ class _SignOfLife:
         self.given()
 
     def given(self) -> None:
-        """Note that the reader got a message now."""
+        """Note that the stream sends a message now."""
         self._due_s = asyncio.get_running_loop().time() + self._every_seconds
 
     @property
@@ -224,15 +226,15 @@ class _SignOfLife:
 
     @property
     def is_due(self) -> bool:
-        """Whether the reader has got no message for too long."""
+        """Whether the stream must send a sign of life now."""
         return self.seconds_left <= 0
 
 
 class _Bell:
     """Wakes all waiting coroutines on the event loop, WATCHES_PER_TURN of them in each turn.
 
-    Any thread may ring it. Several rings before the waking count as one. A coroutine that is not yet woken keeps its
-    place in the order if the bell rings again.
+    Any thread may call `ring`. Several calls before the wake-up count as one. If `ring` is called again during a
+    wake-up, the coroutines that still wait for it keep their order.
     """
 
     def __init__(self) -> None:
@@ -243,7 +245,7 @@ class _Bell:
 
     @contextmanager
     def listening(self) -> Iterator[asyncio.Event]:
-        """An event that is set after each ring."""
+        """An event that is set after each call of `ring`, for as long as the context lasts."""
         event = asyncio.Event()
         self._listening[event] = None
         try:
@@ -253,7 +255,7 @@ class _Bell:
             self._to_wake.pop(event, None)
 
     def ring(self) -> None:
-        """Ring from any thread. Does nothing after the loop has closed."""
+        """Wake all waiting coroutines soon. Any thread may call this. Does nothing after the loop has closed."""
         if self._rung:
             return
         self._rung = True
