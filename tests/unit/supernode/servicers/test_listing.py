@@ -10,7 +10,7 @@ import pytest
 from stampede_rt.errors import Overloaded
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.servicers import listing
-from stampede_rt_supernode.servicers.listing import Listed, Looked, list_shown
+from stampede_rt_supernode.servicers.listing import ListedPage, SearchStep, list_shown
 
 NAMES = [f"{kind}/{number:04}" for kind in ("a", "hidden", "z") for number in range(250)]
 
@@ -26,15 +26,15 @@ class Calls:
         return question(SimpleNamespace(applied_index=self.reads))
 
 
-def look(_: Directory, after: str, most: int) -> Looked[str, str]:
+def search(_: Directory, after: str, most: int) -> SearchStep[str, str]:
     behind = [name for name in NAMES if name > after]
-    return Looked([(name, name) for name in behind[:most]], behind[most - 1] if len(behind) > most else None)
+    return SearchStep([(name, name) for name in behind[:most]], behind[most - 1] if len(behind) > most else None)
 
 
-async def listed(after: str, size: int, calls: Any = None, seconds: float = 5.0) -> Listed[str, str]:
+async def listed(after: str, size: int, calls: Any = None, seconds: float = 5.0) -> ListedPage[str, str]:
     context: Any = SimpleNamespace(time_remaining=lambda: seconds)
     return await list_shown(
-        calls or Calls(), context, look, lambda name: not name.startswith("hidden"), after, size, stale_ok=False
+        calls or Calls(), context, search, lambda name: not name.startswith("hidden"), after, size, stale_ok=False
     )
 
 

@@ -147,7 +147,7 @@ class _Parts(Generic[T]):
 def _head(directory: Directory) -> bytes:
     tables, hosts = directory.tables, directory.tables.hosts
     return pb.DirectorySnapshot(
-        format_version=_form_of(tables),
+        format_version=_format_of(tables),
         applied_index=directory.applied_index,
         tenure=directory.tenure,
         cluster_id=directory.cluster_id,
@@ -167,7 +167,7 @@ def _head(directory: Directory) -> bytes:
     ).SerializeToString()
 
 
-def _form_of(tables: Tables) -> int:
+def _format_of(tables: Tables) -> int:
     """The lowest format version that holds the tables, so that supernodes of older versions can read most snapshots."""
     if tables.queues or tables.peers:
         return FORMAT_VERSION_WITH_QUEUES

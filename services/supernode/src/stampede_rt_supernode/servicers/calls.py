@@ -94,13 +94,13 @@ class DirectoryCalls:
         """The result of `operation`. Raises the errors of `check_operation` and `check_age`, and of
         `Submission.submit`.
 
-        `as_of_index`: the result of `reached` when the request came; None if the request came just now.
+        `as_of_index`: the result of `applied_index` when the request came; None if the request came just now.
         """
         check_id(op_id, "request_id")
         check_operation(operation)
         check_age(context)
         current_account().change()
-        as_of_index = self.reached() if as_of_index is None else as_of_index
+        as_of_index = self.applied_index() if as_of_index is None else as_of_index
         try:
             return await self._submission.submit(
                 operation, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
@@ -159,7 +159,7 @@ class DirectoryCalls:
         """
         await self._submission.confirm(seconds=seconds_left(context))
 
-    def reached(self) -> int:
+    def applied_index(self) -> int:
         """The log position of this replica's state, at least 1.
 
         Call it when a request comes in, see `core.answered`.

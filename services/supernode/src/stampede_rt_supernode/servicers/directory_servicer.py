@@ -46,7 +46,7 @@ from stampede_rt_supernode.joining.members import Members
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
-from stampede_rt_supernode.servicers.listing import Looked, list_shown
+from stampede_rt_supernode.servicers.listing import SearchStep, list_shown
 from stampede_rt_supernode.servicers.own_cluster import OwnCluster
 from stampede_rt_supernode.servicers.shown import shown_to_caller
 from stampede_rt_supernode.servicers.submission import Submission
@@ -102,7 +102,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
     @errors_as_status
     async def OpenChannel(self, request: pb.OpenChannelRequest, context: Context) -> pb.OpenChannelResponse:
         """Open a channel. If nothing changes, a confirmed read answers the first attempt without a log entry."""
-        as_of = self._calls.reached()
+        as_of = self._calls.applied_index()
         check_known(AccessKind.CHANNEL, request.name)
         policy = policy_from(request.spec)
         check_max_bytes("channel", request.name, policy.max_bytes)
@@ -150,16 +150,16 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def ListChannels(self, request: pb.ListChannelsRequest, context: Context) -> pb.ListChannelsResponse:
-        def look(directory: Directory, after: str, most: int) -> Looked[tuple[ChannelRecord, HostRecord], str]:
+        def search(directory: Directory, after: str, most: int) -> SearchStep[tuple[ChannelRecord, HostRecord], str]:
             page = channel_page(directory.tables, request.name_glob, after, most)
             hosts = directory.tables.hosts
-            return Looked([(one.name, (one, hosts[one.host_id])) for one in page.channels], page.last_name)
+            return SearchStep([(one.name, (one, hosts[one.host_id])) for one in page.channels], page.last_name)
 
         may_list = allowed_to(AccessVerb.LIST, AccessKind.CHANNEL)
         page = await list_shown(
             self._calls,
             context,
-            look,
+            search,
             lambda found: may_list(found[0].name),
             page_tokens.read_name(request.page_token),
             request.page_size,
@@ -202,13 +202,13 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             new_incarnation=_random_incarnation(),
             registration_epoch=request.registration_epoch,
         )
-        entered = await self._calls.submit(context, operation, HostRegistered, request.request_id)
+        registered = await self._calls.submit(context, operation, HostRegistered, request.request_id)
         ttl_nanos, channels, queues = self._replica.read(lambda directory: _owned(directory, request.host_id))
         return pb.RegisterHostResponse(
-            host=host_record(entered.host),
+            host=host_record(registered.host),
             lease_ttl_nanos=ttl_nanos,
             channels=[channel_record(channel) for channel in channels],
-            cluster_id=entered.cluster_id,
+            cluster_id=registered.cluster_id,
             protocol_version=PROTOCOL_VERSION,
             queues=[queue_record(queue) for queue in queues],
             former_cluster_ids=self._replica.read(lambda directory: directory.former_cluster_ids),

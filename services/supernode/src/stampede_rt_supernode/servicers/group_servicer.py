@@ -33,7 +33,7 @@ from stampede_rt_supernode.core.groups.transitions import open_group_unchanged
 from stampede_rt_supernode.core.lookups import group_by_id, group_by_name
 from stampede_rt_supernode.core.records import ID_BYTES, GroupRecord
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
-from stampede_rt_supernode.servicers.listing import Looked, list_shown
+from stampede_rt_supernode.servicers.listing import SearchStep, list_shown
 
 
 class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServiceServicer):
@@ -45,7 +45,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
     @errors_as_status
     async def OpenGroup(self, request: pb.OpenGroupRequest, context: Context) -> pb.OpenGroupResponse:
         """Open a group. If nothing changes, a confirmed read answers the first attempt without a log entry."""
-        as_of = self._calls.reached()
+        as_of = self._calls.applied_index()
         check_known(AccessKind.GROUP, request.name)
         operation = OpenGroup(
             name=request.name,
@@ -123,15 +123,15 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
     async def ListGroups(self, request: pb.ListGroupsRequest, context: Context) -> pb.ListGroupsResponse:
         listing = f"groups\0{request.name_glob}\0{request.channel_id.hex()}"
 
-        def look(directory: Directory, after: str, most: int) -> Looked[GroupRecord, str]:
+        def search(directory: Directory, after: str, most: int) -> SearchStep[GroupRecord, str]:
             page = group_page(directory.tables, request.name_glob, request.channel_id, after, most)
-            return Looked([(group.name, group) for group in page.groups], page.last_name)
+            return SearchStep([(group.name, group) for group in page.groups], page.last_name)
 
         may_list = allowed_to(AccessVerb.LIST, AccessKind.GROUP)
         page = await list_shown(
             self._calls,
             context,
-            look,
+            search,
             lambda group: may_list(group.name),
             page_tokens.read_listing(request.page_token, listing),
             request.page_size,

@@ -263,9 +263,7 @@ class LeaseKeeper:
         return PeerRenewal(ttl_nanos, tenure, self._clock.time_unix_nano(), self_id, held)
 
     def note_clock(self, peer: PeerRecord, clock: ClockOffset | None) -> None:
-        """Keep the clock report of a registration, if this supernode leads and the directory still has the
-        registration.
-        """
+        """Keep the clock report of a peer, if this supernode leads and `peer` is still the directory's record of it."""
         now_there = self._replica.read(lambda directory: directory.tables.peers.by_id.get(peer.peer_id))
         if clock is not None and peer == now_there:
             self._peers.note_clock(peer, clock, self._clock.boottime_nanos())

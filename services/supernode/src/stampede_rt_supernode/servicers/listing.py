@@ -22,64 +22,64 @@ JUDGED_PER_TURN = 100
 """In one turn of the event loop, `list_shown` judges this many things at most: 0.1 ms each with a thousand rules."""
 
 Record = TypeVar("Record")
-Place = TypeVar("Place")
+Position = TypeVar("Position")
 
 
 @dataclass(frozen=True, slots=True)
-class Looked(Generic[Record, Place]):
+class SearchStep(Generic[Record, Position]):
     """One step of a search: matching things, each with its position in the order of the listing.
 
     The next step begins after `last`, which is None at the end of the listing.
     """
 
-    found: Sequence[tuple[Place, Record]]
-    last: Place | None
+    found: Sequence[tuple[Position, Record]]
+    last: Position | None
 
 
 @dataclass(frozen=True, slots=True)
-class Listed(Generic[Record, Place]):
+class ListedPage(Generic[Record, Position]):
     """The things on a page. The next page begins after `last`, which is None for the last page.
 
     The page includes all changes up to log position `applied_index`.
     """
 
     things: list[Record]
-    last: Place | None
+    last: Position | None
     applied_index: int
 
 
 async def list_shown(
     calls: DirectoryCalls,
     context: Context,
-    look: Callable[[Directory, Place, int], Looked[Record, Place]],
+    search: Callable[[Directory, Position, int], SearchStep[Record, Position]],
     is_shown: Callable[[Record], bool],
-    after: Place,
+    after: Position,
     page_size: int,
     *,
     stale_ok: bool,
-) -> Listed[Record, Place]:
+) -> ListedPage[Record, Position]:
     """At most `page_size` (0: PAGE_SIZE_MAX) things after the position `after` for which `is_shown` is true.
 
-    `look` gets the directory, a position and a number, and returns at most that many matching things after the
-    position. Raises Overloaded if the caller's time ends first. Raises also the errors of `look` and of
+    `search` gets the directory, a position and a number, and returns at most that many matching things after the
+    position. Raises Overloaded if the caller's time ends first. Raises also the errors of `search` and of
     `DirectoryCalls.read`.
     """
-    limit, place = min(page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX), after
+    limit, position = min(page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX), after
     until_s = time.monotonic() + seconds_left(context)
-    shown: list[tuple[Place, Record]] = []
+    shown: list[tuple[Position, Record]] = []
 
-    def search(directory: Directory) -> tuple[Looked[Record, Place], int]:
-        return look(directory, place, JUDGED_PER_TURN), directory.applied_index
+    def next_step(directory: Directory) -> tuple[SearchStep[Record, Position], int]:
+        return search(directory, position, JUDGED_PER_TURN), directory.applied_index
 
-    looked, applied_index = await calls.read(context, search, stale_ok=stale_ok)
+    step, applied_index = await calls.read(context, next_step, stale_ok=stale_ok)
     while True:
-        shown += ((at, thing) for at, thing in looked.found if is_shown(thing))
+        shown += ((at, thing) for at, thing in step.found if is_shown(thing))
         if len(shown) > limit:
-            return Listed([thing for _, thing in shown[:limit]], shown[limit - 1][0], applied_index)
-        if looked.last is None:
-            return Listed([thing for _, thing in shown], None, applied_index)
+            return ListedPage([thing for _, thing in shown[:limit]], shown[limit - 1][0], applied_index)
+        if step.last is None:
+            return ListedPage([thing for _, thing in shown], None, applied_index)
         if time.monotonic() > until_s:
             raise Overloaded("the listing takes longer than its caller waits; ask with a narrower pattern (name_glob)")
-        place = looked.last
+        position = step.last
         await asyncio.sleep(0)
-        looked, _ = await calls.read(context, search, stale_ok=True)
+        step, _ = await calls.read(context, next_step, stale_ok=True)

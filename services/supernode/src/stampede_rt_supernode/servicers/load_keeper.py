@@ -63,9 +63,9 @@ def _held(directory: Directory, host_id: bytes, boot: int, loads: Sequence[Repli
     if not host.alive:
         text = f"host {host.name} has no lease; it ended, or the host left; register it again"
         raise LeaseExpired(text, metadata={"host": host.name})
-    return [load for load in loads if _carries(directory.tables, host_id, load.channel_id)]
+    return [load for load in loads if _holds(directory.tables, host_id, load.channel_id)]
 
 
-def _carries(tables: Tables, host_id: bytes, channel_id: bytes) -> bool:
+def _holds(tables: Tables, host_id: bytes, channel_id: bytes) -> bool:
     channel = tables.channels.get(channel_id)
     return channel is not None and (channel.host_id == host_id or host_id in channel.proxy_host_ids)

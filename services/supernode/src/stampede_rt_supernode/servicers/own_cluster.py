@@ -10,7 +10,10 @@ from stampede_rt_supernode.replica import DirectoryReplica
 
 
 class OwnCluster:
-    """Knows the cluster's id from the data folder. If a list of members founded the cluster, from the directory."""
+    """Knows the id of this supernode's cluster, and which callers the supernode serves.
+
+    The id comes from the data folder. If a list of members founded the cluster, it comes from the directory.
+    """
 
     def __init__(self, replica: DirectoryReplica) -> None:
         self._replica = replica

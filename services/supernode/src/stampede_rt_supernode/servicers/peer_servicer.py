@@ -39,7 +39,7 @@ from stampede_rt_supernode.core.peers.table import PeerKey, key_of
 from stampede_rt_supernode.core.records import ID_BYTES, PeerRecord
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
-from stampede_rt_supernode.servicers.listing import Looked, list_shown
+from stampede_rt_supernode.servicers.listing import SearchStep, list_shown
 from stampede_rt_supernode.servicers.shown import shown_to_caller
 from stampede_rt_supernode.servicers.watch import Watches
 
@@ -66,19 +66,19 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             await self._calls.check_thing(
                 context, AccessVerb.SEND, AccessKind.QUEUE, request.mailbox.dead_letter_queue_id
             )
-        clock, former = _clock_told(request), self._calls.holder_of(request.name)
-        entered = await self._calls.submit(context, _entering(request), PeerRegistered, request.request_id)
+        clock, former = _clock_report(request), self._calls.holder_of(request.name)
+        registered = await self._calls.submit(context, _registration(request), PeerRegistered, request.request_id)
         if former is not None and former.boot_incarnation != request.boot_incarnation:
             audit_change("take over peer", request.name)
-        self._leases.note_clock(entered.peer, clock)
+        self._leases.note_clock(registered.peer, clock)
         ttl_nanos = await self._calls.read(context, lambda directory: directory.lease_ttl_nanos, stale_ok=True)
         return pb.RegisterPeerResponse(
-            peer=peer_record(entered.peer),
+            peer=peer_record(registered.peer),
             lease_ttl_nanos=ttl_nanos,
-            mailbox=None if entered.mailbox is None else queue_record(entered.mailbox),
-            mailbox_host=None if entered.mailbox_host is None else host_record(entered.mailbox_host),
-            mailbox_kept=entered.mailbox_kept,
-            cluster_id=entered.cluster_id,
+            mailbox=None if registered.mailbox is None else queue_record(registered.mailbox),
+            mailbox_host=None if registered.mailbox_host is None else host_record(registered.mailbox_host),
+            mailbox_kept=registered.mailbox_kept,
+            cluster_id=registered.cluster_id,
         )
 
     @errors_as_status
@@ -86,7 +86,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         """Makes no log entry."""
         await self._calls.check_peer(context, request.peer_id)
         renewed = await self._leases.renew_peer(
-            request.peer_id, request.boot_incarnation, _clock_told(request), seconds=seconds_left(context)
+            request.peer_id, request.boot_incarnation, _clock_report(request), seconds=seconds_left(context)
         )
         return pb.RenewPeerLeaseResponse(
             lease_ttl_nanos=renewed.ttl_nanos,
@@ -129,9 +129,9 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         listing = f"peers\0{request.name_glob}\0{request.include_dead}"
         after = page_tokens.read_peer(request.page_token, listing)
 
-        def look(directory: Directory, after: PeerKey, most: int) -> Looked[PeerRecord, PeerKey]:
+        def search(directory: Directory, after: PeerKey, most: int) -> SearchStep[PeerRecord, PeerKey]:
             page = peer_page(directory.tables, request.name_glob, after, most, include_dead=request.include_dead)
-            return Looked([(key_of(peer), peer) for peer in page.peers], page.last)
+            return SearchStep([(key_of(peer), peer) for peer in page.peers], page.last)
 
         if request.with_clocks:
             self._leases.check_leads()
@@ -139,7 +139,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
         page = await list_shown(
             self._calls,
             context,
-            look,
+            search,
             lambda peer: may_list(peer.name),
             after,
             request.page_size,
@@ -161,13 +161,13 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             )
 
 
-def _clock_told(request: pb.RegisterPeerRequest | pb.RenewPeerLeaseRequest) -> ClockOffset | None:
+def _clock_report(request: pb.RegisterPeerRequest | pb.RenewPeerLeaseRequest) -> ClockOffset | None:
     clock = clock_offset(request.clock) if request.HasField("clock") else None
     check_clock(clock)
     return clock
 
 
-def _entering(request: pb.RegisterPeerRequest) -> RegisterPeer:
+def _registration(request: pb.RegisterPeerRequest) -> RegisterPeer:
     """The operation of a request. It has a hash of the proof, and not the proof itself."""
     check_proof(request.proof)
     return RegisterPeer(

@@ -33,7 +33,7 @@ from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.validation import check_max_bytes
 from stampede_rt_supernode.servicers.calls import DirectoryCalls
-from stampede_rt_supernode.servicers.listing import Looked, list_shown
+from stampede_rt_supernode.servicers.listing import SearchStep, list_shown
 
 
 class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServiceServicer):
@@ -45,7 +45,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     @errors_as_status
     async def OpenQueue(self, request: pb.OpenQueueRequest, context: Context) -> pb.OpenQueueResponse:
         """Open a queue. If nothing changes, a confirmed read answers the first attempt without a log entry."""
-        as_of = self._calls.reached()
+        as_of = self._calls.applied_index()
         check_known(AccessKind.QUEUE, request.name)
         spec = queue_spec_from(request.spec)
         check_max_bytes("queue", request.name, spec.max_bytes)
@@ -113,11 +113,13 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
     async def ListQueues(self, request: pb.ListQueuesRequest, context: Context) -> pb.ListQueuesResponse:
         listing = f"queues\0{request.name_glob}\0{request.include_mailboxes}"
 
-        def look(directory: Directory, after: Position, most: int) -> Looked[tuple[QueueRecord, HostRecord], Position]:
+        def search(
+            directory: Directory, after: Position, most: int
+        ) -> SearchStep[tuple[QueueRecord, HostRecord], Position]:
             tables = directory.tables
             page = queue_page(tables, request.name_glob, after, most, mailboxes=request.include_mailboxes)
             found = zip(page.positions, page.queues, strict=True)
-            return Looked([(at, (queue, tables.hosts[queue.host_id])) for at, queue in found], page.last)
+            return SearchStep([(at, (queue, tables.hosts[queue.host_id])) for at, queue in found], page.last)
 
         of_queues, of_peers = (allowed_to(AccessVerb.LIST, kind) for kind in (AccessKind.QUEUE, AccessKind.PEER))
 
@@ -128,7 +130,7 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
         page = await list_shown(
             self._calls,
             context,
-            look,
+            search,
             is_shown,
             page_tokens.read_position(request.page_token, listing),
             request.page_size,

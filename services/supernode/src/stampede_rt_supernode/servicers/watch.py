@@ -58,14 +58,14 @@ class Watches:
         self._replica = replica
         self._log = log
         self._sign_of_life_seconds = sign_of_life_seconds
-        self._bell = _Bell()
+        self._notifier = _Notifier()
         self._closed = False
-        replica.listen(self._bell.ring)
+        replica.listen(self._notifier.notify)
 
     def close(self) -> None:
         """End every present and later watch with SHUTTING_DOWN."""
         self._closed = True
-        self._bell.wake()
+        self._notifier.wake()
 
     def follow(
         self,
@@ -107,15 +107,15 @@ class Watches:
         Unavailable when this supernode stops or knows no leader. `follow` raises InvalidArgument for an invalid
         pattern.
         """
-        position, index, life = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
+        position, index, restored = self._replica.read(lambda directory: self._begin(directory, ring_of, after_index))
         yield WatchBatch((), index)
         alive, work = _SignOfLife(self._sign_of_life_seconds), current_work()
-        with self._bell.listening() as rung:
+        with self._notifier.listening() as event:
             while True:
                 if work.must_wait:
                     await work.turn()
-                rung.clear()  # before the read of the ring, so that the bell announces every change after that read
-                page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, life))  # type: ignore[misc]
+                event.clear()  # before the read of the ring, so that the event announces every change after that read
+                page = self._replica.read(lambda directory, p=position: self._page(ring_of(directory), p, restored))  # type: ignore[misc]
                 position = page.position
                 changes = tuple(change for change in page.changes if wanted(change))
                 if not page.changes:
@@ -124,11 +124,11 @@ class Watches:
                     if not changes:
                         self._check_leader()
                     yield WatchBatch(changes, page.index)
-                    alive.given()
+                    alive.note_sent()
                 if page.changes:
                     await asyncio.sleep(0)  # there may be more changes already
                 else:
-                    await _happens(rung, alive.seconds_left)
+                    await _wait_for(event, alive.seconds_left)
 
     def _begin(
         self, directory: Directory, ring_of: Callable[[Directory], ChangeRing], after_index: int
@@ -139,9 +139,9 @@ class Watches:
             raise _restart(f"the changes after index {after_index} are not kept here")
         return position, index, self._replica.restored
 
-    def _page(self, ring: ChangeRing, position: int, life: int) -> ChangePage:
+    def _page(self, ring: ChangeRing, position: int, restored: int) -> ChangePage:
         page = ring.read(position, CHANGES_PER_RESPONSE_MAX)
-        if page is None or life != self._replica.restored:
+        if page is None or restored != self._replica.restored:
             raise _restart("the watch fell behind the changes that are kept")
         return page
 
@@ -197,7 +197,7 @@ def _matches(name: str, glob: str, matches: Callable[[str], bool]) -> bool:
     return matches(name) if name else not glob
 
 
-async def _happens(event: asyncio.Event, seconds: float) -> None:
+async def _wait_for(event: asyncio.Event, seconds: float) -> None:
     """Wait for the event, for at most `seconds`."""
     with suppress(TimeoutError):
         async with asyncio.timeout(seconds):
@@ -205,17 +205,17 @@ async def _happens(event: asyncio.Event, seconds: float) -> None:
 
 
 class _SignOfLife:
-    """When a stream owes its reader a sign of life: `every_seconds` after the last message.
+    """The time at which a stream must send a sign of life: `every_seconds` after its last message.
 
-    It does not matter how often the watch was woken meanwhile. Commits without a watched change wake it, too, and they
-    may come more often than signs of life.
+    A wake-up of the watch without a message does not move this time. Every commit wakes the watch, also a commit
+    without a watched change.
     """
 
     def __init__(self, every_seconds: float) -> None:
         self._every_seconds = every_seconds
-        self.given()
+        self.note_sent()
 
-    def given(self) -> None:
+    def note_sent(self) -> None:
         """Note that the stream sends a message now."""
         self._due_s = asyncio.get_running_loop().time() + self._every_seconds
 
@@ -230,10 +230,10 @@ class _SignOfLife:
         return self.seconds_left <= 0
 
 
-class _Bell:
+class _Notifier:
     """Wakes all waiting coroutines on the event loop, WATCHES_PER_TURN of them in each turn.
 
-    Any thread may call `ring`. Several calls before the wake-up count as one. If `ring` is called again during a
+    Any thread may call `notify`. Several calls before the wake-up count as one. If `notify` is called again during a
     wake-up, the coroutines that still wait for it keep their order.
     """
 
@@ -241,11 +241,11 @@ class _Bell:
         self._loop = asyncio.get_running_loop()
         self._listening: dict[asyncio.Event, None] = {}
         self._to_wake: dict[asyncio.Event, None] = {}
-        self._rung = False
+        self._is_notified = False
 
     @contextmanager
     def listening(self) -> Iterator[asyncio.Event]:
-        """An event that is set after each call of `ring`, for as long as the context lasts."""
+        """An event that is set after each call of `notify`, for as long as the context lasts."""
         event = asyncio.Event()
         self._listening[event] = None
         try:
@@ -254,11 +254,11 @@ class _Bell:
             del self._listening[event]
             self._to_wake.pop(event, None)
 
-    def ring(self) -> None:
+    def notify(self) -> None:
         """Wake all waiting coroutines soon. Any thread may call this. Does nothing after the loop has closed."""
-        if self._rung:
+        if self._is_notified:
             return
-        self._rung = True
+        self._is_notified = True
         try:
             self._loop.call_soon_threadsafe(self.wake)
         except RuntimeError:
@@ -266,7 +266,7 @@ class _Bell:
 
     def wake(self) -> None:
         """Begin to wake the coroutines that wait. Call it on the loop."""
-        self._rung = False
+        self._is_notified = False
         is_waking = bool(self._to_wake)
         self._to_wake.update(self._listening)
         if not is_waking:
