@@ -28,8 +28,8 @@ TOO_OLD = "is of a release that is too old"
 DISK_SILENT = "the disk of its data folder has not answered"
 WAITS_FOR_DISK = "waiting for its disk"
 DISK_ADVICE = (
-    "the others go on without it; mend the disk, and it goes on by itself; if the disk is lost, remove it (stampede "
-    "supernode remove) and let it join under a new id (runbook: replace one)"
+    "the other supernodes serve without this one; mend the disk, and this one serves again by itself; if the disk is "
+    "lost, remove this one (stampede supernode remove) and let it join under a new id (runbook: replace one)"
 )
 REPLACE_ADVICE = (
     "remove it (stampede supernode remove), empty its folder, and let it join under a new id (runbook: replace one)"

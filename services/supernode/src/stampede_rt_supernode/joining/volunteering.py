@@ -28,7 +28,7 @@ PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
 REFUSED_SECONDS_MAX = 300
 # the errors after which another attempt would fail, too
 _HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
-NEWER_RELEASE = "start it with the release of the others and the same data folder, and it goes on"
+NEWER_RELEASE = "start it with the release of the others and the same data folder; it then catches up with them"
 
 
 async def volunteer(

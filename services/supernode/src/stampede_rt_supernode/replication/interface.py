@@ -146,7 +146,7 @@ class ReleaseTooOld(Exception):
         self.highest_level, self.cluster_level = highest_level, cluster_level
         super().__init__(
             f"this release knows feature level {highest_level}, and the cluster is at level {cluster_level}; start "
-            "this supernode with the release of the others and the same data folder, and it goes on"
+            "this supernode with the release of the others and the same data folder; it then catches up with them"
         )
 
 

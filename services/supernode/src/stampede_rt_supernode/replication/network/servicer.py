@@ -104,8 +104,8 @@ class RaftServicer:
         self._expelled[member_id] = time.monotonic() + EXPELLED_SECONDS, why
         if self._reports.is_due((member_id, "expelled"), time.monotonic()):
             logger.error(
-                "%s: this breaks the protocol, and this supernode refuses the member for %.0f s; if that goes on, stop "
-                "the member, remove it (stampede supernode remove %s), and find out what runs there",
+                "%s: this breaks the protocol, and this supernode refuses the member for %.0f s; if it happens again, "
+                "stop the member, remove it (stampede supernode remove %s), and find out what runs there",
                 *(why, EXPELLED_SECONDS, member_id),
             )
         if (reader := self._readers.get(member_id)) is not None:
