@@ -41,7 +41,7 @@ class AccessFollower:
                 return
         if self._is_news(state.cluster_id, state.version):  # another supernode may have sent a later state meanwhile
             self._known = state
-            self._control.tell(state)
+            self._control.set_state(state)
 
     def _is_news(self, cluster_id: str, version: int) -> bool:
         known = self._known

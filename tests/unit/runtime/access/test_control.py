@@ -95,30 +95,30 @@ async def test_until_a_port_has_heard_of_the_rules_it_serves_nobody_whom_they_ju
         early = begin(CLIENTS)
         await early.write(b"open")
         assert isinstance(await ended(early), Unavailable)
-        server.access.tell(state(0))
+        server.access.set_state(state(0))
         assert await said(begin(CLIENTS), "x") == b"1"
 
 
 async def test_a_stream_ends_when_what_it_was_granted_is_taken_away_and_others_go_on() -> None:
     async with port() as (server, begin):
-        server.access.tell(state(1, ALLOW))
+        server.access.set_state(state(1, ALLOW))
         client, other, member = begin(CLIENTS), begin(CLIENTS), begin(CLUSTER)
         assert await said(client, "open") == b"0"
         assert await said(member, "open") == b"1"
-        server.access.tell(state(2, ALLOW, AccessRule("nobody", (), None, "*")))
+        server.access.set_state(state(2, ALLOW, AccessRule("nobody", (), None, "*")))
         assert await said(client, "open") == b"0"
-        server.access.tell(state(3, AccessRule("nobody", (), None, "*")))
+        server.access.set_state(state(3, AccessRule("nobody", (), None, "*")))
         lost = await ended(client)
         assert isinstance(lost, PermissionDenied)
         assert "may not read channel open; an operator can allow it (stampede acl add @clients read open)" in str(lost)
         assert await said(member, "closed") == b"1"
-        server.access.tell(state(4, ALLOW))
+        server.access.set_state(state(4, ALLOW))
         assert await said(other, "open") == b"0"
 
 
 async def test_who_may_do_nothing_with_a_thing_is_told_so() -> None:
     async with port() as (server, begin):
-        server.access.tell(state(1, ALLOW))
+        server.access.set_state(state(1, ALLOW))
         call = begin(CLIENTS)
         await call.write(b"closed")
         assert "may do nothing with channel closed" in str(await ended(call))
@@ -130,7 +130,7 @@ async def test_a_stream_ends_when_its_credential_is_revoked_or_over() -> None:
     brief = replace(claims, serial="b2", ends_unix_nano=now + 2 * 10**9)
     known = AccessState(version=1, cluster_id="c", token_keys=(public_key(key),))
     async with port() as (server, _), dial(server.address, secret=None) as channel:
-        server.access.tell(known)
+        server.access.set_state(known)
         calls = []
         for one in (claims, brief):
             brought = (("authorization", f"Bearer {make_token(key, one)}"),)
@@ -138,7 +138,7 @@ async def test_a_stream_ends_when_its_credential_is_revoked_or_over() -> None:
         for call in calls:
             assert await said(call, "x") == b"1"
         assert "client cam has ended; call again" in str(await ended(calls[1]))
-        server.access.tell(replace(known, version=2, revoked_serials=frozenset({"a1"})))
+        server.access.set_state(replace(known, version=2, revoked_serials=frozenset({"a1"})))
         assert "the token a1 of client cam was revoked" in str(await ended(calls[0]))
         again = channel.stream_stream(READ)(
             timeout=20, metadata=(("authorization", f"Bearer {make_token(key, claims)}"),)
@@ -175,7 +175,7 @@ async def test_new_rules_are_applied_to_a_few_rights_in_each_turn(
     """A call that had used 1000 rights was judged again in one step: 120 ms with a thousand rules."""
     control, judged, judge = AccessControl(), 0, AccessRules.judge
     allow = AccessRule("@clients", (AccessVerb.READ,), None, "*")
-    control.tell(state(1, allow))
+    control.set_state(state(1, allow))
 
     def counting(self: AccessRules, *what: Any) -> Any:
         nonlocal judged
@@ -184,7 +184,7 @@ async def test_new_rules_are_applied_to_a_few_rights_in_each_turn(
 
     async with open_calls(control, calls, reads):
         monkeypatch.setattr(AccessRules, "judge", counting)
-        control.tell(state(2, allow))
+        control.set_state(state(2, allow))
         in_turns = [0]
         for _ in range(200):
             await asyncio.sleep(0)
@@ -198,7 +198,7 @@ async def test_the_calls_of_a_token_that_is_over_end_a_few_at_a_time() -> None:
     """4096 calls that ended together took 40 ms in two turns."""
     now = 1
     control = AccessControl(time_unix_nano=lambda: now)
-    control.tell(state(1))
+    control.set_state(state(1))
     async with open_calls(control, 100, 0, ends_unix_nano=2):
         now, calls = 2, tuple(control._open)
         control._end_what_is_over()
@@ -214,25 +214,25 @@ async def test_a_call_that_has_used_more_rights_than_are_remembered_ends_when_th
     """A get of a forbidden channel stayed open after 1024 gets of other channels on the same stream."""
     allow, other = AccessRule("@clients", (), None, "*"), AccessRule("nobody", (), None, "*")
     async with port() as (server, begin):
-        server.access.tell(state(1, allow))
+        server.access.set_state(state(1, allow))
         busy, brief = begin(CLIENTS), begin(CLIENTS)
         for number in range(GRANTS_KEPT_MAX + 1):
             await said(busy, f"c{number}")
         await said(brief, "c0")
-        server.access.tell(state(2, allow))
+        server.access.set_state(state(2, allow))
         assert await said(busy, "x") == b"1"
-        server.access.tell(state(3, allow, other))
+        server.access.set_state(state(3, allow, other))
         assert "has used more than 1024 rights" in str(await ended(busy))
         assert await said(brief, "c0") == b"1"
 
 
 async def test_a_right_that_was_taken_away_cannot_be_used_before_the_call_is_judged_again() -> None:
     control = AccessControl()
-    control.tell(state(1, ALLOW))
+    control.set_state(state(1, ALLOW))
     client = Caller(kind=CallerKind.CLIENT_SECRET, roles=frozenset(), name="@clients")
     async with control.serving(client, SimpleNamespace(peer=lambda: "here")):
         check_access(AccessVerb.READ, AccessKind.CHANNEL, "open")
-        control.tell(state(2, AccessRule("nobody", (), None, "*")))
+        control.set_state(state(2, AccessRule("nobody", (), None, "*")))
         with pytest.raises(PermissionDenied, match="may not read channel open"):
             check_access(AccessVerb.READ, AccessKind.CHANNEL, "open")
 
@@ -240,7 +240,7 @@ async def test_a_right_that_was_taken_away_cannot_be_used_before_the_call_is_jud
 @pytest.mark.parametrize("revoked", ["ce", "a1"])
 async def test_a_call_with_a_token_ends_with_the_token_and_with_the_certificate_of_its_connection(revoked: str) -> None:
     control = AccessControl()
-    control.tell(state(1))
+    control.set_state(state(1))
 
     async def abort(*_: Any) -> None:
         raise PermissionDenied("aborted")
@@ -255,7 +255,7 @@ async def test_a_call_with_a_token_ends_with_the_token_and_with_the_certificate_
 
     serving_call = asyncio.create_task(call())
     await asyncio.sleep(0)
-    control.tell(replace(state(2), revoked_serials=frozenset({revoked})))
+    control.set_state(replace(state(2), revoked_serials=frozenset({revoked})))
     with pytest.raises(PermissionDenied, match="aborted"):
         await serving_call
     with pytest.raises(PermissionDenied, match=f"{revoked} of client"):

@@ -78,16 +78,16 @@ def test_a_port_takes_tokens_until_they_are_over_and_only_with_the_keys_it_was_t
     token = make_token(PRIVATE, replace(CLAIMS, ends_unix_nano=clock.time_unix_nano() + 5))
     with pytest.raises(Unavailable):
         control.read_token(token)
-    control.tell(AccessState(cluster_id="c"))
+    control.set_state(AccessState(cluster_id="c"))
     with pytest.raises(Unavailable):
         control.read_token(token)
-    control.tell(AccessState(version=1, cluster_id="c", token_keys=(KEY,)))
+    control.set_state(AccessState(version=1, cluster_id="c", token_keys=(KEY,)))
     assert str(control.read_token(token)) == "client cam/1"
     clock.advance(5)
     with pytest.raises(PermissionDenied, match="the token of cam/1 has ended"):
         control.read_token(token)
     clock.advance(-5)
-    control.tell(AccessState(version=2, cluster_id="c", token_keys=(public_key(OTHER),)))
+    control.set_state(AccessState(version=2, cluster_id="c", token_keys=(public_key(OTHER),)))
     with pytest.raises(PermissionDenied):
         control.read_token(token)
     assert control.read_token("a secret") is None

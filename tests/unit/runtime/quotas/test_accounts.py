@@ -67,24 +67,24 @@ def test_a_change_of_the_settings_binds_those_who_are_there() -> None:
     accounts = Accounts()
     one = accounts.of("cam-1")
     one.take([Quota.STREAMS])
-    accounts.tell(QuotaTable([QuotaSetting("cam-*", Quota.STREAMS, 1)]))
+    accounts.set_table(QuotaTable([QuotaSetting("cam-*", Quota.STREAMS, 1)]))
     with pytest.raises(Overloaded):
         one.check(Quota.STREAMS)
-    accounts.tell(QuotaTable())
+    accounts.set_table(QuotaTable())
     one.check(Quota.STREAMS)
 
 
 def test_a_default_of_this_process_stays_when_settings_change() -> None:
     accounts = Accounts()
     accounts.set_default(Quota.STREAMS, 1)
-    accounts.tell(QuotaTable([QuotaSetting("other", Quota.STREAMS, 5)]))
+    accounts.set_table(QuotaTable([QuotaSetting("other", Quota.STREAMS, 5)]))
     accounts.of("cam").take([Quota.STREAMS])
     assert not accounts.of("cam").has_room(Quota.STREAMS)
 
 
 def test_members_are_bound_by_no_quota() -> None:
     accounts = Accounts()
-    accounts.tell(QuotaTable([QuotaSetting("*", quota, 0) for quota in Quota]))
+    accounts.set_table(QuotaTable([QuotaSetting("*", quota, 0) for quota in Quota]))
     accounts.of(None).check(Quota.STREAMS)
 
 
@@ -125,7 +125,7 @@ def test_what_callers_without_a_name_have_made_has_no_limit_unless_one_is_set() 
     accounts.set_default(Quota.BYTES_HELD, 100)
     limits = {name: accounts.of(name).limit(Quota.BYTES_HELD) for name in ("cam", "@clients", "@cluster", "@anyone")}
     assert limits == {"cam": 100, "@clients": LIMIT_MAX, "@cluster": LIMIT_MAX, "@anyone": LIMIT_MAX}
-    accounts.tell(QuotaTable([QuotaSetting("@clients", Quota.BYTES_HELD, 7)]))
+    accounts.set_table(QuotaTable([QuotaSetting("@clients", Quota.BYTES_HELD, 7)]))
     assert accounts.of("@clients").limit(Quota.BYTES_HELD) == 7
 
 

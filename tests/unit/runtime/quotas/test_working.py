@@ -65,12 +65,12 @@ async def test_what_nobody_is_bound_by_never_waits() -> None:
 async def test_a_change_of_the_share_is_heeded_at_once() -> None:
     accounts = Accounts(turns=loop_turns())
     heavy, light = accounts.of("heavy"), accounts.of("light")
-    accounts.tell(QuotaTable([QuotaSetting("heavy", Quota.CPU_PERCENT, 2**62)]))
+    accounts.set_table(QuotaTable([QuotaSetting("heavy", Quota.CPU_PERCENT, 2**62)]))
     CallerWork(light).spend(CALL_NANOS)
     for _ in range(20):
         CallerWork(heavy).spend(CALL_NANOS)
     assert not CallerWork(heavy).must_wait
-    accounts.tell(QuotaTable())
+    accounts.set_table(QuotaTable())
     for _ in range(20):
         CallerWork(heavy).spend(CALL_NANOS)
     assert CallerWork(heavy).must_wait

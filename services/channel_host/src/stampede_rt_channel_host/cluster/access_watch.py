@@ -34,7 +34,7 @@ class AccessWatch:
 
     async def missed(self) -> None:
         """Ask for the state now: the watch may have missed changes. Raises the error that the directory answers."""
-        self._control.tell(await self._ask())
+        self._control.set_state(await self._ask())
 
     def changed_in_directory(self, change: RecordedChange) -> None:
         """Have `keep` ask for the state if the directory reports a change of access."""

@@ -64,14 +64,14 @@ class AccessControl:
         """From now on get the state from `source`."""
         self._source = source
 
-    def tell(self, state: AccessState) -> None:
+    def set_state(self, state: AccessState) -> None:
         """Set the state.
 
         Ends the open calls whose caller has lost the credential, or a right that the call has used.
         """
         former, self._state = self._state, state
         if former is None or former.quotas is not state.quotas:
-            self.accounts.tell(state.quotas)
+            self.accounts.set_table(state.quotas)
         if former is not None and former.token_keys != state.token_keys:
             self._tokens.clear()
         if self._open and (former is None or former.version != state.version):
@@ -105,7 +105,7 @@ class AccessControl:
         if self._source is not None:
             state = self._source()
             if state != self._state:
-                self.tell(state)
+                self.set_state(state)
         return self._state
 
     def limits(self, caller: Caller | None) -> bool:

@@ -72,7 +72,7 @@ class Account:
         self._changes = 0.0  # a leaky bucket: each change adds 1, each second takes off the limit
         self._changes_at_s = 0.0
 
-    def tell(self, limits: Mapping[Quota, int]) -> None:
+    def set_limits(self, limits: Mapping[Quota, int]) -> None:
         """Set the limits. Present use stays, even beyond them."""
         self._limits = limits
         if self.turn is not None:
@@ -232,13 +232,13 @@ class Accounts:
     def set_default(self, quota: Quota, limit: int) -> None:
         """Set the limit for callers to whom no setting of an operator applies."""
         self._defaults[quota] = limit
-        self.tell(self._table)
+        self.set_table(self._table)
 
-    def tell(self, table: QuotaTable) -> None:
+    def set_table(self, table: QuotaTable) -> None:
         """Set the operator's settings."""
         self._table = table
         for account in [*self._accounts.values()]:
-            account.tell(table.limits_of(account.subject, self._defaults))
+            account.set_limits(table.limits_of(account.subject, self._defaults))
 
     def of(self, subject: str | None) -> Account:
         """The account of a caller. `subjects.subject_of` gives its subject. None: the account without limits."""
@@ -280,7 +280,7 @@ class Accounts:
         for one in [*self._accounts.values()]:
             for quota in IN_DIRECTORY:
                 one.set_used(quota, 0)
-        told = [(self.of(subject), quota, used) for subject, quota, used in self._directory()]
-        for account, quota, used in told:
+        in_directory = [(self.of(subject), quota, used) for subject, quota, used in self._directory()]
+        for account, quota, used in in_directory:
             account.set_used(quota, used)
         return [use for one in [*self._accounts.values()] for use in one.uses() if use.used or use.refused]

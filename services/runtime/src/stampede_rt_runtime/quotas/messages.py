@@ -37,8 +37,8 @@ def quota_from(number: int) -> Quota:
 
 def limit_message(quota: Quota, limit: int, setting: QuotaSetting | None) -> pb.QuotaLimit:
     """The message of a limit. `setting` None: the default holds."""
-    told = None if setting is None else setting_message(setting)
-    return pb.QuotaLimit(kind=KINDS[quota], limit=limit, setting=told)
+    encoded = None if setting is None else setting_message(setting)
+    return pb.QuotaLimit(kind=KINDS[quota], limit=limit, setting=encoded)
 
 
 def use_messages(uses: Iterable[QuotaUse], uses_max: int) -> list[pb.QuotaUse]:
