@@ -45,7 +45,7 @@ POLLS_PER_PIECE = 4
 """The most gets that one piece polls again when there is room for their answers. One poll takes up to a millisecond."""
 
 
-class _Begun:
+class _OpenGet:
     """One get of a channel, from its start to its answer."""
 
     __slots__ = ("_begun_at", "_polled_at", "call_id", "hosted", "pending", "plan")
@@ -95,7 +95,7 @@ class GetStream:
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
         # how many calls the caller's quota counts for this stream
         self._under_way = self._account.hold(Quota.WAITING_CALLS)
-        self._held_back: dict[int, _Begun] = {}  # released gets that wait for room in the outbox
+        self._held_back: dict[int, _OpenGet] = {}  # released gets that wait for room in the outbox
         self._is_polling = False  # whether `_polling_again` is under way
 
     async def run(self) -> None:
@@ -152,39 +152,39 @@ class GetStream:
         if plan.group is not None:
             self._begin_in_group(call_id, plan, plan.group, hosted, now)
             return
-        begun = _Begun(call_id, plan, hosted, now)
+        get = _OpenGet(call_id, plan, hosted, now)
         if not plan.wait_nanos:
-            self._go_on(begun, first_of(hosted.channel.reading(plan.query, now)), now)
+            self._go_on(get, first_of(hosted.channel.reading(plan.query, now)), now)
             return
-        begun.pending = hosted.channel.begin(plan.query, now)
-        self._go_on(begun, begun.poll(now), now)
+        get.pending = hosted.channel.begin(plan.query, now)
+        self._go_on(get, get.poll(now), now)
 
-    def _go_on(self, begun: _Begun, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
+    def _go_on(self, get: _OpenGet, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
         """Send the answer, or let the get wait. A task makes a long answer in pieces, between the work of others."""
         if isinstance(found, Unfinished):
-            self._calls[begun.call_id] = self._stream.spawn(self._finish(begun, found.rest))
+            self._calls[get.call_id] = self._stream.spawn(self._finish(get, found.rest))
         elif isinstance(found, WakeAt):
-            assert begun.pending is not None, "only a blocking get is to wait"
-            wait_nanos = begun.wait_nanos(now)
-            self._calls[begun.call_id] = begun.hosted.gets.add(
-                begun.pending, found, wait_nanos, now, self._releaser(begun)
+            assert get.pending is not None, "only a blocking get is to wait"
+            wait_nanos = get.wait_nanos(now)
+            self._calls[get.call_id] = get.hosted.gets.add(
+                get.pending, found, wait_nanos, now, self._releaser(get)
             )
         else:
-            self._answer(begun, found, now)
+            self._answer(get, found, now)
 
-    async def _finish(self, begun: _Begun, pieces: Pieces[ReadAnswer | WakeAt]) -> None:
+    async def _finish(self, get: _OpenGet, pieces: Pieces[ReadAnswer | WakeAt]) -> None:
         try:
             await self._outbox.room()
             found: ReadAnswer | WakeAt | Unfinished[Any] = await self._store.scheduler.finish(pieces)
-            self._check_served(begun.plan, found)
+            self._check_served(get.plan, found)
             now = self._store.now()
-            if isinstance(found, WakeAt) and begun.is_outdated:
-                found = begun.poll(now)
-            self._calls[begun.call_id] = None
-            self._go_on(begun, found, now)
+            if isinstance(found, WakeAt) and get.is_outdated:
+                found = get.poll(now)
+            self._calls[get.call_id] = None
+            self._go_on(get, found, now)
         except StampedeError as error:
-            self._calls[begun.call_id] = None
-            self._refuse(begun.call_id, error)
+            self._calls[get.call_id] = None
+            self._refuse(get.call_id, error)
         self._outbox.kick()
 
     def _check_served(self, plan: GetPlan, found: object) -> None:
@@ -208,7 +208,7 @@ class GetStream:
         if found is None:
             self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, ask, hosted))
         else:
-            self._answer(_Begun(call_id, plan, hosted, now), found.answer, now, found.cut)
+            self._answer(_OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
 
     async def _read_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel) -> None:
         try:
@@ -227,20 +227,20 @@ class GetStream:
             self._refuse(call_id, error)
         else:
             now = self._store.now()
-            self._answer(_Begun(call_id, plan, hosted, now), found.answer, now, found.cut)
+            self._answer(_OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
         self._outbox.kick()
 
-    def _releaser(self, begun: _Begun) -> Callable[[Outcome], None]:
+    def _releaser(self, get: _OpenGet) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
-            self._calls[begun.call_id] = None  # the get waits no more, but its answer is still to be sent
-            begun.released()
+            self._calls[get.call_id] = None  # the get waits no more, but its answer is still to be sent
+            get.released()
             if isinstance(outcome, StampedeError):
-                self._refuse(begun.call_id, outcome)
+                self._refuse(get.call_id, outcome)
             elif self._held_back or not self._outbox.has_room:
                 # Drop this outcome, so that no answer stays in memory. `_room_came` has the get polled again.
-                self._held_back[begun.call_id] = begun
+                self._held_back[get.call_id] = get
             else:
-                self._go_on(begun, outcome, self._store.now())
+                self._go_on(get, outcome, self._store.now())
             self._outbox.kick()
 
         return release
@@ -260,25 +260,25 @@ class GetStream:
         finally:
             self._is_polling = False
 
-    def _poll_again(self, begun: _Begun) -> None:
+    def _poll_again(self, get: _OpenGet) -> None:
         now = self._store.now()
         try:
-            self._store.find(begun.plan.channel_id, begun.plan.epoch)
-            self._go_on(begun, begun.poll(now), now)
+            self._store.find(get.plan.channel_id, get.plan.epoch)
+            self._go_on(get, get.poll(now), now)
         except StampedeError as error:
-            self._refuse(begun.call_id, error)
+            self._refuse(get.call_id, error)
         self._outbox.kick()
 
-    def _answer(self, begun: _Begun, answer: ReadAnswer, now: int, cut: int | None = None) -> None:
-        self._calls[begun.call_id] = None
+    def _answer(self, get: _OpenGet, answer: ReadAnswer, now: int, cut: int | None = None) -> None:
+        self._calls[get.call_id] = None
         kept_bytes = _kept_bytes(answer)
         if not self._account.has_room(Quota.BYTES_IN_FLIGHT, kept_bytes):
             self._let_go(answer)
-            self._refuse(begun.call_id, self._account.exceeded(Quota.BYTES_IN_FLIGHT, kept_bytes))
+            self._refuse(get.call_id, self._account.exceeded(Quota.BYTES_IN_FLIGHT, kept_bytes))
             return
         summary = summary_of(answer, now, cut)
-        messages = get_responses(begun.call_id, answer, summary, without_payloads=begun.plan.without_payloads)
-        self._outbox.add(begun.call_id, messages, begun.hosted.count_delivered, kept_bytes, answer.slices)
+        messages = get_responses(get.call_id, answer, summary, without_payloads=get.plan.without_payloads)
+        self._outbox.add(get.call_id, messages, get.hosted.count_delivered, kept_bytes, answer.slices)
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
         """Send an error. Leaves the table of calls alone: another call may be under way with the refused id."""
