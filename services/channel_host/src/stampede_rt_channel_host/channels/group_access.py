@@ -76,6 +76,6 @@ class GroupAccess(Protocol):
         """
 
     def subscribe(
-        self, begun: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
+        self, opening: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
     ) -> AbstractAsyncContextManager[Cursor]:
         """Begin a subscription. While its context is entered, `observer` hears of changes of the group."""

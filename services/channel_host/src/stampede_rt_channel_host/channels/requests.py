@@ -78,24 +78,24 @@ def position_to(position: Position) -> item_pb2.ItemPosition:
     return item_pb2.ItemPosition(time_unix_nano=position.time, seq=position.seq, incarnation=position.incarnation)
 
 
-def is_newest(begun: pb.SubscribeOpen) -> bool:
+def is_newest(opening: pb.SubscribeOpen) -> bool:
     """Whether the reader wants only the newest items. Raises InvalidArgument for a mode unknown to this host."""
-    if begun.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
+    if opening.mode in (pb.SUBSCRIBE_MODE_UNSPECIFIED, pb.SUBSCRIBE_MODE_ALL):
         return False
-    if begun.mode == pb.SUBSCRIBE_MODE_NEWEST:
+    if opening.mode == pb.SUBSCRIBE_MODE_NEWEST:
         return True
-    raise InvalidArgument(f"mode is {begun.mode}; use a value of stampede_rt.v1.SubscribeMode")
+    raise InvalidArgument(f"mode is {opening.mode}; use a value of stampede_rt.v1.SubscribeMode")
 
 
-def beginning_of(begun: pb.SubscribeOpen) -> dict[str, Any]:
+def beginning_of(opening: pb.SubscribeOpen) -> dict[str, Any]:
     """The place where a subscription begins, as arguments of the core. Raises InvalidArgument for an unusable bound."""
-    which = begun.WhichOneof("begin")
+    which = opening.WhichOneof("begin")
     if which == "start":
-        start = bound_from_message(begun.start, "the subscription's start")
-        return {"start": start, "start_exclusive": begun.start.exclusive}
+        start = bound_from_message(opening.start, "the subscription's start")
+        return {"start": start, "start_exclusive": opening.start.exclusive}
     if which == "after":
-        return {"after": position_of(begun.after)}
-    return {"saved": saved_of(begun.cursor)} if which == "cursor" else {}
+        return {"after": position_of(opening.after)}
+    return {"saved": saved_of(opening.cursor)} if which == "cursor" else {}
 
 
 def saved_of(cursor: pb.SubscriptionCursor) -> SavedCursor:

@@ -125,7 +125,7 @@ class Subscription(ChangeObserver):
         Raises Overloaded if the channel has too many subscriptions, or if the reader takes nothing for
         WRITE_SECONDS_MAX.
         """
-        begun = request.open
+        opening = request.open
         if len(self._hosted.subscriptions) >= SUBSCRIPTIONS_MAX:
             raise Overloaded(
                 f"channel {self._hosted.record.name} has {SUBSCRIPTIONS_MAX} subscriptions, the limit; end some"
@@ -133,14 +133,13 @@ class Subscription(ChangeObserver):
         self._credit.grant(request.credit_bytes)
         reading = self._stream.spawn(self._read())
         try:
-            if begun.HasField("group_id"):
-                async with self._groups.subscribe(begun, self._hosted, self) as cursor:
-                    await self._serve(cursor, begun)
+            if opening.HasField("group_id"):
+                async with self._groups.subscribe(opening, self._hosted, self) as cursor:
+                    await self._serve(cursor, opening)
             else:
-                opening = open_cursor(self._hosted.channel, begun, self._store.now())
-                cursor = await self._store.scheduler.do(opening)
-                self._store.find(begun.channel_id, begun.epoch)  # the channel may have left the host meanwhile
-                await self._serve(cursor, begun)
+                cursor = await self._store.scheduler.do(open_cursor(self._hosted.channel, opening, self._store.now()))
+                self._store.find(opening.channel_id, opening.epoch)  # the channel may have left the host meanwhile
+                await self._serve(cursor, opening)
         finally:
             reading.cancel()
 
@@ -153,15 +152,15 @@ class Subscription(ChangeObserver):
             self._credit.grant(request.credit_bytes)
         self._credit.end()
 
-    async def _serve(self, cursor: Cursor, begun: pb.SubscribeOpen) -> None:
+    async def _serve(self, cursor: Cursor, opening: pb.SubscribeOpen) -> None:
         channel = self._hosted.channel
         opened = pb.SubscriptionOpened(incarnation=channel.incarnation, next_seq=channel.next_seq)
         self._hosted.subscriptions.add(self)
-        self._owes_progress = begun.HasField("start")
+        self._owes_progress = opening.HasField("start")
         try:
             await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._standing(cursor))
             while not self._credit.is_over:
-                await self._step(cursor, without_payloads=begun.without_payloads)
+                await self._step(cursor, without_payloads=opening.without_payloads)
         finally:
             self._hosted.subscriptions.discard(self)
 
@@ -258,13 +257,13 @@ class Subscription(ChangeObserver):
         self._silent_at_s = asyncio.get_running_loop().time() + PROGRESS_SECONDS
 
 
-def open_cursor(channel: ChannelCore, begun: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
-    """A cursor at the place that `begun` states, as of `now`, made in pieces.
+def open_cursor(channel: ChannelCore, opening: pb.SubscribeOpen, now: int) -> Pieces[Cursor]:
+    """A cursor at the place that `opening` states, as of `now`, made in pieces.
 
     Raises InvalidArgument for an unusable place, IncarnationLost for a place of another incarnation.
     """
-    where = beginning_of(begun)
-    if is_newest(begun):
+    where = beginning_of(opening)
+    if is_newest(opening):
         return _Newest(channel, channel.subscribe_newest(now, **where))
     return _All(channel, (yield from channel.subscribing_all(now, **where)))
 

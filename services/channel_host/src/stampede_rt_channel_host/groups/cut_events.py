@@ -76,21 +76,21 @@ class CutEvents:
         request = await self._context.read()
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
             raise InvalidArgument("the first request of a subscription to cuts has no open; send it before boundaries")
-        begun = request.open
-        if begun.lateness_nanos < 0:
-            raise InvalidArgument(f"lateness_nanos is {begun.lateness_nanos}; it is a time to wait: give 0 or more")
+        opening = request.open
+        if opening.lateness_nanos < 0:
+            raise InvalidArgument(f"lateness_nanos is {opening.lateness_nanos}; it is a time to wait: give 0 or more")
         self._credit.grant(request.credit)
         self._groups.check_serving()
-        group = await self._groups.find(begun.group_id, begun.spec_version)
+        group = await self._groups.find(opening.group_id, opening.spec_version)
         await self._writer.turn()  # many streams may have waited for the same group
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
-        await self._begin(group, begun)
-        hearing = group.news_observers if begun.decides else group.cut_observers
+        await self._begin(group, opening)
+        hearing = group.news_observers if opening.decides else group.cut_observers
         hearing.add(self._waiter)
-        reading = self._stream.spawn(self._read(group, decides=begun.decides))
+        reading = self._stream.spawn(self._read(group, decides=opening.decides))
         try:
             await self._writer.write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())
-            await self._serve(group, begun)
+            await self._serve(group, opening)
         finally:
             reading.cancel()
             hearing.discard(self._waiter)
@@ -98,12 +98,12 @@ class CutEvents:
                 followed.hosted.group_readers.pop(self, None)
                 self._groups.channels.scheduler.begin(followed.follower.emptying())
 
-    async def _begin(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
+    async def _begin(self, group: HostedGroup, opening: pb.SubscribeCutsOpen) -> None:
         """Begin at the present cut, or at the cursor of the reader."""
-        resumes = begun.HasField("after")
-        kept = begun.after.cut_unix_nano if resumes else NOTHING_VISIBLE
+        resumes = opening.HasField("after")
+        kept = opening.after.cut_unix_nano if resumes else NOTHING_VISIBLE
         floor = None if kept == NOTHING_VISIBLE else kept
-        if resumes and begun.after.incarnation != group.record.incarnation:
+        if resumes and opening.after.incarnation != group.record.incarnation:
             raise other_incarnation(group.record)
         if not await group.reach(floor, SETTLE_SECONDS_MAX):
             raise Unavailable(
@@ -112,8 +112,8 @@ class CutEvents:
         await self._writer.turn()
         self._cut = floor if resumes else group.cut.cut
         self._incarnation = group.record.incarnation
-        self._kept = {one.channel_id: one for one in begun.after.channels}
-        self._spec_version = begun.spec_version or group.record.spec_version
+        self._kept = {one.channel_id: one for one in opening.after.channels}
+        self._spec_version = opening.spec_version or group.record.spec_version
         self._follow(group)
 
     def _opened(self, group: HostedGroup) -> pb.CutCursor:
@@ -184,9 +184,9 @@ class CutEvents:
             self._waiter.wake()
         self._credit.end()
 
-    async def _serve(self, group: HostedGroup, begun: pb.SubscribeCutsOpen) -> None:
-        max_wait = begun.max_wait_nanos if begun.HasField("max_wait_nanos") else MAX_WAIT_NANOS_DEFAULT
-        decider = EventDecider(self._cut, max_wait, begun.lateness_nanos) if begun.decides else None
+    async def _serve(self, group: HostedGroup, opening: pb.SubscribeCutsOpen) -> None:
+        max_wait = opening.max_wait_nanos if opening.HasField("max_wait_nanos") else MAX_WAIT_NANOS_DEFAULT
+        decider = EventDecider(self._cut, max_wait, opening.lateness_nanos) if opening.decides else None
         while not self._is_over(decider):
             await self._writer.turn()
             self._follow(group)
@@ -195,7 +195,7 @@ class CutEvents:
             if boundary is not None:
                 if decider is not None:
                     self._credit.spend(1)
-                await self._send_event(group, boundary, without_payloads=begun.without_payloads)
+                await self._send_event(group, boundary, without_payloads=opening.without_payloads)
             elif not wanted:
                 await self._waiter.wait(None)
             elif self._writer.silence_left_s <= 0:

@@ -78,12 +78,12 @@ class FarMember:
 
         It grants the greatest credit, so that credit never holds the items back.
         """
-        begun = channel_service_pb2.SubscribeOpen(channel_id=self.channel_id, epoch=self.epoch, without_payloads=True)
+        opening = channel_service_pb2.SubscribeOpen(channel_id=self.channel_id, epoch=self.epoch, without_payloads=True)
         if self._cursor is None:
-            begun.start.CopyFrom(time_pb2.Bound(instant_unix_nano=self._since))
+            opening.start.CopyFrom(time_pb2.Bound(instant_unix_nano=self._since))
         else:
-            begun.cursor.CopyFrom(self._cursor)
-        return channel_service_pb2.SubscribeRequest(open=begun, credit_bytes=CREDIT_MAX)
+            opening.cursor.CopyFrom(self._cursor)
+        return channel_service_pb2.SubscribeRequest(open=opening, credit_bytes=CREDIT_MAX)
 
     def _begin_anew(self) -> None:
         """Go on by time: the member's host was lost with its items, so the seqs from before mean nothing."""

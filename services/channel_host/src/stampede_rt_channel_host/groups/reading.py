@@ -107,18 +107,18 @@ class GroupReads:
 
     @asynccontextmanager
     async def subscribe(
-        self, begun: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
+        self, opening: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
     ) -> AsyncIterator[Cursor]:
         """See `GroupAccess`. Raises Unavailable if other hosts do not tell their cuts."""
-        group = await self._groups.find(begun.group_id)
+        group = await self._groups.find(opening.group_id)
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         member_of(group, hosted)
-        saved = begun.cursor  # a cursor of another incarnation needs no wait, because it is refused
+        saved = opening.cursor  # a cursor of another incarnation needs no wait, because it is refused
         seen = saved.cut_unix_nano if saved.incarnation == hosted.channel.incarnation else None
         if not await group.reach(seen, SETTLE_SECONDS_MAX):
             raise Unavailable(f"group {group.record.name} shows nothing new {group.held_by()}; subscribe again")
         self._check_served(hosted)
-        cursor = _cursor(group, hosted, begun, self._groups.channels.now())
+        cursor = _cursor(group, hosted, opening, self._groups.channels.now())
         group.cut_observers.add(observer)
         try:
             yield cursor
@@ -185,9 +185,9 @@ class _Newest:
         return pb.SubscriptionProgress(next_seq=self._cursor.lowest_owed_seq(now), skipped=self._cursor.skipped)
 
 
-def _cursor(group: HostedGroup, hosted: HostedChannel, begun: pb.SubscribeOpen, now: int) -> _All | _Newest:
-    where, horizon = beginning_of(begun), group.horizon()
-    if is_newest(begun):
+def _cursor(group: HostedGroup, hosted: HostedChannel, opening: pb.SubscribeOpen, now: int) -> _All | _Newest:
+    where, horizon = beginning_of(opening), group.horizon()
+    if is_newest(opening):
         return _Newest(group, hosted, VisibleNewest(hosted.channel, horizon, now, **where))
     return _All(group, hosted, VisibleAll(hosted.channel, horizon, now, **where))
 
