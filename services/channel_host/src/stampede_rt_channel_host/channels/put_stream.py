@@ -33,14 +33,14 @@ REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 
 
-class _Came(NamedTuple):
+class _ReceivedRequest(NamedTuple):
     """The runs of one request that are not yet judged, and the monotonic time at which the request came.
 
     `too_much`: the request is larger than allowed, so that all its runs are refused.
     """
 
     puts: deque[Put]
-    came_s: float
+    received_s: float
     too_much: bool
 
     def keep(self) -> int:
@@ -81,8 +81,8 @@ class PutStream:
         """
         writer = self._stream.spawn(self._write_acks())
         try:
-            while (came := self._read_request(*await self._requests.next())) is not None:
-                await self._take(came)
+            while (received := self._read_request(*await self._requests.next())) is not None:
+                await self._take(received)
             self._closed = True
             self._news.set()
             await writer
@@ -90,7 +90,7 @@ class PutStream:
             writer.cancel()
             self._requests.close()
 
-    def _read_request(self, raw: Any, came_s: float) -> _Came | None:
+    def _read_request(self, raw: Any, received_s: float) -> _ReceivedRequest | None:
         """Decode a request; None at the end of the stream.
 
         A waiting run keeps only its own bytes in memory, not the whole request's.
@@ -102,14 +102,14 @@ class PutStream:
             self._channel_id, self._epoch = request.channel_id, request.epoch
             self._producer_id = request.producer_id
         too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
-        return _Came(request.puts, came_s, too_much)
+        return _ReceivedRequest(request.puts, received_s, too_much)
 
-    async def _take(self, came: _Came) -> None:
+    async def _take(self, received: _ReceivedRequest) -> None:
         if self._work.must_wait:
             await self._work.turn()
         self._work.spend(READ_NANOS)
-        while came.puts:
-            ack = _refuse_size(came.puts.popleft(), self._store.now()) if came.too_much else await self._put(came)
+        while received.puts:
+            ack = _refuse_size(received.puts.popleft(), self._store.now()) if received.too_much else await self._put(received)
             while len(self._acks) >= ACKS_QUEUED_MAX:
                 self._news.set()
                 self._room.clear()
@@ -118,9 +118,9 @@ class PutStream:
         self._news.set()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
-    async def _put(self, came: _Came) -> pb.PutAck:
+    async def _put(self, received: _ReceivedRequest) -> pb.PutAck:
         """The ack of the first run. Waits while the run waits for room."""
-        now, put = self._store.now(), came.puts.popleft()
+        now, put = self._store.now(), received.puts.popleft()
         run: IncomingRun | None = None
         try:
             check_number(self._producer_id, put.first_number)
@@ -131,7 +131,7 @@ class PutStream:
             hosted = self._store.find(self._channel_id, self._epoch)
             check_access(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
             try:
-                run = self._read(put, came.came_s)
+                run = self._read(put, received.received_s)
             except StampedeError as error:
                 hosted.puts.count_unread(len(put.run), error, now)
                 raise
@@ -139,22 +139,22 @@ class PutStream:
         except StampedeError as error:
             return refused(put.first_number, run.items if run else 0, error, now)
         del put
-        return ack or await self._wait(run, hosted.puts, came)
+        return ack or await self._wait(run, hosted.puts, received)
 
-    async def _wait(self, run: IncomingRun, puts: ChannelPuts, came: _Came) -> pb.PutAck:
+    async def _wait(self, run: IncomingRun, puts: ChannelPuts, received: _ReceivedRequest) -> pb.PutAck:
         """Wait for the ack of a run that waits for room. The host keeps and charges this run and those behind it."""
         self._news.set()  # let the writer send the earlier acks meanwhile
         run.keep()
         try:
-            with self._account.waiting(run.charged_bytes), self._requests.keeping(came.keep()):
+            with self._account.waiting(run.charged_bytes), self._requests.keeping(received.keep()):
                 return await run.wait(puts.give_up)
         except Overloaded as error:
             return puts.refuse(run, error)
         finally:
             puts.withdraw(run)
 
-    def _read(self, put: Put, came_s: float) -> IncomingRun:
-        wait_nanos = None if put.wait_nanos is None else left_nanos(put.wait_nanos, came_s)
+    def _read(self, put: Put, received_s: float) -> IncomingRun:
+        wait_nanos = None if put.wait_nanos is None else left_nanos(put.wait_nanos, received_s)
         return IncomingRun(
             put.run,
             producer_id=self._producer_id,

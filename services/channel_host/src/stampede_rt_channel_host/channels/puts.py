@@ -159,12 +159,12 @@ class ChannelPuts:
         self._ending: StampedeError | None = None  # set while the waiting puts are being refused
         self._retries = RetryWindow()
         self._waiting_bytes = 0
-        self._line: list[IncomingRun] = []  # not a deque: an empty one takes 600 bytes
+        self._waiting_runs: list[IncomingRun] = []  # not a deque: an empty one takes 600 bytes
         self._timer: asyncio.TimerHandle | None = None
 
     def __len__(self) -> int:
         """The number of waiting runs."""
-        return len(self._line)
+        return len(self._waiting_runs)
 
     @property
     def footprint_bytes(self) -> int:
@@ -196,18 +196,18 @@ class ChannelPuts:
     def _put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
         if self._ending is not None:  # the run may be a repetition of one that still waits
             return refused(run.first_number, run.items, self._ending, now, self._channel.incarnation)
-        if self._recognise(run, now) or (not self._line and self._claim_and_offer(run, now)):
+        if self._recognise(run, now) or (not self._waiting_runs and self._claim_and_offer(run, now)):
             assert run.ack is not None, "a run that does not wait has an ack"
             return run.ack
         if run.wait_nanos is not None and run.wait_nanos <= 0:
             return self._refuse_rest(run, now)
-        if len(self._line) >= WAITING_PUTS_MAX:
+        if len(self._waiting_runs) >= WAITING_PUTS_MAX:
             raise Overloaded(
                 f"{WAITING_PUTS_MAX} puts wait for room in the channel already, the limit; put less at once"
             )
-        if self._line:
+        if self._waiting_runs:
             self._memory.claim(run.charged_bytes)
-        self._line.append(run)
+        self._waiting_runs.append(run)
         self._waiting_bytes += run.charged_bytes
         return None
 
@@ -224,29 +224,29 @@ class ChannelPuts:
         If these runs have very many items, the host offers the last ones a moment later.
         """
         offered = 0
-        while self._line and self._may_offer:
+        while self._waiting_runs and self._may_offer:
             if offered >= ITEMS_OFFERED_MAX:
                 self._arm(now, now)
                 break
-            offered += self._line[0].undecided_items
-            if not self._offer_waiting(self._line[0], now):
+            offered += self._waiting_runs[0].undecided_items
+            if not self._offer_waiting(self._waiting_runs[0], now):
                 break
-            self._leave_line(self._line[0])
+            self._stop_waiting(self._waiting_runs[0])
         self._on_touched()
 
     @property
     def _may_offer(self) -> bool:
         return self._ending is None and self._may_serve()
 
-    def _leave_line(self, run: IncomingRun) -> None:
-        self._line.remove(run)
+    def _stop_waiting(self, run: IncomingRun) -> None:
+        self._waiting_runs.remove(run)
         self._waiting_bytes -= run.charged_bytes
 
     def give_up(self, run: IncomingRun) -> None:
         """Refuse the rest of the run, because its waiting time is over."""
         now = self._now()
-        if run in self._line:
-            self._leave_line(run)
+        if run in self._waiting_runs:
+            self._stop_waiting(run)
             run.finish(self._refuse_rest(run, now))
             self.changed(now)
 
@@ -254,7 +254,7 @@ class ChannelPuts:
         """Refuse a run that waits, because its caller has reached a quota. Returns its ack."""
         now = self._now()
         self._count_overloaded(run, error)
-        self._leave_line(run)
+        self._stop_waiting(run)
         self._fail(run, error, now)
         self.changed(now)
         assert run.ack is not None, "a failed run has an ack"
@@ -266,9 +266,9 @@ class ChannelPuts:
         The channel remembers the accepted items. If the producer sends the run again, the channel continues after them.
         """
         run.forget_time()
-        if run in self._line:
+        if run in self._waiting_runs:
             now = self._now()
-            self._leave_line(run)
+            self._stop_waiting(run)
             self._remember(run, now)
             self.changed(now)
 
@@ -277,13 +277,13 @@ class ChannelPuts:
         if self._timer is not None:
             self._timer.cancel()
         self._ending = error
-        while self._line:
-            for _ in range(min(PUTS_PER_PIECE, len(self._line))):
-                run = self._line.pop(0)
+        while self._waiting_runs:
+            for _ in range(min(PUTS_PER_PIECE, len(self._waiting_runs))):
+                run = self._waiting_runs.pop(0)
                 self._waiting_bytes -= run.charged_bytes
                 self._fail(run, error, self._now())
             self._on_touched()
-            if self._line:
+            if self._waiting_runs:
                 yield
         self._ending = None
 

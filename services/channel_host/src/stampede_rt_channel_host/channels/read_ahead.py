@@ -32,7 +32,7 @@ class ReadAhead:
         self._charge = Charge(memory)
         self._account = account
         self._in_flight = account.hold(Quota.BYTES_IN_FLIGHT)
-        self._came: deque[tuple[Any, float]] = deque()
+        self._received: deque[tuple[Any, float]] = deque()
         self._bytes = 0
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None
@@ -42,16 +42,16 @@ class ReadAhead:
     async def next(self) -> tuple[Any, float]:
         """The next request or EOF, and the monotonic time at which it came. Raises the errors of reading."""
         self._wanted = True  # a begun read cannot be cancelled: wait for it, and begin no other
-        while not self._came and self._task is not None:
+        while not self._received and self._task is not None:
             self._news.clear()
             await self._news.wait()
-        if not self._came:
+        if not self._received:
             if self._failure is not None:
                 raise self._failure
             return await self._read(), time.monotonic()
-        raw, came_s = self._came.popleft()
+        raw, received_s = self._received.popleft()
         self._count(0 if raw is EOF else -len(raw))
-        return raw, came_s
+        return raw, received_s
 
     @contextmanager
     def keeping(self, kept_bytes: int) -> Iterator[None]:
@@ -66,14 +66,14 @@ class ReadAhead:
     def go_on(self) -> None:
         """Read on until the next call of `next`, because the last request has to wait."""
         self._wanted = False
-        if self._task is None and self._failure is None and not (self._came and self._came[-1][0] is EOF):
+        if self._task is None and self._failure is None and not (self._received and self._received[-1][0] is EOF):
             self._task = asyncio.create_task(self._read_on())
 
     async def _read_on(self) -> None:
         try:
             while not self._wanted and self._has_room:
                 raw = await self._read()
-                self._came.append((raw, time.monotonic()))
+                self._received.append((raw, time.monotonic()))
                 if raw is EOF:
                     break
                 self._count(len(raw))
@@ -87,7 +87,7 @@ class ReadAhead:
     @property
     def _has_room(self) -> bool:
         return (
-            len(self._came) < AHEAD_REQUESTS_MAX
+            len(self._received) < AHEAD_REQUESTS_MAX
             and self._bytes < AHEAD_BYTES_MAX
             and self._memory.used_bytes < self._memory.bytes_max
             and self._account.has_room(Quota.BYTES_IN_FLIGHT)
@@ -100,12 +100,12 @@ class ReadAhead:
 
     def close(self) -> None:
         """Stop reading, and forget the requests that were read ahead."""
-        self._came.clear()
+        self._received.clear()
         self._count(-self._bytes)
         if self._task is not None:
             self._task.cancel()
 
 
-def left_nanos(wait_nanos: int, came_s: float) -> int:
-    """How much of `wait_nanos` a put has left, in nanoseconds, if its request came at the monotonic time `came_s`."""
-    return max(0, wait_nanos - round((time.monotonic() - came_s) * 1e9))
+def left_nanos(wait_nanos: int, received_s: float) -> int:
+    """How much of `wait_nanos` a put has left, in nanoseconds, if its request came at the monotonic time `received_s`."""
+    return max(0, wait_nanos - round((time.monotonic() - received_s) * 1e9))

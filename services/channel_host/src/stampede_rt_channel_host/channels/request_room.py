@@ -12,10 +12,10 @@ INCOMPLETE_BYTES_MAX = 128 * 2**20
 CALLER_BYTES_MAX = INCOMPLETE_BYTES_MAX // 2
 
 
-class _Place(NamedTuple):
+class _WaitingRequest(NamedTuple):
     """A request in the line for room."""
 
-    came: asyncio.Future[None]
+    admitted: asyncio.Future[None]
     caller: str
     wanted_bytes: int
 
@@ -30,39 +30,39 @@ class RequestRoom:
         self.used_bytes = 0
         self._bytes_max, self._caller_bytes_max = bytes_max, caller_bytes_max
         self._of_callers: Counter[str] = Counter()
-        self._line: deque[_Place] = deque()
+        self._waiting: deque[_WaitingRequest] = deque()
 
     @asynccontextmanager
     async def taken(self, caller: str, wanted_bytes: int) -> AsyncIterator[None]:
         """Wait until there is room for one request, and keep it for the duration of the block."""
-        place = _Place(asyncio.get_running_loop().create_future(), caller, wanted_bytes)
-        self._line.append(place)
+        waiting = _WaitingRequest(asyncio.get_running_loop().create_future(), caller, wanted_bytes)
+        self._waiting.append(waiting)
         self._admit()
         try:
-            await place.came
+            await waiting.admitted
             yield
         finally:
-            if place.came.done() and not place.came.cancelled():
-                self._count(place, -wanted_bytes)
-            place.came.cancel()
+            if waiting.admitted.done() and not waiting.admitted.cancelled():
+                self._count(waiting, -wanted_bytes)
+            waiting.admitted.cancel()
             self._admit()
 
     def _admit(self) -> None:
         """Give room to the requests in line, as far as there is some."""
-        left: deque[_Place] = deque()
-        while self._line and self.used_bytes + self._line[0].wanted_bytes <= self._bytes_max:
-            place = self._line.popleft()
-            if place.came.cancelled():
+        left: deque[_WaitingRequest] = deque()
+        while self._waiting and self.used_bytes + self._waiting[0].wanted_bytes <= self._bytes_max:
+            waiting = self._waiting.popleft()
+            if waiting.admitted.cancelled():
                 continue
-            if self._of_callers[place.caller] + place.wanted_bytes > self._caller_bytes_max:
-                left.append(place)
+            if self._of_callers[waiting.caller] + waiting.wanted_bytes > self._caller_bytes_max:
+                left.append(waiting)
                 continue
-            self._count(place, place.wanted_bytes)
-            place.came.set_result(None)
-        self._line = left + self._line
+            self._count(waiting, waiting.wanted_bytes)
+            waiting.admitted.set_result(None)
+        self._waiting = left + self._waiting
 
-    def _count(self, place: _Place, more_bytes: int) -> None:
+    def _count(self, waiting: _WaitingRequest, more_bytes: int) -> None:
         self.used_bytes += more_bytes
-        self._of_callers[place.caller] += more_bytes
-        if not self._of_callers[place.caller]:
-            del self._of_callers[place.caller]
+        self._of_callers[waiting.caller] += more_bytes
+        if not self._of_callers[waiting.caller]:
+            del self._of_callers[waiting.caller]

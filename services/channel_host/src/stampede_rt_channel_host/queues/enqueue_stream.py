@@ -73,8 +73,8 @@ class EnqueueStream:
         """
         writer = self._stream.spawn(self._write_acks())
         try:
-            while (came := self._read_request(*await self._requests.next())) is not None:
-                await self._take(*came)
+            while (received := self._read_request(*await self._requests.next())) is not None:
+                await self._take(*received)
             await self._finish(writer)
         except StampedeError:
             await self._finish(writer)
@@ -89,7 +89,7 @@ class EnqueueStream:
         self._news.set()
         await writer
 
-    def _read_request(self, raw: Any, came_s: float) -> tuple[deque[EnqueueRun], float] | None:
+    def _read_request(self, raw: Any, received_s: float) -> tuple[deque[EnqueueRun], float] | None:
         """The runs of a request, and the time at which it came; None at the end of the stream.
 
         Keeps no reference to the request.
@@ -108,15 +108,15 @@ class EnqueueStream:
             raise InvalidArgument(
                 f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer at once"
             )
-        return deque(map(EnqueueRun.of, request.runs)), came_s
+        return deque(map(EnqueueRun.of, request.runs)), received_s
 
-    async def _take(self, runs: deque[EnqueueRun], came_s: float) -> None:
+    async def _take(self, runs: deque[EnqueueRun], received_s: float) -> None:
         if self._work.must_wait:
             await self._work.turn()
         failure = await self._failure_to_find()
         self._work.spend(READ_NANOS)
         while runs:
-            await self._add(await self._enqueue(runs, came_s, failure))
+            await self._add(await self._enqueue(runs, received_s, failure))
         self._news.set()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
@@ -132,7 +132,7 @@ class EnqueueStream:
         return None
 
     async def _enqueue(
-        self, runs: deque[EnqueueRun], came_s: float, failure: StampedeError | None
+        self, runs: deque[EnqueueRun], received_s: float, failure: StampedeError | None
     ) -> channel_service_pb2.PutAck:
         """The ack of the first run. Waits while the run waits for room."""
         message = runs.popleft()
@@ -146,7 +146,7 @@ class EnqueueStream:
             if message.origin:
                 check_forwards(caller_identity(self._context))
                 check_not_judged("set the origin of a run, as of a dead letter")
-            run = enqueue_of(message, self._producer_id, came_s, self._owner)
+            run = enqueue_of(message, self._producer_id, received_s, self._owner)
         except StampedeError as error:
             if hosted is not None:
                 hosted.refuse_unread(error)

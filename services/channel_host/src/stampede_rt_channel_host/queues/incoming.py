@@ -39,8 +39,8 @@ class EnqueueRun(NamedTuple):
         return cls(message.first_number, wait_nanos, message.run, message.message_id, message.origin)
 
 
-def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float, owner: str = "") -> Enqueue:
-    """The run as it came, not judged yet. `came_s`: the monotonic time at which its request came.
+def enqueue_of(message: EnqueueRun, producer_id: int, received_s: float, owner: str = "") -> Enqueue:
+    """The run as it came, not judged yet. `received_s`: the monotonic time at which its request came.
 
     `owner`: see `RetryWindow.record`. Raises MalformedRun, or ItemTooLarge for a message larger than any
     queue can hold.
@@ -60,7 +60,7 @@ def enqueue_of(message: EnqueueRun, producer_id: int, came_s: float, owner: str 
         is_stamped=columns.times is None,
         producer_id=producer_id,
         first_number=message.first_number,
-        wait_nanos=None if message.wait_nanos is None else left_nanos(message.wait_nanos, came_s),
+        wait_nanos=None if message.wait_nanos is None else left_nanos(message.wait_nanos, received_s),
         message_id=_message_id_of(message, items),
         owner=owner,
     )
