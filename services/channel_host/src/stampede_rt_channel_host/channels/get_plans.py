@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt_channel_host.channels.group_access import GroupAsk
+from stampede_rt_channel_host.channels.group_access import GroupReadParams
 from stampede_rt_channel_host.channels.requests import group_of, parse, query_of, wait_nanos_of
 from stampede_rt_channel_host.core.channel import Query
 
@@ -31,7 +31,7 @@ class GetPlan:
     query: Query
     wait_nanos: int
     without_payloads: bool
-    group: GroupAsk | None = None
+    group: GroupReadParams | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message, resolved_to_message
 from stampede_rt_channel_host.channels.frames import get_error, get_responses
 from stampede_rt_channel_host.channels.get_plans import GetCall, GetPlan, GetPlans
-from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupAsk
+from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.outbox import COUNTED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
@@ -203,17 +203,17 @@ class GetStream:
         if isinstance(found, ReadAnswer):
             self._store.scheduler.begin(emptying(found.slices))
 
-    def _begin_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel, now: int) -> None:
-        found = self._groups.read_now(ask, hosted, plan.query, plan.wait_nanos, now)
+    def _begin_in_group(self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel, now: int) -> None:
+        found = self._groups.read_now(params, hosted, plan.query, plan.wait_nanos, now)
         if found is None:
-            self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, ask, hosted))
+            self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, params, hosted))
         else:
             self._answer(_OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
 
-    async def _read_in_group(self, call_id: int, plan: GetPlan, ask: GroupAsk, hosted: HostedChannel) -> None:
+    async def _read_in_group(self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel) -> None:
         try:
             began, wait_nanos = self._store.now(), plan.wait_nanos
-            found = await self._groups.read(ask, hosted, plan.query, wait_nanos)
+            found = await self._groups.read(params, hosted, plan.query, wait_nanos)
             # No answer may stay in memory while the outbox has no room: drop it, and read again when there is room.
             while not self._outbox.has_room:
                 self._let_go(found.answer)
@@ -221,7 +221,7 @@ class GetStream:
                 await self._outbox.room()
                 self._store.find(plan.channel_id, plan.epoch)
                 left_nanos = wait_nanos if wait_nanos < 0 else max(0, began + wait_nanos - self._store.now())
-                found = await self._groups.read(ask, hosted, plan.query, left_nanos)
+                found = await self._groups.read(params, hosted, plan.query, left_nanos)
         except StampedeError as error:
             self._calls[call_id] = None
             self._refuse(call_id, error)

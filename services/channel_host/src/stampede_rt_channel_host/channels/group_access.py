@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class GroupAsk:
+class GroupReadParams:
     """The group through which a get reads.
 
     `floor`: the highest cut that the reader has seen; None: it has seen no cut. `at`: the cut to read at; None: the
@@ -64,11 +64,11 @@ class GroupAccess(Protocol):
     """
 
     def read_now(
-        self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
+        self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
     ) -> GroupAnswer | None:
         """The answer, if the group has it at this moment. None: call `read`, which may wait."""
 
-    async def read(self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
+    async def read(self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
         """Wait for the answer.
 
         `wait_nanos` bounds the wait, below 0: without limit. A wait for a cut that the reader has seen already may take

@@ -12,7 +12,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2
 from stampede_rt.values.timeline import clamp
 from stampede_rt.wire.reads import bound_from_message, interval_from_message, match_from_message
-from stampede_rt_channel_host.channels.group_access import GroupAsk
+from stampede_rt_channel_host.channels.group_access import GroupReadParams
 from stampede_rt_channel_host.core.channel import Position, Query, SavedCursor
 
 _SEQ_MAX = 2**64 - 1
@@ -119,11 +119,11 @@ def saved_to(saved: SavedCursor) -> pb.SubscriptionCursor:
     return cursor
 
 
-def group_of(request: pb.GetRequest) -> GroupAsk | None:
+def group_of(request: pb.GetRequest) -> GroupReadParams | None:
     """The group through which the get reads; None: the get reads the whole channel."""
     if not request.HasField("group_id"):
         return None
-    return GroupAsk(
+    return GroupReadParams(
         group_id=request.group_id,
         floor=request.cut_floor_unix_nano if request.HasField("cut_floor_unix_nano") else None,
         at=request.cut_unix_nano if request.HasField("cut_unix_nano") else None,

@@ -13,7 +13,7 @@ from contextlib import asynccontextmanager
 from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels import refusals
-from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupAsk
+from stampede_rt_channel_host.channels.group_access import Cursor, GroupAnswer, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.requests import beginning_of, is_newest
@@ -46,15 +46,15 @@ class GroupReads:
         self._groups = groups
 
     def read_now(
-        self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
+        self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
     ) -> GroupAnswer | None:
         """See `GroupAccess`."""
-        group = self._groups.known(ask.group_id)
+        group = self._groups.known(params.group_id)
         if group is not None:
             check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
-        if group is None or not group.has_reached(_wanted(ask)):
+        if group is None or not group.has_reached(_wanted(params)):
             return None
-        view, horizon = VisibleChannel(member_of(group, hosted).channel), group.horizon(ask.at)
+        view, horizon = VisibleChannel(member_of(group, hosted).channel), group.horizon(params.at)
         found: ReadAnswer | WakeAt | Unfinished[ReadAnswer] | Unfinished[ReadAnswer | WakeAt]
         if wait_nanos:
             found = first_of(view.polling(view.begin(query, horizon, now), horizon, now))
@@ -62,20 +62,20 @@ class GroupReads:
             found = first_of(view.reading(query, horizon, now))
         return GroupAnswer(found, horizon.cut) if isinstance(found, ReadAnswer) else None
 
-    async def read(self, ask: GroupAsk, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
+    async def read(self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
         """See `GroupAccess`."""
         wait_s = None if wait_nanos < 0 else wait_nanos / 1e9
         deadline_s = None if wait_s is None else _now_s() + wait_s
-        group = await self._groups.find(ask.group_id)
+        group = await self._groups.find(params.group_id)
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         view = VisibleChannel(member_of(group, hosted).channel)
-        wanted = _wanted(ask)
+        wanted = _wanted(params)
         if not await group.reach(wanted, None if wait_s is None else max(STALL_SECONDS_MAX, wait_s)):
             horizon = group.horizon()
             stalled_at = 0 if wanted is None else wanted
             return GroupAnswer(view.stalled(stalled_at, horizon), horizon.cut)
         self._check_served(hosted)
-        return await self._get(group, hosted, ask.at, query, deadline_s)
+        return await self._get(group, hosted, params.at, query, deadline_s)
 
     async def _get(
         self, group: HostedGroup, hosted: HostedChannel, at: int | None, query: Query, deadline_s: float | None
@@ -206,9 +206,9 @@ def _state(group: HostedGroup, hosted: HostedChannel) -> object:
     return hosted.channel.next_seq, hosted.channel.advanced_to, group.cut.cut, group.arrangement
 
 
-def _wanted(ask: GroupAsk) -> int | None:
+def _wanted(params: GroupReadParams) -> int | None:
     """The cut that the request needs; None: any."""
-    return max((one for one in (ask.floor, ask.at) if one is not None), default=None)
+    return max((one for one in (params.floor, params.at) if one is not None), default=None)
 
 
 def _now_s() -> float:
