@@ -113,7 +113,7 @@ class Polled(Protocol):
         """See `ChannelCore.polling`."""
 
 
-class PolledThen(Polled, Protocol):
+class SourceSnapshot(Polled, Protocol):
     """The state of the source at one moment."""
 
     def close(self) -> None:
@@ -126,7 +126,7 @@ class Source(Polled, Protocol):
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """See `ChannelCore.giving_up`."""
 
-    def moment(self, now: int) -> PolledThen:
+    def moment(self, now: int) -> SourceSnapshot:
         """See `ChannelCore.moment`."""
 
 
@@ -136,7 +136,7 @@ class _Release:
     def __init__(self, reach: Reach, arrivals: int) -> None:
         self.reach = reach
         self.arrivals = arrivals  # the `arrival` of the last get before the change
-        self.then: PolledThen | None = None  # the state right after the change
+        self.snapshot: SourceSnapshot | None = None  # the state right after the change
         self.taken: deque[WaitingGet] = deque()  # gets that `take` returned, and that nobody has looked at yet
         # for each kind of need, the sort key of the last get that `take` has looked at
         self._last_keys: list[tuple[int, int] | None] = [None] * len(reach)
@@ -163,8 +163,8 @@ class _Release:
         return sorted(found, key=attrgetter("arrival"))
 
     def close(self) -> None:
-        if self.then is not None:
-            self.then.close()
+        if self.snapshot is not None:
+            self.snapshot.close()
 
 
 class WaitingGets:
@@ -219,7 +219,7 @@ class WaitingGets:
             self._coming.begin(self._cut())
         self._arrivals += 1
         get = WaitingGet(pending, self, self._arrivals, on_outcome)
-        self._put_aside(get, wake)
+        self._insert(get, wake)
         self._arm()
         if wait_nanos >= 0:
             get.limit(wait_nanos, self._limits, self._give_up)
@@ -267,7 +267,7 @@ class WaitingGets:
             self._releases[-1].merge(release)
         else:
             self._releases.append(release)
-        self._releases[-1].then = self._source.moment(now)
+        self._releases[-1].snapshot = self._source.moment(now)
 
     def _work(self) -> None:
         if not self._working:
@@ -290,9 +290,9 @@ class WaitingGets:
         if self._releases:
             release = self._releases[0]
             found = release.taken = release.taken or deque(release.take(self._by_need, GETS_PER_PIECE))
-            assert release.then is not None, "each release was stored with its state"
+            assert release.snapshot is not None, "each release was stored with its state"
             is_over = not found
-            self._look_at(found, release.then, now)
+            self._look_at(found, release.snapshot, now)
             if is_over and self._releases and self._releases[0] is release:
                 self._releases.pop(0).close()
         else:
@@ -317,12 +317,12 @@ class WaitingGets:
         self.looked_at += 1
         found = first_of(where.polling(get.pending, now))
         if isinstance(found, WakeAt):
-            self._put_aside(get, found)
+            self._insert(get, found)
             return 1
         get.finish(found)
         return GETS_PER_PIECE if isinstance(found, Unfinished) else 1 + len(found.slices) // SLICES_PER_LOOK
 
-    def _put_aside(self, get: WaitingGet, wake: WakeAt) -> None:
+    def _insert(self, get: WaitingGet, wake: WakeAt) -> None:
         """Let a get wait, sorted by the needs and the instant that its last poll returned."""
         needs = wake.needs or Needs(BEFORE_ALL)
         if get not in self._waiting or needs != get.needs:
@@ -372,8 +372,8 @@ class WaitingGets:
     def _give_up(self, get: WaitingGet) -> None:
         """End the wait of a get. Look at the kept changes first. If none releases the get, give the present answer."""
         for release in list(self._releases):
-            if release.then is not None and get.arrival <= release.arrivals and get in self._waiting:
-                self._look(get, release.then, self._now())
+            if release.snapshot is not None and get.arrival <= release.arrivals and get in self._waiting:
+                self._look(get, release.snapshot, self._now())
         if get in self._waiting:
             found: ReadAnswer | Unfinished[ReadAnswer] = first_of(self._source.giving_up(get.pending, self._now()))
             get.finish(found)

@@ -43,12 +43,12 @@ class PendingAt(Pending):
         self.cut: int | None = None
 
 
-class _Moment:
+class _GroupSnapshot:
     """The channel and the cut as they were at one moment."""
 
-    def __init__(self, group: HostedGroup, then: Moment) -> None:
+    def __init__(self, group: HostedGroup, snapshot: Moment) -> None:
         self._group = group
-        self._then = then
+        self._snapshot = snapshot
         self._horizon = group.horizon()
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
@@ -56,11 +56,11 @@ class _Moment:
         at = _at(pending)
         horizon = self._horizon if at.at is None else self._group.horizon(at.at)
         at.cut = horizon.cut
-        return polling(self._then, pending, horizon, self._then.clock)
+        return polling(self._snapshot, pending, horizon, self._snapshot.clock)
 
     def close(self) -> None:
-        """See `PolledThen`."""
-        self._then.close()
+        """See `SourceSnapshot`."""
+        self._snapshot.close()
 
 
 class GroupGets:
@@ -137,9 +137,9 @@ class GroupGets:
         """See `Source`."""
         return self._view.giving_up(pending, self._horizon(pending), now)
 
-    def moment(self, now: int) -> _Moment:
+    def moment(self, now: int) -> _GroupSnapshot:
         """See `Source`."""
-        return _Moment(self._group, self._hosted.channel.moment(now))
+        return _GroupSnapshot(self._group, self._hosted.channel.moment(now))
 
     def wake(self) -> None:
         """The channel has changed, or the group shows more."""
