@@ -28,7 +28,7 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.puts import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
-from stampede_rt_channel_host.channels.waiting_gets import PolledThen, WaitingGets
+from stampede_rt_channel_host.channels.waiting_gets import SourceSnapshot, WaitingGets
 from stampede_rt_channel_host.cluster.records import recorded_channel
 from stampede_rt_channel_host.core.channel import Coming, Position, Query, WakeAt
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
@@ -67,7 +67,7 @@ class Shown:
         self.polling = lambda pending, now: self.view.polling(pending, self.horizon, now)
         self.giving_up = lambda pending, now: self.view.giving_up(pending, self.horizon, now)
 
-    def moment(self, now: int) -> PolledThen:
+    def moment(self, now: int) -> SourceSnapshot:
         raise AssertionError("no get was to be released")
 
 

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.consuming import consuming
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
-from stampede_rt_channel_host.channels.holders import own_name
+from stampede_rt_channel_host.channels.id_owners import own_name
 from stampede_rt_channel_host.channels.put_stream import PutStream
 from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore

@@ -166,9 +166,7 @@ class GetStream:
         elif isinstance(found, WakeAt):
             assert get.pending is not None, "only a blocking get is to wait"
             wait_nanos = get.wait_nanos(now)
-            self._calls[get.call_id] = get.hosted.gets.add(
-                get.pending, found, wait_nanos, now, self._releaser(get)
-            )
+            self._calls[get.call_id] = get.hosted.gets.add(get.pending, found, wait_nanos, now, self._releaser(get))
         else:
             self._answer(get, found, now)
 
@@ -203,7 +201,9 @@ class GetStream:
         if isinstance(found, ReadAnswer):
             self._store.scheduler.begin(emptying(found.slices))
 
-    def _begin_in_group(self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel, now: int) -> None:
+    def _begin_in_group(
+        self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel, now: int
+    ) -> None:
         found = self._groups.read_now(params, hosted, plan.query, plan.wait_nanos, now)
         if found is None:
             self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, params, hosted))

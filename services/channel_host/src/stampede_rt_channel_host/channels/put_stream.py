@@ -14,7 +14,7 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.acks import refused
-from stampede_rt_channel_host.channels.holders import own_name
+from stampede_rt_channel_host.channels.id_owners import own_name
 from stampede_rt_channel_host.channels.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts import ChannelPuts, IncomingRun, check_number
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
@@ -109,7 +109,11 @@ class PutStream:
             await self._work.turn()
         self._work.spend(READ_NANOS)
         while received.puts:
-            ack = _refuse_size(received.puts.popleft(), self._store.now()) if received.too_much else await self._put(received)
+            ack = (
+                _refuse_size(received.puts.popleft(), self._store.now())
+                if received.too_much
+                else await self._put(received)
+            )
             while len(self._acks) >= ACKS_QUEUED_MAX:
                 self._news.set()
                 self._room.clear()

@@ -18,8 +18,8 @@ from sortedcontainers import SortedList
 from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels import refusals
-from stampede_rt_channel_host.channels.holders import Holders
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.sweep import Sweep
@@ -81,7 +81,7 @@ class ChannelStore:
         self.memory = memory
         self.refused_calls = refused_calls or RefusedCalls()
         self.sweep = Sweep(self.now)
-        self.consumers = Holders()
+        self.consumers = IdOwners()
 
     def now(self) -> int:
         """The host's clock: nanoseconds since the Unix epoch, slewed, never stepping."""

@@ -17,7 +17,7 @@ from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.channels.acks import refused
-from stampede_rt_channel_host.channels.holders import own_name
+from stampede_rt_channel_host.channels.id_owners import own_name
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream

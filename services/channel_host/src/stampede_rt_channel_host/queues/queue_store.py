@@ -14,7 +14,7 @@ from itertools import islice
 from sortedcontainers import SortedDict
 
 from stampede_rt.errors import Overloaded, QueueNotFound, StaleBinding, StampedeError
-from stampede_rt_channel_host.channels.holders import Holders
+from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.cluster.identity import HostIdentity
@@ -69,7 +69,7 @@ class QueueStore:
         self._registrations = 0  # the number of registrations whose answers have come
         self.deadlines: Deadlines[HostedQueue] = Deadlines()
         self.in_use = asyncio.Event()  # set once a queue is used here
-        self.takers = Holders()  # which caller uses which taker id
+        self.takers = IdOwners()  # which caller uses which taker id
 
     def find(self, queue_id: bytes, epoch: int) -> HostedQueue:
         """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH) or Unavailable (SHUTTING_DOWN)."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt_channel_host.channels import holders as module
-from stampede_rt_channel_host.channels.holders import HOLDERS_OF_ONE_MAX, Holders, own_name
+from stampede_rt_channel_host.channels import owners as module
+from stampede_rt_channel_host.channels.id_owners import OWNED_IDS_OF_ONE_MAX, IdOwners, own_name
 
 QUEUE, OTHER = b"q" * 16, b"o" * 16
 
@@ -20,44 +20,44 @@ def caller(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_a_number_belongs_to_the_caller_that_used_it_first(caller: list[str]) -> None:
-    holders = Holders()
-    holders.check(QUEUE, 7, "taker")
-    holders.check(QUEUE, 7, "taker")
+    owners = IdOwners()
+    owners.check(QUEUE, 7, "taker")
+    owners.check(QUEUE, 7, "taker")
     caller.append("thief")
-    holders.check(OTHER, 7, "taker")
+    owners.check(OTHER, 7, "taker")
     with pytest.raises(PermissionDenied, match="taker 0x7 belongs to alice, and thief may not act for it"):
-        holders.check(QUEUE, 7, "taker")
+        owners.check(QUEUE, 7, "taker")
     caller.append("")
-    holders.check(QUEUE, 7, "taker")
+    owners.check(QUEUE, 7, "taker")
 
 
 def test_what_members_use_is_nobody_elses(caller: list[str]) -> None:
-    holders = Holders()
+    owners = IdOwners()
     caller.append("")
-    holders.check(QUEUE, 7, "consumer")
+    owners.check(QUEUE, 7, "consumer")
     caller.append("thief")
     with pytest.raises(PermissionDenied, match="belongs to a member or an operator"):
-        holders.check(QUEUE, 7, "consumer")
+        owners.check(QUEUE, 7, "consumer")
 
 
 def test_a_caller_of_many_numbers_makes_its_own_be_forgotten_and_no_others(caller: list[str]) -> None:
-    holders = Holders()
-    holders.check(QUEUE, 7, "taker")
+    owners = IdOwners()
+    owners.check(QUEUE, 7, "taker")
     caller.append("thief")
-    for number in range(1000, 1000 + 3 * HOLDERS_OF_ONE_MAX):
-        holders.check(QUEUE, number, "taker")
-    assert len(holders) == HOLDERS_OF_ONE_MAX + 1
+    for number in range(1000, 1000 + 3 * OWNED_IDS_OF_ONE_MAX):
+        owners.check(QUEUE, number, "taker")
+    assert len(owners) == OWNED_IDS_OF_ONE_MAX + 1
     with pytest.raises(PermissionDenied):
-        holders.check(QUEUE, 7, "taker")
+        owners.check(QUEUE, 7, "taker")
 
 
 def test_all_numbers_together_have_a_bound(caller: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "HOLDERS_MAX", 100)
-    holders = Holders()
+    monkeypatch.setattr(module, "OWNED_IDS_MAX", 100)
+    owners = IdOwners()
     for number in range(300):
         caller.append(f"caller-{number}")
-        holders.check(QUEUE, number, "taker")
-    assert len(holders) == len(holders._of_owner) == 100
+        owners.check(QUEUE, number, "taker")
+    assert len(owners) == len(owners._of_owner) == 100
 
 
 def test_callers_with_a_shared_name_have_no_share(caller: list[str]) -> None:

@@ -9,8 +9,8 @@ from stampede_rt.errors import PermissionDenied
 from stampede_rt_runtime.access.control import owner_name
 from stampede_rt_runtime.quotas.limits import SHARED_NAMES
 
-HOLDERS_MAX = 65_536  # ids of all callers
-HOLDERS_OF_ONE_MAX = 1024  # ids of one caller
+OWNED_IDS_MAX = 65_536  # ids of all callers
+OWNED_IDS_OF_ONE_MAX = 1024  # ids of one caller
 
 Key = tuple[bytes, int]  # the id of a channel or queue, and a consumer or taker id there
 
@@ -21,11 +21,11 @@ def own_name() -> str:
     return "" if name in SHARED_NAMES else intern(name)
 
 
-class Holders:
+class IdOwners:
     """The caller of each consumer id and taker id. An id alone proves nothing: listings of leases show the ids.
 
-    A caller that uses more than HOLDERS_OF_ONE_MAX ids loses its own oldest entries. If all callers together use more
-    than HOLDERS_MAX ids, the oldest entry of all goes.
+    A caller that uses more than OWNED_IDS_OF_ONE_MAX ids loses its own oldest entries. If all callers together use more
+    than OWNED_IDS_MAX ids, the oldest entry of all goes.
     """
 
     def __init__(self) -> None:
@@ -35,29 +35,29 @@ class Holders:
     def __len__(self) -> int:
         return len(self._owners)
 
-    def check(self, thing_id: bytes, holder_id: int, what: str) -> None:
-        """Check that the caller may act under `holder_id` at a channel or queue. The first caller of an id owns it.
+    def check(self, thing_id: bytes, used_id: int, what: str) -> None:
+        """Check that the caller may act under `used_id` at a channel or queue. The first caller of an id owns it.
 
         Members of the cluster and operators may act under every id. `what` names the id in the error, such as
         "consumer". Raises PermissionDenied.
         """
-        key, caller = (thing_id, holder_id), owner_name()
+        key, caller = (thing_id, used_id), owner_name()
         owner = self._owners.get(key)
         if owner is None:
             self._note(key, caller)
         elif caller and owner != caller:
             whose = owner or "a member or an operator"
             raise PermissionDenied(
-                f"{what} {holder_id:#x} belongs to {whose}, and {caller} may not act for it; use a number of your own"
+                f"{what} {used_id:#x} belongs to {whose}, and {caller} may not act for it; use a number of your own"
             )
 
     def _note(self, key: Key, owner: str) -> None:
         self._owners[key] = owner
         own = self._of_owner.setdefault(owner, OrderedDict())
         own[key] = None
-        if len(own) > HOLDERS_OF_ONE_MAX:
+        if len(own) > OWNED_IDS_OF_ONE_MAX:
             self._forget(next(iter(own)))
-        if len(self._owners) > HOLDERS_MAX:
+        if len(self._owners) > OWNED_IDS_MAX:
             self._forget(next(iter(self._owners)))
 
     def _forget(self, key: Key) -> None:
