@@ -74,7 +74,7 @@ async def test_a_request_counts_as_bytes_in_flight_of_its_caller_and_more_than_i
 
 
 async def test_a_request_that_does_not_go_on_is_refused_and_frees_its_room(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(whole_requests, "PATIENCE_SECONDS", 0.05)
+    monkeypatch.setattr(whole_requests, "JOIN_SECONDS_MIN", 0.05)
     room, began = RequestRoom(), [piece(b"x", 100)]
 
     async def read() -> Any:

@@ -20,8 +20,8 @@ from stampede_rt_channel_host.channels.request_room import RequestRoom
 from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import Quota
 
-PATIENCE_SECONDS = 10.0
-PATIENT_BYTES_PER_SECOND = 2**18
+JOIN_SECONDS_MIN = 10.0
+BYTES_PER_SECOND_MIN = 2**18
 
 
 class WholeRequests:
@@ -52,16 +52,16 @@ class WholeRequests:
                 return await self._join(first, whole_bytes)
 
     async def _join(self, first: Piece, whole_bytes: int) -> bytes:
-        patience_s = PATIENCE_SECONDS + whole_bytes / PATIENT_BYTES_PER_SECOND
+        limit_s = JOIN_SECONDS_MIN + whole_bytes / BYTES_PER_SECOND_MIN
         contents, came_bytes = [first.content], len(first.content)
         try:
-            async with asyncio.timeout(patience_s):
+            async with asyncio.timeout(limit_s):
                 while came_bytes < whole_bytes:
                     contents.append(await self._next_content())
                     came_bytes += len(contents[-1])
         except TimeoutError:
             raise DeadlineExceeded(
-                f"{came_bytes} of the {whole_bytes} bytes of a request came within {patience_s:.0f} s; put smaller "
+                f"{came_bytes} of the {whole_bytes} bytes of a request came within {limit_s:.0f} s; put smaller "
                 "items, or over a faster network"
             ) from None
         if came_bytes > whole_bytes:
