@@ -31,25 +31,25 @@ class OwnChannel:
         self._on_change = on_change
         self._on_end = on_end
         self._own = OwnTimes(hosted.channel, now())
-        self.tell()
+        self.enter_times()
         hosted.group_observers[self] = None
 
     def wake(self) -> None:
         """Enter the new times after a put or an advance."""
         self._own.observe(self._now())
-        self.tell()
+        self.enter_times()
         self._on_change(self.channel_id)
 
     def end(self, error: StampedeError) -> None:
         """Stop, because the host serves the channel no more."""
-        self.let_go()
+        self.stop_following()
         self._on_end(self.channel_id)
 
-    def let_go(self) -> None:
+    def stop_following(self) -> None:
         """Stop following the channel. Its last times stay on the board."""
         self.hosted.group_observers.pop(self, None)
         self._board.disown(self.channel_id, self._now())
 
-    def tell(self) -> None:
+    def enter_times(self) -> None:
         """Enter the channel's times on the board, under its present epoch."""
         self._board.enter_own(self.channel_id, self._own.times(self.hosted.epoch), self._own.silent_since)

@@ -26,7 +26,7 @@ from stampede_rt_runtime.rpc import Context
 logger = logging.getLogger(__name__)
 
 PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.05, 2.0
-KNOCK_SECONDS_MAX = 2.0
+ASK_SECONDS_MAX = 2.0
 
 Dial = Callable[[str], grpc.aio.Channel]
 
@@ -183,7 +183,7 @@ class PeerHosts:
             if peer.link is None and peer.target and self._lease_held():
                 try:
                     opens = self._identity.host_id < peer.host_id
-                    await (self._open(peer) if opens else self._knock(peer))
+                    await (self._open(peer) if opens else self._ask_for_link(peer))
                 except StampedeError as error:
                     logger.debug("no link to a host", extra={"host": peer.host_id.hex(), "why": str(error)})
             if peer.link is not None:  # the peer has opened the stream
@@ -211,14 +211,14 @@ class PeerHosts:
                 self._unlink(link)
             await channel.close(None)
 
-    async def _knock(self, peer: PeerHost) -> None:
+    async def _ask_for_link(self, peer: PeerHost) -> None:
         group_id = min(peer.groups, default=None)
         if group_id is None:
             return
         channel = self._dial(peer.target)
         try:
             stub = group_service_pb2_grpc.GroupServiceStub(channel)
-            await stub.GetCut(pb.GetCutRequest(group_id=group_id), timeout=KNOCK_SECONDS_MAX)
+            await stub.GetCut(pb.GetCutRequest(group_id=group_id), timeout=ASK_SECONDS_MAX)
         except grpc.RpcError as error:
             raise from_rpc_error(error, peer.target) from error
         finally:

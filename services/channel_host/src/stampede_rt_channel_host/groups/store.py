@@ -105,7 +105,7 @@ class GroupStore:
         """Stop all lookups, links and followed channels."""
         self._lookups.close()
         for own in self._table.own.values():
-            own.let_go()
+            own.stop_following()
         await self.exchange.peers.aclose()
 
     def check_serving(self) -> None:
@@ -271,10 +271,10 @@ class GroupStore:
     def _follow(self, channel_id: bytes, hosted: HostedChannel) -> None:
         held = self._table.own.get(channel_id)
         if held is not None and held.hosted is hosted:
-            held.tell()
+            held.enter_times()
             return
         if held is not None:
-            held.let_go()
+            held.stop_following()
         self._table.own[channel_id] = OwnChannel(
             hosted, self._table.board, self.channels.now, on_change=self._changed, on_end=self._ended
         )

@@ -65,5 +65,5 @@ class HostedGroups:
             if not of_channel:
                 self._groups_of.pop(channel_id, None)
                 if (own := self.own.pop(channel_id, None)) is not None:
-                    own.let_go()
+                    own.stop_following()
                 self.board.forget(channel_id)
