@@ -51,10 +51,10 @@ class Prober:
         self._access = AccessFollower(access or AccessControl())
         self._tasks: dict[str, asyncio.Task[None]] = {}
         # target -> the id of another cluster, to which the supernode at that target belonged at its last answer
-        self._strangers: dict[str, str] = {}
+        self._foreign: dict[str, str] = {}
         # callers that wait for a supernode that can serve
         self._waiting: dict[asyncio.Future[None], None] = {}
-        self._journal = StatusLog()
+        self._status_log = StatusLog()
 
     async def __aenter__(self) -> Prober:
         self._match_tasks()
@@ -105,7 +105,7 @@ class Prober:
             pause = _RETRY_SECONDS_MIN
             while True:  # until the target leaves the roster, when `_match_tasks` cancels this task
                 healthy = await self._probe(target, channel, stub)
-                self._tell()
+                self._log_changes()
                 if self._roster.any_healthy():
                     self._wake_some()
                 pause = PROBE_PERIOD_SECONDS if healthy else min(2 * pause, PROBE_PERIOD_SECONDS)
@@ -119,30 +119,30 @@ class Prober:
         try:
             answer = await _ping(channel, stub)
             accepted = self._roster.answered(target, answer)
-            if not accepted and self._strangers.get(target) != answer.cluster_id:
-                self._strangers[target] = answer.cluster_id
+            if not accepted and self._foreign.get(target) != answer.cluster_id:
+                self._foreign[target] = answer.cluster_id
                 logger.warning("another cluster's supernode", extra={"target": target, "cluster_id": answer.cluster_id})
             if answer.ready and accepted:
                 self._roster.listed(await _list(stub))
                 await self._access.heard(answer.cluster_id, answer.access_version, channel)
                 self._match_tasks()
         except grpc.aio.AioRpcError as error:
-            why = str(await self._better(target, from_rpc_error(error, target)))
+            why = str(await self._explained(target, from_rpc_error(error, target)))
             logger.debug("probe failed", extra={"target": target, "why": why})
             self._roster.failed(target, why)
             return False
         return answer.ready and accepted
 
-    def _tell(self) -> None:
+    def _log_changes(self) -> None:
         """Log the changes since the last probe, each once: which supernodes can serve, and whether any can.
 
         The line about the end of a problem has the same level as the line about its beginning.
         """
-        for change in self._journal.changes(self._roster, asyncio.get_running_loop().time()):
+        for change in self._status_log.changes(self._roster, asyncio.get_running_loop().time()):
             is_quiet = change.is_well and not change.is_return
             logger.log(logging.INFO if is_quiet else logging.WARNING, change.text, extra=change.facts)
 
-    async def _better(self, target: str, error: StampedeError) -> StampedeError:
+    async def _explained(self, target: str, error: StampedeError) -> StampedeError:
         if self._explain is None or not isinstance(error, Unavailable):
             return error
         return await self._explain(target) or error

@@ -158,7 +158,7 @@ class Subscription(ChangeObserver):
         self._hosted.subscriptions.add(self)
         self._owes_progress = opening.HasField("start")
         try:
-            await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._standing(cursor))
+            await self._write(pb.SubscribeResponse(opened=opened).SerializeToString() + self._cursor_bytes(cursor))
             while not self._credit.is_over:
                 await self._step(cursor, without_payloads=opening.without_payloads)
         finally:
@@ -185,12 +185,12 @@ class Subscription(ChangeObserver):
         elif part.more:
             await asyncio.sleep(0)
         elif self._owes_cursor and cursor.saved is not None:
-            await self._write(self._standing(cursor))
+            await self._write(self._cursor_bytes(cursor))
         elif self._owes_progress or self._advance_is_news() or not await self._wait_for_news(self._silent_at_s):
             self._owes_progress = False
             self._sent_advance = self._hosted.channel.advanced_to  # all items from before the advance are sent
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
-            await self._write(progress.SerializeToString() + self._standing(cursor))
+            await self._write(progress.SerializeToString() + self._cursor_bytes(cursor))
 
     def _message_of(
         self, part: SubscriptionBatch, cursor: Cursor, now: int, *, without_payloads: bool
@@ -210,9 +210,9 @@ class Subscription(ChangeObserver):
             about.gap.CopyFrom(_gap(part.gap))
         if part.gap is not None or cursor.skipped != self._sent_skipped:
             about.progress.CopyFrom(self._progress(cursor, now))
-        return about.SerializeToString() + self._standing(cursor)
+        return about.SerializeToString() + self._cursor_bytes(cursor)
 
-    def _standing(self, cursor: Cursor) -> bytes:
+    def _cursor_bytes(self, cursor: Cursor) -> bytes:
         """The cursor as an encoded response, if it is not the one that the reader got last; else no bytes."""
         saved = cursor.saved
         self._owes_cursor = saved is None  # a group has no cursor while it shows the items up to a new cut

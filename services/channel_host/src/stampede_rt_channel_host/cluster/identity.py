@@ -41,7 +41,7 @@ def load_host_id(folder: Path | None) -> bytes:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     path = folder / _FILE
     if not path.exists():
-        _write_once(path, secrets.token_hex(ID_BYTES))
+        _write_atomically(path, secrets.token_hex(ID_BYTES))
     return _read(path)
 
 
@@ -77,11 +77,11 @@ class HomeCluster:
         if cluster_id in ("", self.cluster_id):
             return
         if self._path is not None:
-            _write_once(self._path, cluster_id)
+            _write_atomically(self._path, cluster_id)
         self.cluster_id = cluster_id
 
 
-def _write_once(path: Path, text: str) -> None:
+def _write_atomically(path: Path, text: str) -> None:
     """Write a file whole or not at all, so that a crash leaves no partial id."""
     draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     with naming(path), draft.open("w") as file:

@@ -257,9 +257,9 @@ class Registration:
         if left:
             # The timer fires a little late, when the clock has passed the fence. Each request checks the clock itself.
             self._fence = asyncio.get_running_loop().call_later(left / 1e9 + 0.001, self._check_fence)
-        self._tell(held=left > 0)
+        self._report_lease(held=left > 0)
 
-    def _tell(self, *, held: bool) -> None:
+    def _report_lease(self, *, held: bool) -> None:
         if held is not self._reported_held:
             self._reported_held = held
             if not held:

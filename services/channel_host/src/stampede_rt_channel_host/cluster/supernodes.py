@@ -143,7 +143,7 @@ class Supernodes:
             except StampedeError as error:
                 if not may_pass(error):
                     raise
-                failure = await self._better(target, error)
+                failure = await self._explained(target, error)
                 continue
             await self._learn(response)
             return
@@ -151,7 +151,7 @@ class Supernodes:
             raise failure
         raise Unavailable(f"cannot learn the supernodes from {', '.join(self._frontends)}: {failure}")
 
-    async def _better(self, target: str, error: StampedeError) -> StampedeError:
+    async def _explained(self, target: str, error: StampedeError) -> StampedeError:
         if self._explain is None or not isinstance(error, Unavailable):
             return error
         return await self._explain(target) or error
