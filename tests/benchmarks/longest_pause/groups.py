@@ -51,7 +51,7 @@ async def group_readers(rig: Rig, count: int) -> tuple[str, Work]:
     await asyncio.sleep(0)  # they wait
 
     async def work() -> None:
-        hosted.arrangement += 1
+        hosted.generation += 1
         hosted.changed()
         await until(lambda: heard == count)
         hosted.end(Unavailable("gone"))

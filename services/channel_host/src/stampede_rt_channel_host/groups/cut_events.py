@@ -55,7 +55,7 @@ class CutEvents:
         self._stream = stream
         self._writer = EventWriter(context, "cut event")
         self._waiter = Waiter()
-        self._arrangement = 0  # of the group, as of the last look
+        self._generation = 0  # of the group, as of the last look
         self._incarnation = 0  # of the group, at the beginning of the subscription
         self._spec_version = 0  # of the group, at the beginning of the subscription
         self._followed: dict[bytes, _Followed] = {}
@@ -130,9 +130,9 @@ class CutEvents:
         new members may be at hosts to which the reader has no stream yet. So the reader must subscribe again, after its
         last event.
         """
-        if group.arrangement == self._arrangement:
+        if group.generation == self._generation:
             return
-        self._arrangement = group.arrangement
+        self._generation = group.generation
         group.check_incarnation(self._incarnation)
         if group.record.spec_version != self._spec_version:
             raise Unavailable(

@@ -34,7 +34,7 @@ class HostedGroup:
     live hosts. `unheard`: the live hosts that own members and have not reported their cut. A new group shows nothing
     until all of them have reported it.
     The group wakes `cut_observers` and `gets` when it shows more or when members or owners change. It wakes
-    `news_observers` at all news of a member. `arrangement` grows whenever members, their hosts, or the members served
+    `news_observers` at all news of a member. `generation` grows whenever members, their hosts, or the members served
     here may have changed.
     """
 
@@ -62,7 +62,7 @@ class HostedGroup:
         self._is_releasing = False
         self._begin = begin
         self.unheard: set[bytes] = set()
-        self.arrangement = 0
+        self.generation = 0
         # loop time of the last answer of the directory, and of the last request that named the group
         self.looked_up_s = 0.0
         self.named_s = 0.0
@@ -70,7 +70,7 @@ class HostedGroup:
         self._now = now
         self._on_moved = on_moved
         self._on_idle = on_idle
-        # at the last `changed`: the cut, whether it was confirmed, and the arrangement
+        # at the last `changed`: the cut, whether it was confirmed, and the generation
         self._shown: tuple[int | None, bool, int] = None, False, 0
         self._idle_timer: asyncio.TimerHandle | None = None
         self.adopt(resolved)
@@ -90,7 +90,7 @@ class HostedGroup:
         definition = resolved.group.definition
         self._lead_nanos = definition.max_lead_nanos + max(map(_future_nanos, resolved.channels.values()), default=0)
         self.cut.define(definition)
-        self.arrangement += 1
+        self.generation += 1
         return anew
 
     def check_incarnation(self, incarnation: int) -> None:
@@ -148,7 +148,7 @@ class HostedGroup:
         """Refresh the cut after a change of a member or of its times, and wake the observers concerned."""
         if self.cut.refresh(self._now()):
             self._on_moved(self.record.group_id)
-        shown = self.cut.cut, self.cut.is_confirmed, self.arrangement
+        shown = self.cut.cut, self.cut.is_confirmed, self.generation
         has_changed, self._shown = shown != self._shown, shown
         self._release_reached()
         if has_changed:

@@ -97,16 +97,16 @@ class MatchStream:
     async def _serve(self, group: HostedGroup, hosted: HostedChannel, request: pb.SubscribeMatchesOpen) -> None:
         now = self._groups.channels.now()
         matcher = _matcher(hosted, request, now)
-        arrangement, incarnation = 0, group.record.incarnation
+        generation, incarnation = 0, group.record.incarnation
         # the counts `unmatched` and `dropped` that the reader has got; None: it has got no response yet
         # the first response without a match tells the reader that the stream follows every member
         counted: tuple[int, int] | None = None
         while counted is None or not self._credit.is_over:
             await self._writer.turn()
-            if arrangement != group.arrangement:
-                arrangement = group.arrangement
+            if generation != group.generation:
+                generation = group.generation
                 group.check_incarnation(incarnation)
-                matcher.set_tracks(self._arrange(group, member_of(group, hosted), matcher.earliest))
+                matcher.set_tracks(self._tracks_of(group, member_of(group, hosted), matcher.earliest))
             found = self._take(matcher, group, request)
             if matcher.has_more and not found:
                 await asyncio.sleep(0)  # there is much to look at: let others run first
@@ -125,7 +125,7 @@ class MatchStream:
             )
             await self._send(about, found, group, hosted, without_payloads=request.without_payloads)
 
-    def _arrange(self, group: HostedGroup, hosted: HostedChannel, since: int) -> dict[bytes, Track]:
+    def _tracks_of(self, group: HostedGroup, hosted: HostedChannel, since: int) -> dict[bytes, Track]:
         """The tracks of all members but the matched channel: in this host's memory, or followed at their hosts."""
         members, matched = group.cut.definition.members, hosted.record.channel_id
         owned = {channel_id: self._groups.own(channel_id) for channel_id in members}

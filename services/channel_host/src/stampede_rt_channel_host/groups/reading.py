@@ -203,7 +203,7 @@ def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
 
 def _state(group: HostedGroup, hosted: HostedChannel) -> object:
     """The state on which the answers to gets depend."""
-    return hosted.channel.next_seq, hosted.channel.advanced_to, group.cut.cut, group.arrangement
+    return hosted.channel.next_seq, hosted.channel.advanced_to, group.cut.cut, group.generation
 
 
 def _wanted(params: GroupReadParams) -> int | None:

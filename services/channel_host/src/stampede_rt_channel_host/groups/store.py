@@ -278,7 +278,7 @@ class GroupStore:
         self._table.own[channel_id] = OwnChannel(
             hosted, self._table.board, self.channels.now, on_change=self._changed, on_end=self._ended
         )
-        self._rearranged(channel_id)
+        self._note_new_generation(channel_id)
         self.exchange.peers.report_times(channel_id)
 
     def _changed(self, channel_id: bytes) -> None:
@@ -289,13 +289,13 @@ class GroupStore:
     def _ended(self, channel_id: bytes) -> None:
         """Stop following a channel that this host serves no more. The next round of `keep` looks up its groups."""
         self._table.own.pop(channel_id, None)
-        self._rearranged(channel_id)
+        self._note_new_generation(channel_id)
         for group in self._table.groups_of(channel_id):
             group.is_stale = True
 
-    def _rearranged(self, channel_id: bytes) -> None:
+    def _note_new_generation(self, channel_id: bytes) -> None:
         for group in self._table.groups_of(channel_id):
-            group.arrangement += 1
+            group.generation += 1
         self._changed_groups.add(self._table.groups_of(channel_id))
 
 
