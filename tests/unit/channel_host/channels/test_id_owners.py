@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt.errors import PermissionDenied
-from stampede_rt_channel_host.channels import owners as module
+from stampede_rt_channel_host.channels import id_owners as module
 from stampede_rt_channel_host.channels.id_owners import OWNED_IDS_OF_ONE_MAX, IdOwners, own_name
 
 QUEUE, OTHER = b"q" * 16, b"o" * 16

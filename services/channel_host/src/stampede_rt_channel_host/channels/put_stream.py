@@ -109,11 +109,10 @@ class PutStream:
             await self._work.turn()
         self._work.spend(READ_NANOS)
         while received.puts:
-            ack = (
-                _refuse_size(received.puts.popleft(), self._store.now())
-                if received.too_much
-                else await self._put(received)
-            )
+            if received.too_much:
+                ack = _refuse_size(received.puts.popleft(), self._store.now())
+            else:
+                ack = await self._put(received)
             while len(self._acks) >= ACKS_QUEUED_MAX:
                 self._news.set()
                 self._room.clear()

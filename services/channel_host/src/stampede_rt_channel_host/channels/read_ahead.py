@@ -107,5 +107,5 @@ class ReadAhead:
 
 
 def left_nanos(wait_nanos: int, received_s: float) -> int:
-    """How much of `wait_nanos` a put has left, in nanoseconds, if its request came at the monotonic time `received_s`."""
+    """The part of `wait_nanos` that a put has left, in nanoseconds. `received_s`: when its request came, monotonic."""
     return max(0, wait_nanos - round((time.monotonic() - received_s) * 1e9))

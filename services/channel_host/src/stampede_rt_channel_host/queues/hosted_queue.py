@@ -39,7 +39,7 @@ class TakerStream(Protocol):
     def deliver(self, batch: Batch) -> None:
         """Send a batch that was dealt to the taker."""
 
-    def ask(self) -> None:
+    def probe(self) -> None:
         """Ask the taker, which was silent, whether it lives."""
 
     def end(self, error: StampedeError) -> None:
@@ -221,7 +221,7 @@ class HostedQueue:
         for taker, batch in self.queue.take_dealt():
             self._streams[taker].deliver(batch)
         for taker in self.queue.take_silent():
-            self._streams[taker].ask()
+            self._streams[taker].probe()
         for run in self.queue.take_finished():
             done = self._waiting.pop(run, None)
             if done is not None:

@@ -46,8 +46,8 @@ class TakeStream:
         self._stream = stream
         self._batch: Batch | None = None
         self._results: list[queue_pb2.SettlementResult] = []
-        # the answer to `drain` is due; the taker drains; the caller has closed its side; `ask` was called
-        self._owes_drained = self._drains = self._closed = self._asks = False
+        # the answer to `drain` is due; the taker drains; the caller has closed its side; `probe` was called
+        self._owes_drained = self._drains = self._closed = self._probes = False
         self._news = asyncio.Event()  # there is something to write, or the caller has closed its side
         self._silent_at_s = 0.0  # loop time at which a sign of life is due; only a write postpones it
         self._room = asyncio.Event()  # the writer has taken the results
@@ -58,9 +58,9 @@ class TakeStream:
         self._batch = batch
         self._news.set()
 
-    def ask(self) -> None:
+    def probe(self) -> None:
         """Ask the taker whether it lives."""
-        self._asks = True
+        self._probes = True
         self._news.set()
 
     def end(self, error: StampedeError) -> None:
@@ -147,7 +147,7 @@ class TakeStream:
         batch, self._batch = self._batch, None
         results, self._results = self._results, []
         drained, self._owes_drained = self._owes_drained, False
-        asks, self._asks = self._asks, False
+        probes, self._probes = self._probes, False
         self._room.set()
         if batch is not None:
             hosted.queue.sending(taker)
@@ -156,7 +156,7 @@ class TakeStream:
             results = []
         if batch is not None or results or drained:
             await self._write(hosted, take_response(batch, results, self._store.now(), drained=drained))
-        elif asks and not self._closed:
+        elif probes and not self._closed:
             await self._write(hosted, b"")
         if batch is not None:
             hosted.sent(taker)
