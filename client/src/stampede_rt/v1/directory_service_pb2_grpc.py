@@ -31,9 +31,9 @@ class DirectoryServiceStub(object):
     stale_ok is set.
 
     Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
-    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
-    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
-    (INVALID_ARGUMENT), because it might be performed twice.
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition states the
+    time since the first request, in whole milliseconds, in the metadata "stampede-request-age-ms". A request whose age
+    is 30000 or more is refused (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
@@ -42,7 +42,7 @@ class DirectoryServiceStub(object):
     processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
     begins with "memory-", too.
 
-    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
@@ -125,9 +125,9 @@ class DirectoryServiceServicer(object):
     stale_ok is set.
 
     Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
-    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
-    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
-    (INVALID_ARGUMENT), because it might be performed twice.
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition states the
+    time since the first request, in whole milliseconds, in the metadata "stampede-request-age-ms". A request whose age
+    is 30000 or more is refused (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
@@ -136,7 +136,7 @@ class DirectoryServiceServicer(object):
     processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
     begins with "memory-", too.
 
-    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
@@ -148,9 +148,10 @@ class DirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def OpenChannel(self, request, context):
-        """Get or create a channel by name. Atomic: of two creators one wins, the other gets the same channel, or
-        CHANNEL_EXISTS if a field that it states contradicts one stated before. If the owner's lease has ended, the channel
-        gets a new owner, epoch and incarnation. Errors: CHANNEL_NOT_FOUND (create = false), HOST_NOT_FOUND, NO_HOST.
+        """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
+        CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
+        channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
+        HOST_NOT_FOUND, NO_HOST, INVALID_NAME, INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -188,28 +189,31 @@ class DirectoryServiceServicer(object):
 
     def RegisterHost(self, request, context):
         """Register a channel host, also again after a restart. Its lease begins. A new boot incarnation raises the epoch of
-        all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
+        all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS, STALE_REGISTRATION,
+        VERSION_MISMATCH, INVALID_NAME, INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RenewHostLease(self, request, context):
-        """Renew a lease. Only the leader does so (NOT_LEADER names the leader). LEASE_EXPIRED: register again.
+        """Renew a lease. Only the leader can renew it; other supernodes answer NOT_LEADER, which names the leader. After
+        LEASE_EXPIRED the host must register again.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def DeregisterHost(self, request, context):
-        """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another owner.
+        """Deregister a host. A channel with a warm replica in sync gets that replica's host as its owner. The other channels
+        and the queues have no live owner from then on. Mailboxes get another owner.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ResolveHost(self, request, context):
-        """Find a host by id or name.
+        """Find a host by id or name. By name, only a live host is found.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -319,9 +323,9 @@ class DirectoryService(object):
     stale_ok is set.
 
     Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
-    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
-    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
-    (INVALID_ARGUMENT), because it might be performed twice.
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition states the
+    time since the first request, in whole milliseconds, in the metadata "stampede-request-age-ms". A request whose age
+    is 30000 or more is refused (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
@@ -330,7 +334,7 @@ class DirectoryService(object):
     processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
     begins with "memory-", too.
 
-    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 

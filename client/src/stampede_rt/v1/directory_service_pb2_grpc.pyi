@@ -32,9 +32,9 @@ class DirectoryServiceStub:
     stale_ok is set.
 
     Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
-    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
-    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
-    (INVALID_ARGUMENT), because it might be performed twice.
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition states the
+    time since the first request, in whole milliseconds, in the metadata "stampede-request-age-ms". A request whose age
+    is 30000 or more is refused (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
@@ -43,7 +43,7 @@ class DirectoryServiceStub:
     processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
     begins with "memory-", too.
 
-    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
@@ -54,9 +54,10 @@ class DirectoryServiceStub:
     Ping: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DirectoryServicePingRequest, _directory_service_pb2.DirectoryServicePingResponse]
     """Measure the round trip and the clock. The supernode answers by itself, without the other members."""
     OpenChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.OpenChannelRequest, _directory_service_pb2.OpenChannelResponse]
-    """Get or create a channel by name. Atomic: of two creators one wins, the other gets the same channel, or
-    CHANNEL_EXISTS if a field that it states contradicts one stated before. If the owner's lease has ended, the channel
-    gets a new owner, epoch and incarnation. Errors: CHANNEL_NOT_FOUND (create = false), HOST_NOT_FOUND, NO_HOST.
+    """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
+    CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
+    channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
+    HOST_NOT_FOUND, NO_HOST, INVALID_NAME, INVALID_ARGUMENT.
     """
     ResolveChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveChannelRequest, _directory_service_pb2.ResolveChannelResponse]
     """Find a channel by id or name, with its owner."""
@@ -71,14 +72,19 @@ class DirectoryServiceStub:
     """
     RegisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.RegisterHostRequest, _directory_service_pb2.RegisterHostResponse]
     """Register a channel host, also again after a restart. Its lease begins. A new boot incarnation raises the epoch of
-    all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
+    all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS, STALE_REGISTRATION,
+    VERSION_MISMATCH, INVALID_NAME, INVALID_ARGUMENT.
     """
     RenewHostLease: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.RenewHostLeaseRequest, _directory_service_pb2.RenewHostLeaseResponse]
-    """Renew a lease. Only the leader does so (NOT_LEADER names the leader). LEASE_EXPIRED: register again."""
+    """Renew a lease. Only the leader can renew it; other supernodes answer NOT_LEADER, which names the leader. After
+    LEASE_EXPIRED the host must register again.
+    """
     DeregisterHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]
-    """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another owner."""
+    """Deregister a host. A channel with a warm replica in sync gets that replica's host as its owner. The other channels
+    and the queues have no live owner from then on. Mailboxes get another owner.
+    """
     ResolveHost: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]
-    """Find a host by id or name."""
+    """Find a host by id or name. By name, only a live host is found."""
     ListHosts: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListHostsRequest, _directory_service_pb2.ListHostsResponse]
     """List hosts by name, page by page."""
     ListSupernodes: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ListSupernodesRequest, _directory_service_pb2.ListSupernodesResponse]
@@ -95,9 +101,9 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     stale_ok is set.
 
     Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
-    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
-    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
-    (INVALID_ARGUMENT), because it might be performed twice.
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition states the
+    time since the first request, in whole milliseconds, in the metadata "stampede-request-age-ms". A request whose age
+    is 30000 or more is refused (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
@@ -106,7 +112,7 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
     begins with "memory-", too.
 
-    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
@@ -114,9 +120,10 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     Ping: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DirectoryServicePingRequest, _directory_service_pb2.DirectoryServicePingResponse]  # type: ignore[assignment]
     """Measure the round trip and the clock. The supernode answers by itself, without the other members."""
     OpenChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.OpenChannelRequest, _directory_service_pb2.OpenChannelResponse]  # type: ignore[assignment]
-    """Get or create a channel by name. Atomic: of two creators one wins, the other gets the same channel, or
-    CHANNEL_EXISTS if a field that it states contradicts one stated before. If the owner's lease has ended, the channel
-    gets a new owner, epoch and incarnation. Errors: CHANNEL_NOT_FOUND (create = false), HOST_NOT_FOUND, NO_HOST.
+    """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
+    CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
+    channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
+    HOST_NOT_FOUND, NO_HOST, INVALID_NAME, INVALID_ARGUMENT.
     """
     ResolveChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveChannelRequest, _directory_service_pb2.ResolveChannelResponse]  # type: ignore[assignment]
     """Find a channel by id or name, with its owner."""
@@ -131,14 +138,19 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     """
     RegisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.RegisterHostRequest, _directory_service_pb2.RegisterHostResponse]  # type: ignore[assignment]
     """Register a channel host, also again after a restart. Its lease begins. A new boot incarnation raises the epoch of
-    all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
+    all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS, STALE_REGISTRATION,
+    VERSION_MISMATCH, INVALID_NAME, INVALID_ARGUMENT.
     """
     RenewHostLease: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.RenewHostLeaseRequest, _directory_service_pb2.RenewHostLeaseResponse]  # type: ignore[assignment]
-    """Renew a lease. Only the leader does so (NOT_LEADER names the leader). LEASE_EXPIRED: register again."""
+    """Renew a lease. Only the leader can renew it; other supernodes answer NOT_LEADER, which names the leader. After
+    LEASE_EXPIRED the host must register again.
+    """
     DeregisterHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.DeregisterHostRequest, _directory_service_pb2.DeregisterHostResponse]  # type: ignore[assignment]
-    """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another owner."""
+    """Deregister a host. A channel with a warm replica in sync gets that replica's host as its owner. The other channels
+    and the queues have no live owner from then on. Mailboxes get another owner.
+    """
     ResolveHost: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveHostRequest, _directory_service_pb2.ResolveHostResponse]  # type: ignore[assignment]
-    """Find a host by id or name."""
+    """Find a host by id or name. By name, only a live host is found."""
     ListHosts: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListHostsRequest, _directory_service_pb2.ListHostsResponse]  # type: ignore[assignment]
     """List hosts by name, page by page."""
     ListSupernodes: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ListSupernodesRequest, _directory_service_pb2.ListSupernodesResponse]  # type: ignore[assignment]
@@ -154,9 +166,9 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     stale_ok is set.
 
     Every update carries a request id: 16 random bytes that the caller chooses. A repeated request with the same id gets
-    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition tells its
-    age, in whole milliseconds, in the metadata "stampede-request-age-ms". From 30000 on it is refused
-    (INVALID_ARGUMENT), because it might be performed twice.
+    the same answer, and is not performed again. This holds for 30 s after the first request. Every repetition states the
+    time since the first request, in whole milliseconds, in the metadata "stampede-request-age-ms". A request whose age
+    is 30000 or more is refused (INVALID_ARGUMENT), because it might be performed twice.
 
     Every call of this service, and of all other services of supernodes and hosts, may name its caller's cluster
     (BindResponse.cluster_id) in the metadata "stampede-cluster-id". A server of another cluster then refuses the call
@@ -165,7 +177,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     processes. A server of another cluster serves a caller that names such an id, if the id of the server's cluster
     begins with "memory-", too.
 
-    AMBIGUOUS: the supernode does not know whether the update was performed: repeat the request with the same id.
+    AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
     OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
     """
 
@@ -183,9 +195,10 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.OpenChannelRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.OpenChannelResponse, _abc.Awaitable[_directory_service_pb2.OpenChannelResponse]]:
-        """Get or create a channel by name. Atomic: of two creators one wins, the other gets the same channel, or
-        CHANNEL_EXISTS if a field that it states contradicts one stated before. If the owner's lease has ended, the channel
-        gets a new owner, epoch and incarnation. Errors: CHANNEL_NOT_FOUND (create = false), HOST_NOT_FOUND, NO_HOST.
+        """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
+        CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
+        channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
+        HOST_NOT_FOUND, NO_HOST, INVALID_NAME, INVALID_ARGUMENT.
         """
 
     @_abc_1.abstractmethod
@@ -230,7 +243,8 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.RegisterHostResponse, _abc.Awaitable[_directory_service_pb2.RegisterHostResponse]]:
         """Register a channel host, also again after a restart. Its lease begins. A new boot incarnation raises the epoch of
-        all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS.
+        all its channels, queues and mailboxes, and changes their incarnation. Errors: HOST_EXISTS, STALE_REGISTRATION,
+        VERSION_MISMATCH, INVALID_NAME, INVALID_ARGUMENT.
         """
 
     @_abc_1.abstractmethod
@@ -239,7 +253,9 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.RenewHostLeaseRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.RenewHostLeaseResponse, _abc.Awaitable[_directory_service_pb2.RenewHostLeaseResponse]]:
-        """Renew a lease. Only the leader does so (NOT_LEADER names the leader). LEASE_EXPIRED: register again."""
+        """Renew a lease. Only the leader can renew it; other supernodes answer NOT_LEADER, which names the leader. After
+        LEASE_EXPIRED the host must register again.
+        """
 
     @_abc_1.abstractmethod
     def DeregisterHost(
@@ -247,7 +263,9 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.DeregisterHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.DeregisterHostResponse, _abc.Awaitable[_directory_service_pb2.DeregisterHostResponse]]:
-        """Deregister a host. Its channels and queues have no owner from then on, and its mailboxes get another owner."""
+        """Deregister a host. A channel with a warm replica in sync gets that replica's host as its owner. The other channels
+        and the queues have no live owner from then on. Mailboxes get another owner.
+        """
 
     @_abc_1.abstractmethod
     def ResolveHost(
@@ -255,7 +273,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _directory_service_pb2.ResolveHostRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_directory_service_pb2.ResolveHostResponse, _abc.Awaitable[_directory_service_pb2.ResolveHostResponse]]:
-        """Find a host by id or name."""
+        """Find a host by id or name. By name, only a live host is found."""
 
     @_abc_1.abstractmethod
     def ListHosts(

@@ -49,8 +49,8 @@ class FrontendServiceServicer(object):
     """
 
     def Bind(self, request, context):
-        """Get the supernodes, best first. Caller and front-end tell each other their versions. Errors: VERSION_MISMATCH,
-        NO_QUORUM (no supernode answers).
+        """Get the supernodes, best first, and the versions of the front-end. Errors: VERSION_MISMATCH, NO_QUORUM (no
+        supernode answers).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -36,8 +36,8 @@ class FrontendServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> FrontendServiceAsyncStub: ...
     Bind: _grpc.UnaryUnaryMultiCallable[_frontend_service_pb2.BindRequest, _frontend_service_pb2.BindResponse]
-    """Get the supernodes, best first. Caller and front-end tell each other their versions. Errors: VERSION_MISMATCH,
-    NO_QUORUM (no supernode answers).
+    """Get the supernodes, best first, and the versions of the front-end. Errors: VERSION_MISMATCH, NO_QUORUM (no
+    supernode answers).
     """
 
 @_typing.type_check_only
@@ -48,8 +48,8 @@ class FrontendServiceAsyncStub(FrontendServiceStub):
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     Bind: _aio.UnaryUnaryMultiCallable[_frontend_service_pb2.BindRequest, _frontend_service_pb2.BindResponse]  # type: ignore[assignment]
-    """Get the supernodes, best first. Caller and front-end tell each other their versions. Errors: VERSION_MISMATCH,
-    NO_QUORUM (no supernode answers).
+    """Get the supernodes, best first, and the versions of the front-end. Errors: VERSION_MISMATCH, NO_QUORUM (no
+    supernode answers).
     """
 
 class FrontendServiceServicer(metaclass=_abc_1.ABCMeta):
@@ -63,8 +63,8 @@ class FrontendServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _frontend_service_pb2.BindRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_frontend_service_pb2.BindResponse, _abc.Awaitable[_frontend_service_pb2.BindResponse]]:
-        """Get the supernodes, best first. Caller and front-end tell each other their versions. Errors: VERSION_MISMATCH,
-        NO_QUORUM (no supernode answers).
+        """Get the supernodes, best first, and the versions of the front-end. Errors: VERSION_MISMATCH, NO_QUORUM (no
+        supernode answers).
         """
 
 def add_FrontendServiceServicer_to_server(servicer: FrontendServiceServicer, server: _typing.Union[_grpc.Server, _aio.Server]) -> None: ...

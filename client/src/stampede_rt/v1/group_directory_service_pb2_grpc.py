@@ -30,7 +30,8 @@ class GroupDirectoryServiceStub(object):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
+    caller's quota of groups is used up.
     """
 
     def __init__(self, channel):
@@ -71,7 +72,8 @@ class GroupDirectoryServiceServicer(object):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
+    caller's quota of groups is used up.
     """
 
     def OpenGroup(self, request, context):
@@ -91,9 +93,10 @@ class GroupDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def UpdateGroup(self, request, context):
-        """Add and remove members. The cut does not move. The items of a new member before the cut are readable at once.
-        Idempotent by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (it removes the reference or
-        the last member; more than 64 members).
+        """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
+        incarnation. The items of a new member before the cut are readable at once. Idempotent by request id. Errors:
+        GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request removes the
+        reference or the last member; more than 64 members).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -155,7 +158,8 @@ class GroupDirectoryService(object):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
+    caller's quota of groups is used up.
     """
 
     @staticmethod

@@ -31,7 +31,8 @@ class GroupDirectoryServiceStub:
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
+    caller's quota of groups is used up.
     """
 
     @_typing.overload
@@ -46,9 +47,10 @@ class GroupDirectoryServiceStub:
     ResolveGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.ResolveGroupRequest, _group_directory_service_pb2.ResolveGroupResponse]
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]
-    """Add and remove members. The cut does not move. The items of a new member before the cut are readable at once.
-    Idempotent by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (it removes the reference or
-    the last member; more than 64 members).
+    """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
+    incarnation. The items of a new member before the cut are readable at once. Idempotent by request id. Errors:
+    GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request removes the
+    reference or the last member; more than 64 members).
     """
     DeleteGroup: _grpc.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]
     """Delete a group. Its channels stay, and its readers get GROUP_NOT_FOUND. Idempotent by request id. Errors:
@@ -63,7 +65,8 @@ class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
+    caller's quota of groups is used up.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -75,9 +78,10 @@ class GroupDirectoryServiceAsyncStub(GroupDirectoryServiceStub):
     ResolveGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.ResolveGroupRequest, _group_directory_service_pb2.ResolveGroupResponse]  # type: ignore[assignment]
     """Find a group by id or name, with its members and their owners. Changes nothing. Errors: GROUP_NOT_FOUND."""
     UpdateGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.UpdateGroupRequest, _group_directory_service_pb2.UpdateGroupResponse]  # type: ignore[assignment]
-    """Add and remove members. The cut does not move. The items of a new member before the cut are readable at once.
-    Idempotent by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (it removes the reference or
-    the last member; more than 64 members).
+    """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
+    incarnation. The items of a new member before the cut are readable at once. Idempotent by request id. Errors:
+    GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request removes the
+    reference or the last member; more than 64 members).
     """
     DeleteGroup: _aio.UnaryUnaryMultiCallable[_group_directory_service_pb2.DeleteGroupRequest, _group_directory_service_pb2.DeleteGroupResponse]  # type: ignore[assignment]
     """Delete a group. Its channels stay, and its readers get GROUP_NOT_FOUND. Idempotent by request id. Errors:
@@ -91,7 +95,8 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     promises. Updates are linearizable, and carry a request id of 16 random bytes; a repeated request with the same id
     gets the same answer. Reads see every acknowledged update, unless stale_ok is set. A deleted channel leaves its
     groups, which raises their spec_version. If a group loses its reference or its last member in this way, the directory
-    deletes the group, too. OVERLOADED: there are 10000 groups, or a channel is in 1000 groups.
+    deletes the group, too. OVERLOADED: there are 10000 groups; or a channel is in 1000 groups, 750 of one caller; or the
+    caller's quota of groups is used up.
     """
 
     @_abc_1.abstractmethod
@@ -119,9 +124,10 @@ class GroupDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _group_directory_service_pb2.UpdateGroupRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_group_directory_service_pb2.UpdateGroupResponse, _abc.Awaitable[_group_directory_service_pb2.UpdateGroupResponse]]:
-        """Add and remove members. The cut does not move. The items of a new member before the cut are readable at once.
-        Idempotent by request id. Errors: GROUP_NOT_FOUND, CHANNEL_NOT_FOUND, INVALID_ARGUMENT (it removes the reference or
-        the last member; more than 64 members).
+        """Add and remove members. The cut stays, unless no owner of a remaining member knows it; then the group gets a new
+        incarnation. The items of a new member before the cut are readable at once. Idempotent by request id. Errors:
+        GROUP_NOT_FOUND, GROUP_EXISTS (another spec_version), CHANNEL_NOT_FOUND, INVALID_ARGUMENT (the request removes the
+        reference or the last member; more than 64 members).
         """
 
     @_abc_1.abstractmethod

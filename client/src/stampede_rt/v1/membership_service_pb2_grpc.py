@@ -96,7 +96,7 @@ class MembershipServiceServicer(object):
         """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
         first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
         further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
-        one. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (another caller is asking for one), DEADLINE_EXCEEDED (the
+        snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
         work goes on).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

@@ -56,7 +56,7 @@ class MembershipServiceStub:
     """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
     first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
     further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
-    one. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (another caller is asking for one), DEADLINE_EXCEEDED (the
+    snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
     work goes on).
     """
 
@@ -88,7 +88,7 @@ class MembershipServiceAsyncStub(MembershipServiceStub):
     """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
     first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
     further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
-    one. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (another caller is asking for one), DEADLINE_EXCEEDED (the
+    snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
     work goes on).
     """
 
@@ -141,7 +141,7 @@ class MembershipServiceServicer(metaclass=_abc_1.ABCMeta):
         """Make the called supernode write a snapshot of its replica now, in addition to those that it writes by itself. The
         first response describes the snapshot; it has all fields except `data`. With include_data the backup follows in
         further responses, which have only `data`. If nothing has changed since the last snapshot, the supernode uses that
-        one. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (another caller is asking for one), DEADLINE_EXCEEDED (the
+        snapshot. Errors: NO_QUORUM (unless stale_ok), OVERLOADED (4 other calls take snapshots), DEADLINE_EXCEEDED (the
         work goes on).
         """
 

@@ -78,14 +78,14 @@ class PeerServiceServicer(object):
     def RegisterPeer(self, request, context):
         """Register a peer, also again after a restart. Its lease begins. A peer with a name gets its former mailbox or a new
         one. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer with another proof
-        has the name), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
+        has the name), STALE_REGISTRATION, HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RenewPeerLease(self, request, context):
-        """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again).
+        """Renew a lease. Only the leader can renew it. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -39,10 +39,10 @@ class PeerServiceStub:
     RegisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.RegisterPeerRequest, _peer_service_pb2.RegisterPeerResponse]
     """Register a peer, also again after a restart. Its lease begins. A peer with a name gets its former mailbox or a new
     one. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer with another proof
-    has the name), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
+    has the name), STALE_REGISTRATION, HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
     """
     RenewPeerLease: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]
-    """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
+    """Renew a lease. Only the leader can renew it. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]
     """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
     process of the same peer is registered).
@@ -69,10 +69,10 @@ class PeerServiceAsyncStub(PeerServiceStub):
     RegisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.RegisterPeerRequest, _peer_service_pb2.RegisterPeerResponse]  # type: ignore[assignment]
     """Register a peer, also again after a restart. Its lease begins. A peer with a name gets its former mailbox or a new
     one. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer with another proof
-    has the name), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
+    has the name), STALE_REGISTRATION, HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
     """
     RenewPeerLease: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.RenewPeerLeaseRequest, _peer_service_pb2.RenewPeerLeaseResponse]  # type: ignore[assignment]
-    """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
+    """Renew a lease. Only the leader can renew it. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
     DeregisterPeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.DeregisterPeerRequest, _peer_service_pb2.DeregisterPeerResponse]  # type: ignore[assignment]
     """Deregister a peer. Its name is free at once, and its mailbox is deleted. Idempotent. Errors: LEASE_EXPIRED (another
     process of the same peer is registered).
@@ -102,7 +102,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
     ) -> _typing.Union[_peer_service_pb2.RegisterPeerResponse, _abc.Awaitable[_peer_service_pb2.RegisterPeerResponse]]:
         """Register a peer, also again after a restart. Its lease begins. A peer with a name gets its former mailbox or a new
         one. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, PEER_EXISTS (a live peer with another proof
-        has the name), HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
+        has the name), STALE_REGISTRATION, HOST_NOT_FOUND, NO_HOST (no host for the mailbox).
         """
 
     @_abc_1.abstractmethod
@@ -111,7 +111,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.RenewPeerLeaseRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.RenewPeerLeaseResponse, _abc.Awaitable[_peer_service_pb2.RenewPeerLeaseResponse]]:
-        """Renew a lease. Only the leader does so. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
+        """Renew a lease. Only the leader can renew it. Idempotent. Errors: NOT_LEADER, LEASE_EXPIRED (register again)."""
 
     @_abc_1.abstractmethod
     def DeregisterPeer(

@@ -74,7 +74,7 @@ class QueueDirectoryServiceServicer(object):
 
     def OpenQueue(self, request, context):
         """Get or create a queue by name. Atomic: of two creators one wins. The other gets the same queue, or QUEUE_EXISTS if
-        one of its stated fields contradicts an earlier one. If the owner's lease has ended, the queue gets a new owner,
+        a field that it states contradicts the value in effect. If the owner's lease has ended, the queue gets a new owner,
         epoch and incarnation. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, QUEUE_NOT_FOUND (create =
         false, or the dead-letter queue), QUEUE_EXISTS, HOST_NOT_FOUND, NO_HOST.
         """
@@ -98,8 +98,8 @@ class QueueDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def DeleteQueue(self, request, context):
-        """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by request id.
-        Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
+        """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Idempotent by request id. Errors:
+        QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another queue).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

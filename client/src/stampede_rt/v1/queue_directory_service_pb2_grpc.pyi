@@ -39,7 +39,7 @@ class QueueDirectoryServiceStub:
     def __new__(cls, channel: _aio.Channel) -> QueueDirectoryServiceAsyncStub: ...
     OpenQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.OpenQueueRequest, _queue_directory_service_pb2.OpenQueueResponse]
     """Get or create a queue by name. Atomic: of two creators one wins. The other gets the same queue, or QUEUE_EXISTS if
-    one of its stated fields contradicts an earlier one. If the owner's lease has ended, the queue gets a new owner,
+    a field that it states contradicts the value in effect. If the owner's lease has ended, the queue gets a new owner,
     epoch and incarnation. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, QUEUE_NOT_FOUND (create =
     false, or the dead-letter queue), QUEUE_EXISTS, HOST_NOT_FOUND, NO_HOST.
     """
@@ -50,8 +50,8 @@ class QueueDirectoryServiceStub:
     Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
     """
     DeleteQueue: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.DeleteQueueRequest, _queue_directory_service_pb2.DeleteQueueResponse]
-    """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by request id.
-    Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
+    """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Idempotent by request id. Errors:
+    QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another queue).
     """
     ListQueues: _grpc.UnaryUnaryMultiCallable[_queue_directory_service_pb2.ListQueuesRequest, _queue_directory_service_pb2.ListQueuesResponse]
     """List queues by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
@@ -67,7 +67,7 @@ class QueueDirectoryServiceAsyncStub(QueueDirectoryServiceStub):
     def __init__(self, channel: _aio.Channel) -> None: ...
     OpenQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.OpenQueueRequest, _queue_directory_service_pb2.OpenQueueResponse]  # type: ignore[assignment]
     """Get or create a queue by name. Atomic: of two creators one wins. The other gets the same queue, or QUEUE_EXISTS if
-    one of its stated fields contradicts an earlier one. If the owner's lease has ended, the queue gets a new owner,
+    a field that it states contradicts the value in effect. If the owner's lease has ended, the queue gets a new owner,
     epoch and incarnation. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, QUEUE_NOT_FOUND (create =
     false, or the dead-letter queue), QUEUE_EXISTS, HOST_NOT_FOUND, NO_HOST.
     """
@@ -78,8 +78,8 @@ class QueueDirectoryServiceAsyncStub(QueueDirectoryServiceStub):
     Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT, WRONG_EPOCH.
     """
     DeleteQueue: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.DeleteQueueRequest, _queue_directory_service_pb2.DeleteQueueResponse]  # type: ignore[assignment]
-    """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by request id.
-    Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
+    """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Idempotent by request id. Errors:
+    QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another queue).
     """
     ListQueues: _aio.UnaryUnaryMultiCallable[_queue_directory_service_pb2.ListQueuesRequest, _queue_directory_service_pb2.ListQueuesResponse]  # type: ignore[assignment]
     """List queues by name, page by page. Changes nothing. Errors: INVALID_ARGUMENT (a page token of another listing)."""
@@ -98,7 +98,7 @@ class QueueDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_queue_directory_service_pb2.OpenQueueResponse, _abc.Awaitable[_queue_directory_service_pb2.OpenQueueResponse]]:
         """Get or create a queue by name. Atomic: of two creators one wins. The other gets the same queue, or QUEUE_EXISTS if
-        one of its stated fields contradicts an earlier one. If the owner's lease has ended, the queue gets a new owner,
+        a field that it states contradicts the value in effect. If the owner's lease has ended, the queue gets a new owner,
         epoch and incarnation. Idempotent by request id. Errors: INVALID_NAME, INVALID_ARGUMENT, QUEUE_NOT_FOUND (create =
         false, or the dead-letter queue), QUEUE_EXISTS, HOST_NOT_FOUND, NO_HOST.
         """
@@ -127,8 +127,8 @@ class QueueDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _queue_directory_service_pb2.DeleteQueueRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_queue_directory_service_pb2.DeleteQueueResponse, _abc.Awaitable[_queue_directory_service_pb2.DeleteQueueResponse]]:
-        """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Not for mailboxes. Idempotent by request id.
-        Errors: QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another).
+        """Delete a queue with all its messages; its takers get QUEUE_NOT_FOUND. Idempotent by request id. Errors:
+        QUEUE_NOT_FOUND, INVALID_ARGUMENT (a mailbox, or the dead-letter queue of another queue).
         """
 
     @_abc_1.abstractmethod

@@ -27,13 +27,13 @@ if _version_not_supported:
 
 class ReplicaDirectoryServiceStub(object):
     """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
-    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
-    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
-    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
-    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
-    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
-    which are not in sync until they have all items.
+    with the same promises: updates are linearizable, and carry a request id of 16 random bytes; a repeated request with
+    the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
+    ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
+    with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
+    registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
+    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
+    items to the other copies, which are not in sync until they have all items.
     """
 
     def __init__(self, channel):
@@ -71,13 +71,13 @@ class ReplicaDirectoryServiceStub(object):
 
 class ReplicaDirectoryServiceServicer(object):
     """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
-    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
-    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
-    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
-    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
-    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
-    which are not in sync until they have all items.
+    with the same promises: updates are linearizable, and carry a request id of 16 random bytes; a repeated request with
+    the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
+    ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
+    with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
+    registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
+    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
+    items to the other copies, which are not in sync until they have all items.
     """
 
     def AddReplica(self, request, context):
@@ -100,9 +100,9 @@ class ReplicaDirectoryServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def SetReplicaInSync(self, request, context):
-        """Between hosts and supernodes only: the owner says whether a warm replica is in sync. Compare-and-set
-        by epoch and host boot. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or
-        another boot).
+        """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
+        only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
+        CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -162,13 +162,13 @@ def add_ReplicaDirectoryServiceServicer_to_server(servicer, server):
  # This class is part of an EXPERIMENTAL API.
 class ReplicaDirectoryService(object):
     """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
-    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
-    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
-    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
-    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
-    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
-    which are not in sync until they have all items.
+    with the same promises: updates are linearizable, and carry a request id of 16 random bytes; a repeated request with
+    the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
+    ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
+    with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
+    registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
+    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
+    items to the other copies, which are not in sync until they have all items.
     """
 
     @staticmethod

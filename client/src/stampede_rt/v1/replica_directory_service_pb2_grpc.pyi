@@ -28,13 +28,13 @@ GRPC_VERSION: str
 
 class ReplicaDirectoryServiceStub:
     """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
-    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
-    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
-    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
-    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
-    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
-    which are not in sync until they have all items.
+    with the same promises: updates are linearizable, and carry a request id of 16 random bytes; a repeated request with
+    the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
+    ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
+    with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
+    registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
+    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
+    items to the other copies, which are not in sync until they have all items.
     """
 
     @_typing.overload
@@ -53,9 +53,9 @@ class ReplicaDirectoryServiceStub:
     Errors: CHANNEL_NOT_FOUND.
     """
     SetReplicaInSync: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.SetReplicaInSyncRequest, _replica_directory_service_pb2.SetReplicaInSyncResponse]
-    """Between hosts and supernodes only: the owner says whether a warm replica is in sync. Compare-and-set
-    by epoch and host boot. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or
-    another boot).
+    """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
+    only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
+    CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy).
     """
     ReportReplicaLoads: _grpc.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ReportReplicaLoadsRequest, _replica_directory_service_pb2.ReportReplicaLoadsResponse]
     """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
@@ -69,13 +69,13 @@ class ReplicaDirectoryServiceStub:
 @_typing.type_check_only
 class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
-    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
-    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
-    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
-    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
-    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
-    which are not in sync until they have all items.
+    with the same promises: updates are linearizable, and carry a request id of 16 random bytes; a repeated request with
+    the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
+    ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
+    with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
+    registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
+    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
+    items to the other copies, which are not in sync until they have all items.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -91,9 +91,9 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
     Errors: CHANNEL_NOT_FOUND.
     """
     SetReplicaInSync: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.SetReplicaInSyncRequest, _replica_directory_service_pb2.SetReplicaInSyncResponse]  # type: ignore[assignment]
-    """Between hosts and supernodes only: the owner says whether a warm replica is in sync. Compare-and-set
-    by epoch and host boot. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or
-    another boot).
+    """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
+    only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
+    CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy).
     """
     ReportReplicaLoads: _aio.UnaryUnaryMultiCallable[_replica_directory_service_pb2.ReportReplicaLoadsRequest, _replica_directory_service_pb2.ReportReplicaLoadsResponse]  # type: ignore[assignment]
     """Between hosts and supernodes only: a host reports the load of its copies, about every 2 s. The leader keeps it in
@@ -106,13 +106,13 @@ class ReplicaDirectoryServiceAsyncStub(ReplicaDirectoryServiceStub):
 
 class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     """Proxies and warm replicas in the replicated directory. Every supernode serves them on the port of DirectoryService,
-    with the same promises: updates are linearizable and have a request id of 16 random bytes, a repeated request id gets
-    the same answer, and reads reflect every acknowledged update unless stale_ok. ChannelRecord.proxy_host_ids names the
-    hosts of proxies and warm replicas; this service has the details. A copy ends with its channel, and with the
-    registration of its host: if the host's lease ends, if the host leaves, or if it registers with another boot
-    incarnation. If the owner's registration ends in one of these ways, a live warm replica that is in sync becomes the
-    owner at once, with the next epoch and a new incarnation. The new owner then sends the items to the other copies,
-    which are not in sync until they have all items.
+    with the same promises: updates are linearizable, and carry a request id of 16 random bytes; a repeated request with
+    the same id gets the same answer. Reads see every acknowledged update, unless stale_ok is set.
+    ChannelRecord.proxy_host_ids names the hosts of proxies and warm replicas; this service has the details. A copy ends
+    with its channel, and with the registration of its host: if the host's lease ends, if the host leaves, or if it
+    registers with another boot incarnation. If the owner's registration ends in one of these ways, a live warm replica
+    that is in sync becomes the owner at once, with the next epoch and a new incarnation. The new owner then sends the
+    items to the other copies, which are not in sync until they have all items.
     """
 
     @_abc_1.abstractmethod
@@ -144,9 +144,9 @@ class ReplicaDirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _replica_directory_service_pb2.SetReplicaInSyncRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_replica_directory_service_pb2.SetReplicaInSyncResponse, _abc.Awaitable[_replica_directory_service_pb2.SetReplicaInSyncResponse]]:
-        """Between hosts and supernodes only: the owner says whether a warm replica is in sync. Compare-and-set
-        by epoch and host boot. Idempotent. Errors: WRONG_EPOCH, CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or
-        another boot).
+        """Between hosts and supernodes only: the owner says whether a warm replica is in sync. The directory accepts this
+        only with the present epoch and the boot incarnation of the replica's host. Idempotent. Errors: WRONG_EPOCH,
+        CHANNEL_NOT_FOUND, HOST_NOT_FOUND (no such copy, or another boot incarnation), INVALID_ARGUMENT (a proxy).
         """
 
     @_abc_1.abstractmethod

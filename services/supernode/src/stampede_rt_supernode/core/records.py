@@ -240,7 +240,7 @@ class ChangeKind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AccessChange:
-    """Rules or keys of access have changed, at log position `version`. The change does not contain them."""
+    """Rules, token keys, revocations or quotas have changed, at log position `version`. The change has only that."""
 
     version: int
 

@@ -17,7 +17,7 @@ REPORT_LOADS_MAX = 1000
 class ReplicaLoad:
     """The load of one host by one channel that it owns, or of which it holds a copy.
 
-    `lag_nanos`: how far the copy is behind the owner; 0 for the owner.
+    See ReplicaLoad in replica.proto. `lag_nanos` is 0 for the owner.
     """
 
     channel_id: bytes
