@@ -2,21 +2,23 @@
 
 No module here reads a clock, waits, or knows the wire. The shell of groups has these duties at each host:
 
-- It keeps one `TimesBoard`. For own channels it calls `OwnTimes.observe` after each change, then `enter_own`. For
-  channels of other hosts it calls `hear` with their owners' reports, and `confirm` at each sign of life.
+- It keeps one `TimesBoard`. For each channel of its own host it calls `OwnTimes.observe` after each change, and then
+  `enter_own`. For channels of other hosts it calls `hear` with their owners' reports, and `confirm` at each sign of
+  life.
 - It keeps one `GroupCut` per group. It calls `merge_floor` with the cuts of other hosts, `confirm` once all
-  live hosts have sent their cuts, and `refresh` after each change of the board and at `next_idle`. It never takes a
-  client's cut. If a reader has seen a later cut, the reader waits until `cut` reaches that one, or gets the answer of
-  `VisibleChannel.stalled`.
+  live hosts have sent their cuts, and `refresh` after each change of the board and at `next_idle`. It never passes a
+  client's cut to `merge_floor`. If a reader has seen a later cut, the reader waits until `cut` reaches the later cut,
+  or gets the answer of `VisibleChannel.stalled`.
 - Reads through a group use `VisibleChannel` like a channel, with the present `Horizon`. Reads of several channels at
-  one cut use a `Horizon` with that cut, even when the group's cut has advanced. Blocked gets are polled after each
+  one cut use a `Horizon` with that cut, even when the group's cut has advanced. The shell polls blocked gets after each
   change of the channel and of the cut.
 - Subscriptions through a group use `VisibleAll` or `VisibleNewest`.
 - Cut events: one host decides them and feeds an `EventDecider`. Every host takes its own channels' parts of an event by
   `CutFollower.begin(boundary)` and `take`, once its own cut has reached the boundary. A new follower continues from a
   cut and a `next_seq`.
 - Matches: the owner of the matched channel keeps a `Matcher`, with an `OwnTrack` or `FarTrack` for every other member.
-- Status: it reads `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and `window_too_short`.
+- To report the state of a group, it reads `GroupCut.members` and `waiting_on`, `VisibleChannel.hidden_items` and
+  `window_too_short`.
 """
 
 from stampede_rt_channel_host.core.group.cut import (

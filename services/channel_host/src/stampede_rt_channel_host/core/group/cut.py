@@ -11,6 +11,8 @@ from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, TimesBoard
 
 MAX_LEAD_NANOS_DEFAULT = 5_000_000_000
+"""The default of `GroupDefinition.max_lead_nanos`."""
+
 _BEFORE_ALL = -(1 << 64)
 
 
@@ -18,9 +20,9 @@ _BEFORE_ALL = -(1 << 64)
 class GroupDefinition:
     """The members and settings of a group.
 
-    `reference` None: the group's cut is the smallest cut of all members ("oldest"). `by_end`: a channel's cut is the
-    latest end by duration in its newest bucket, at most `max_lead_nanos` after the bucket's time. `idle_after_nanos`:
-    "oldest" leaves out a member that is silent for this time. `incarnation`: only cuts of the same incarnation can be
+    If `reference` is None, the group's cut is the smallest cut of all members ("oldest"). With `by_end`, a channel's
+    cut is the latest end by duration in its newest bucket, at most `max_lead_nanos` after the bucket's time. "oldest"
+    leaves out a member that has been silent for `idle_after_nanos`. Only cuts of the same `incarnation` can be
     compared.
     """
 
@@ -33,7 +35,7 @@ class GroupDefinition:
     spec_version: int = 1
 
     def cut_of(self, times: ChannelTimes) -> int | None:
-        """The cut of one channel alone; None if it never had an item or an advance."""
+        """The cut of one channel alone, or None if the channel never had an item or an advance."""
         newest = times.newest
         if newest is None:
             return times.advance
@@ -55,7 +57,7 @@ class CutFloor(NamedTuple):
 class CutMember(NamedTuple):
     """One member at one moment.
 
-    `heard` None: its owner has reported nothing yet. `cut`: its own cut, None if it has none.
+    `heard` is None if its owner has reported nothing yet. `cut` is its own cut, or None if it has none.
     """
 
     channel_id: bytes
@@ -65,16 +67,16 @@ class CutMember(NamedTuple):
 
     @property
     def mark(self) -> int | None:
-        """The later of its newest item's time and its advance."""
+        """The later of its newest item's time and its advance, or None if it has neither."""
         return None if self.heard is None else self.heard.times.mark
 
 
 class GroupCut:
     """The cut of one group as one host knows it. Within an incarnation it never moves back.
 
-    Order of use: make the object; call `merge_floor` with the cuts of the group's other hosts; call `confirm` once all
-    live hosts have reported their cuts. Before that no item is visible, because a reader may have seen a later cut.
-    After that call `refresh` after each change of the board and at `next_idle`.
+    The caller first makes the object. It then calls `merge_floor` with the cuts of the group's other hosts, and
+    `confirm` once all live hosts have reported their cuts. Before `confirm` no item is visible, because a reader may
+    have seen a later cut. From then on the caller calls `refresh` after each change of the board and at `next_idle`.
     """
 
     def __init__(self, definition: GroupDefinition, board: TimesBoard) -> None:
@@ -83,9 +85,9 @@ class GroupCut:
         self._floor: int | None = None
         self._confirmed = False
         self._holder = b""  # the member that had the lowest cut at the last look at all members
-        # A heap with one cut for each member: a cut that the member had before, so at or below its present cut.
+        # A heap with one former cut of each member. It is at or below the member's present cut.
         self._lows: list[tuple[int, bytes]] = []
-        self._setbacks = -1  # the setbacks of the board when the heap was made
+        self._setbacks = -1  # `TimesBoard.setbacks` when the heap was made
 
     @property
     def definition(self) -> GroupDefinition:
@@ -99,20 +101,23 @@ class GroupCut:
 
     @property
     def cut(self) -> int | None:
-        """Items with an earlier time are visible; None: no items are. As of the last refresh."""
+        """The instant before which items are visible, as of the last refresh. None if no item is visible."""
         return self._floor if self._confirmed else None
 
     def define(self, definition: GroupDefinition) -> None:
-        """Set another definition. The cut stays the same; but with another incarnation it begins anew, unconfirmed."""
+        """Set another definition. The cut stays the same, unless the definition has another incarnation.
+
+        In another incarnation the group has no cut until `confirm` is called again.
+        """
         if definition.incarnation != self._definition.incarnation:
             self._floor, self._confirmed = None, False
         self._definition = definition
         self._holder, self._setbacks = b"", -1
 
     def merge_floor(self, cut: int) -> bool:
-        """Raise the cut to that of another host of the group.
+        """Raise the cut to `cut`, which another host of the group has reported.
 
-        Returns True if it rose. Never call it with a client's cut.
+        Returns True if the cut rose. Never call this method with a client's cut.
         """
         if self._floor is not None and cut <= self._floor:
             return False
@@ -120,11 +125,11 @@ class GroupCut:
         return True
 
     def confirm(self) -> None:
-        """Note that all other hosts have reported their cuts. From now on the cut may rise and be shown."""
+        """Note that all other live hosts have reported their cuts. From now on the host may raise and show the cut."""
         self._confirmed = True
 
     def refresh(self, now: int) -> bool:
-        """Raise the cut to that of the reference, or to the smallest of all members. Returns True if it rose."""
+        """Raise the cut to that of the reference, or to the smallest cut of the members. Returns True if it rose."""
         reached = self._reached(now) if self._confirmed else None
         return reached is not None and self.merge_floor(reached)
 
@@ -135,19 +140,21 @@ class GroupCut:
         return CutMember(channel_id, heard, cut, self._is_idle(heard, now))
 
     def members(self, now: int) -> Iterator[CutMember]:
-        """All members, by id."""
+        """All members, in the order of their ids."""
         return (self.member(channel_id, now) for channel_id in sorted(self._definition.members))
 
     def waiting_on(self, now: int) -> list[bytes]:
-        """The members that hold the group's cut back: they are not idle, and their own cuts are not later than it."""
+        """The members that hold the group's cut back: they are not idle, and their own cuts are not later than the
+        group's cut.
+        """
         cut = self.cut
         owns = ((channel_id, self._own_cut(channel_id)) for channel_id in self._counting(now))
         return sorted(channel_id for channel_id, own in owns if own is None or (cut is not None and own <= cut))
 
     def next_idle(self, now: int) -> int | None:
-        """When a member of this host next becomes idle, which may move the cut without a put; None: no member does.
+        """The time at which a member at this host next becomes idle, or None. This may move the cut without a put.
 
-        A member of another host becomes idle only at a sign of life of that host.
+        A member at another host becomes idle only at a sign of life of that host.
         """
         after = self._definition.idle_after_nanos
         if after is None or self._definition.reference is not None:
@@ -157,7 +164,7 @@ class GroupCut:
         return min((one.silent_since + after for one in own if one.silent_nanos(now) < after), default=None)
 
     def _reached(self, now: int) -> int | None:
-        """The smallest cut of the members that count; None if one of them has no cut, or still holds the cut back."""
+        """The smallest cut of the members that count. None if one of them has no cut, or still holds the cut back."""
         definition = self._definition
         if definition.reference is None and not definition.by_end and definition.idle_after_nanos is None:
             return self._lowest_of_all()
@@ -181,10 +188,11 @@ class GroupCut:
         return cut is None or (self._floor is not None and cut <= self._floor)
 
     def _lowest_of_all(self) -> int | None:
-        """As `_reached`, for "oldest" without an idle limit and with cuts by start, which only grow between setbacks.
+        """As `_reached`, for "oldest" without `idle_after_nanos` and without `by_end`.
 
-        The first member of the heap whose present cut equals its cut in the heap has the lowest cut. Costs one step for
-        each member whose cut has risen since the last call.
+        Then the cut of a member falls only at a setback (see `TimesBoard`). So the first member of the heap whose
+        present cut equals its cut in the heap has the lowest cut. Costs one step for each member whose cut has risen
+        since the last call.
         """
         if self._setbacks != self._board.setbacks:
             self._setbacks = self._board.setbacks
@@ -202,10 +210,10 @@ class GroupCut:
         return None if heard is None else self._definition.cut_of(heard.times)
 
     def _counting(self, now: int) -> Iterable[bytes]:
-        """The members whose cuts make the group's cut: the reference, or all members that are not idle.
+        """The members whose cuts decide the group's cut: the reference, or all members that are not idle.
 
-        If all are idle, only the member that became idle last counts. Just before, no other member counted either, so
-        the group's cut does not change.
+        If all members are idle, only the member that became idle last counts. Before it became idle, no other member
+        counted either, so the group's cut does not change.
         """
         definition = self._definition
         if definition.reference is not None:

@@ -1,8 +1,8 @@
-"""The items of one channel that a moving cut makes visible, each once (paper, section 3.3). Pure.
+"""The items of one channel that become visible as the cut rises, each once (paper, section 3.3). Pure.
 
-A follower is done with all items before its cut that have a seq below its `next_seq`. The next step, to a later cut,
-brings the items between the two cuts. It also brings the late items: those below the former cut that were accepted
-since.
+A follower is done with all items before its cut that have a seq below its `next_seq`. A step takes it to a later cut.
+The step brings the items between the two cuts. It also brings the late items: those before the former cut that the
+channel accepted after the former step began.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from stampede_rt_channel_host.core.merging import Merge
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Loss:
-    """Due items that are gone. The reader's items with a time before `before` (exclusive) may be incomplete.
+    """Items that the reader should have got, and that are gone. They may have any time before `before`, exclusive.
 
-    The host knows of `items` lost items, with seqs from `first_seq` to `last_seq`. `is_exact`: there are no others.
+    The host knows of `items` lost items, with seqs from `first_seq` to `last_seq`, both inclusive. `is_exact`: no other
+    item is lost.
     """
 
     before: int
@@ -35,11 +36,11 @@ class Loss:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Step:
-    """A part of a step: first the late items, then the newly visible ones, each in the order (time, seq).
+    """A part of a step: first the late items in `late`, then the newly visible items in `slices`.
 
-    The late items were readable before. Every later part is later in time or in seq, so a reader can resume after any
-    part. `is_last`: this part ends the step. Only this part may have a `loss`: items that the step should have brought
-    and cannot bring.
+    Both are in the order (time, seq). Reads could already return the late items before the step. Every later part is
+    later in time or in seq, so a reader can resume after any part. `is_last`: this part ends the step. Only this part
+    may have a `loss`: items that the step should have brought and cannot bring.
     """
 
     slices: list[DeliveredSlice] = field(default_factory=list)
@@ -49,10 +50,10 @@ class Step:
 
 
 class CutFollower:
-    """The place of one reader in one channel. `cut` None: no item was visible to the reader yet.
+    """The position of one reader in one channel of a group. If `cut` is None, no item was visible to the reader yet.
 
-    Order of use: `begin(cut)` with a cut not before the last one, then `take` until a part is the last. `under_way`: a
-    step has begun, and its last part was not taken yet.
+    For each step the caller calls `begin(cut)` with a cut not before the last one, and then `take` until a part is the
+    last of the step. `under_way`: a step has begun, and its last part was not taken yet.
     """
 
     def __init__(
@@ -64,10 +65,10 @@ class CutFollower:
         next_seq: int | None = None,
         incarnation: int | None = None,
     ) -> None:
-        """Begin at the cut. With `next_seq`, continue from a state that a reader kept.
+        """Begin at the cut. With `next_seq`, continue from the cut and `next_seq` that a reader kept.
 
-        `incarnation` is that of the kept state; None: not compared. A state of another incarnation is reported as a
-        loss. Then all present items count as late or new.
+        `incarnation` is the incarnation in which the reader kept them. If it is another one than the channel's, the
+        first step reports a loss, and all present items count as late or new. None is not compared.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -76,12 +77,12 @@ class CutFollower:
         self.under_way = False
         self._target: ItemKey = FIRST_KEY
         self._seq_end = 0
-        self._range_start: ItemKey = FIRST_KEY  # of the present step: newly visible items below this key are taken
-        self._looked_up_to = 0  # seqs below this one have been searched for late items
-        self._late = Merge(_order)  # the late items found, in the order (time, seq)
+        self._range_start: ItemKey = FIRST_KEY  # the present step has given the newly visible items below this key
+        self._looked_up_to = 0  # the present step has searched the seqs below this one for late items
+        self._late = Merge(_order)  # the found late items that are not given yet, in the order (time, seq)
         self._is_searched = False  # the search for late items is over
         self._late_rest: Slice | None = None  # the rest of a slice that was taken in part
-        # Numbers of items in the present step, for `Ledger.mark_read`: above and below the cut before the step.
+        # Numbers of items in the present step, for `Ledger.mark_read`: above and below the former cut.
         self._came_above = self._given_above = self._given_below = 0
         if incarnation is not None and incarnation != channel.incarnation:
             self._unreported = _lost_with_host(channel, cut)
@@ -92,11 +93,14 @@ class CutFollower:
 
     @property
     def next_seq(self) -> int:
-        """Items with a lower seq and a time before the cut are done. A reader resumes from this seq and the cut."""
+        """The reader is done with the items before the cut that have a lower seq than this. It can resume from here."""
         return self._ledger.next_seq
 
     def lowest_owed_seq(self, now: int) -> int:
-        """The reader is done with every item of a lower seq, whatever its time. Walks the hidden items."""
+        """A seq such that the reader is done with every item of a lower seq, whatever its time.
+
+        Looks at a bounded number of items, so the seq may be lower than necessary.
+        """
         held, _ = self._channel.look(now)
         return self._ledger.lowest_owed(held)
 
@@ -107,7 +111,7 @@ class CutFollower:
         return cut == self.cut and self._channel.next_seq != self.next_seq
 
     def begin(self, cut: int) -> None:
-        """Begin a step. Items accepted below `cut` from now on are late, and come with the next step."""
+        """Begin a step. Items before `cut` that the channel accepts from now on are late: the next step brings them."""
         assert not self.under_way, "finish the present step first"
         assert self.cut is None or cut >= self.cut, "a cut never moves back"
         self.under_way = True
@@ -118,13 +122,13 @@ class CutFollower:
         self._came_above = self._given_above = self._given_below = 0
 
     def emptying(self) -> Pieces[None]:
-        """Free the late items that a step has found, in pieces. The follower must not be used any more."""
+        """Free the late items that a step has found, in pieces. The caller must not use the follower afterwards."""
         return self._late.emptying()
 
     def take(self, now: int, limit_bytes: int) -> Step:
         """The next part of the step: about `limit_bytes` (payload and overhead) and a bounded number of slices.
 
-        A part may be empty without being the last, if there were many items to look at. The next call continues.
+        If there were many items to look at, a part may be empty although the step continues.
         """
         assert self.under_way, "begin a step first"
         held, _ = self._channel.look(now)
@@ -139,9 +143,9 @@ class CutFollower:
         return Step(slices=slices, late=late, is_last=True, loss=self._finish(held))
 
     def _take_range(self, held: Holdings, left: int, steps: int) -> tuple[list[DeliveredSlice], int, bool]:
-        """Newly visible items from the reached key on, if the channel had them when the step began.
+        """Give newly visible items that the channel had when the step began.
 
-        Also returns the rest of the limit, and whether no such item is left.
+        Returns the items, the rest of the limit `left`, and whether the step has no more such items.
         """
         taken: list[DeliveredSlice] = []
         for part in held.slices(self._range_start, self._target):
@@ -158,9 +162,9 @@ class CutFollower:
         return taken, left, True
 
     def _look_for_late(self, held: Holdings) -> bool:
-        """Search some of the items since the last step, by seq, for late ones.
+        """Search some of the items accepted since the last step began, in seq order, for late items.
 
-        Returns True at the end of the search.
+        Returns True if the search is finished.
         """
         if self._is_searched:
             return True
@@ -176,7 +180,7 @@ class CutFollower:
         return True
 
     def _take_late(self, held: Holdings, left: int) -> tuple[list[DeliveredSlice], int, bool]:
-        """Items below the former cut that were accepted since and are still held. Returns as `_take_range`."""
+        """Give found late items that are still held. Returns the same three values as `_take_range`."""
         taken: list[DeliveredSlice] = []
         for _ in range(pieces.STEPS_PER_PIECE):
             if left <= 0:
@@ -195,7 +199,7 @@ class CutFollower:
         return taken, left, False
 
     def _deliver(self, held: Holdings, part: Slice) -> DeliveredSlice:
-        """The slice for delivery. Items at or after the cut do not bound spans, because no reader may see them yet."""
+        """The slice for delivery. An item at or after the cut ends no span, because no reader may see it yet."""
         following = held.next_time(part.last_time)
         hidden = following is not None and following >= self._target[0]
         return DeliveredSlice(part, None if hidden else following)
@@ -226,7 +230,7 @@ def _key(cut: int | None) -> ItemKey:
 
 
 def _reaches(held: Holdings, cut: int | None) -> bool:
-    """Whether items at or after the cut are gone."""
+    """Whether the channel has collected items at or after the cut."""
     gone = newest_gone(held)
     return gone is not None and (cut is None or gone >= cut)
 
@@ -238,7 +242,7 @@ def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
 
 
 def _joined(unreported: Loss, since: Loss | None) -> Loss:
-    """The loss from before the reader came back, joined with the loss of the first step after that."""
+    """One loss for two: `unreported` is from before the reader came back, `since` from its first step afterwards."""
     if since is None:
         return unreported
     before, last_seq = max(unreported.before, since.before), max(unreported.last_seq, since.last_seq)

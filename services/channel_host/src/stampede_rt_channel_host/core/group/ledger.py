@@ -1,8 +1,8 @@
 """Counts the items that a reader in time order will never get, although they belong to its subscription. Pure.
 
-A reader is done with all items below some key that got a seq before some moment. It has still to get the others: the
-held items at or above the key, and all items accepted later. Items among these that are neither given nor held are
-lost.
+A key and a seq say how far a reader is: it is done with the items that lie below the key and have a lower seq. All
+other items are owed: the items at or above the key, and all items with that seq or a later one. An owed item that the
+reader has not got, and that the channel does not hold any more, is lost.
 """
 
 from __future__ import annotations
@@ -17,23 +17,24 @@ from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import ItemKey
 
 LOOKED_AT_MAX = 4096
-"""The most items or slices at which a search for the lowest seq still to give looks."""
+"""The most items or slices at which a search for the lowest owed seq looks."""
 
 
 class Ledger:
-    """The ledger of one reader of one channel. Most calls look only at the items put and given since the last call.
+    """Counts the owed and the lost items of one reader of one channel.
 
-    `lowest_seq`: all items that the next `mark_read` finds lost have this seq or a later one.
+    Most calls look only at the items that came, or that the reader got, after the last call. All items that the next
+    `mark_read` finds lost have the seq `lowest_seq` or a later one.
     """
 
     __slots__ = ("_consumed", "_floor", "_held_from", "_low", "_owed", "lowest_seq", "next_seq")
 
     def __init__(self, held: Holdings, low: ItemKey, next_seq: int) -> None:
-        """Begin: still to give are the held items at or above `low`, and all items with `next_seq` or a later seq."""
+        """At first, owed are the held items at or above `low`, and all items with `next_seq` or a later seq."""
         self._low = low
-        # `_owed`: the number of held items that are still to give
+        # `_owed`: the number of held items at or above `_low` with a seq below `next_seq`
         self._owed, self.lowest_seq = _owed(held, low, next_seq)
-        self._held_from = self.lowest_seq  # all held items that are still to give have this seq or a later one
+        self._held_from = self.lowest_seq  # all these items have this seq or a later one
         self._remember(held, low, next_seq)
 
     def mark_read(
@@ -42,9 +43,9 @@ class Ledger:
     ) -> int:  # fmt: skip
         """Note that the reader is done with all items below `low` with a seq below `next_seq`.
 
-        Returns the number of lost items. `given_above` and `given_below` count the items given at or above the former
-        `low`, and below it. `came_above` counts the items that came at or above it since the last call; None: count
-        them here.
+        Returns the number of lost items. Of the items that the reader got after the last call, `given_above` lay at or
+        above the former `low`, and `given_below` below it. `came_above` items came at or above the former `low` after
+        the last call. If `came_above` is None, this call counts them.
         """
         owed = self._owed + next_seq - self.next_seq
         intact = held.floor <= max(self._low, self._floor) and held.collected[CONSUMPTION] == self._consumed
@@ -52,7 +53,7 @@ class Ledger:
             if came_above is None:
                 came_above = _items(above_key(held, self._low, self.next_seq, next_seq))
             left = self._owed + came_above - given_above
-        elif held.floor >= low:  # all held items are still to give, except those that came since the step began
+        elif held.floor >= low:  # all held items lie above `low`; those from `next_seq` on are not counted in `_owed`
             left = held.items - _items(held.slices_by_seq(next_seq, held.next_seq))
         else:
             left, self.lowest_seq = _owed(held, low, next_seq)
@@ -61,9 +62,9 @@ class Ledger:
         return owed - given_above - given_below - left
 
     def lowest_owed(self, held: Holdings) -> int:
-        """A seq below which no item is still to give.
+        """The lowest owed seq, or a lower seq if the search stops after LOOKED_AT_MAX slices.
 
-        It is the lowest such seq, unless very many items lie between it and the last result.
+        The next call continues a search that has stopped.
         """
         looked = [*islice(held.slices_by_seq(self._held_from, self.next_seq), LOOKED_AT_MAX)]
         parts = (split_at(part, self._low)[1] for part in looked)
@@ -78,10 +79,9 @@ class Ledger:
 
 
 def _owed(held: Holdings, low: ItemKey, next_seq: int) -> tuple[int, int]:
-    """The number of held items at or above the key with a seq below `next_seq`, and a seq below which none is still to
-    give.
+    """The number of held items at or above `low` with a seq below `next_seq`, and the lowest seq of these items.
 
-    The second is exact unless there are very many items.
+    If there are more than LOOKED_AT_MAX such items, the second number may be too low.
     """
     items = held.items - held.items_below(low) - _items(above_key(held, low, next_seq, held.next_seq))
     if items > LOOKED_AT_MAX:
@@ -95,18 +95,18 @@ def _items(parts: Iterator[Slice]) -> int:
 
 
 def newest_gone(held: Holdings) -> int | None:
-    """The latest time of an item that the channel had and has no more."""
+    """The latest time of an item that the channel has collected, or None if it has collected no item."""
     return max((time for time in (held.newest_collected, held.newest_consumed) if time is not None), default=None)
 
 
 def above_key(held: Holdings, low: ItemKey, first_seq: int, end_seq: int) -> Iterator[Slice]:
-    """Held items with seqs from `first_seq` up to `end_seq`, exclusive, at or above a key, in seq order."""
+    """Held items at or above the key `low` with seqs from `first_seq` up to `end_seq`, exclusive, in seq order."""
     parts = (split_at(part, low)[1] for part in held.slices_by_seq(first_seq, end_seq))
     return (part for part in parts if part.items)
 
 
 def split_at(part: Slice, key: ItemKey) -> tuple[Slice, Slice]:
-    """The parts of a slice below a key and from the key on. The slice ascends in (time, seq)."""
+    """The part of a slice below a key, and the part from the key on. The slice ascends in (time, seq)."""
     time, seq = key
     run, lo, hi = part
     at = bisect_left(run.times, time, lo, hi)

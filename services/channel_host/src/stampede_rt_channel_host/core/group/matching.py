@@ -1,7 +1,7 @@
 """Finds for each item of one channel the nearest item of every other member, for example for two cameras. Pure.
 
-See the paper, section 3.3. Matching looks at all items, hidden ones too. It waits for the items that it needs. It does
-not depend on the cut.
+See the paper, section 3.3. A match does not depend on the cut: it looks at all items, hidden items included. It waits
+until the items that it needs have come.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from stampede_rt_channel_host.core.group.tracks import Nearest, OwnTrack, Track
 
 CREDIT_UNLIMITED = LOOKS_UNLIMITED = 1 << 62
 OWN = b""
-"""The key of the matched channel itself, in the place of a member's id."""
+"""Stands for the matched channel itself, where other channels have their id."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FoundMatch:
-    """One item and its partners. `missing`: members that have no item within the tolerance."""
+    """One item, and its partner in each member. `missing` are the members that have no item within the tolerance."""
 
     item: DeliveredSlice
     matched: Mapping[bytes, Nearest]
@@ -40,23 +40,23 @@ class FoundMatch:
 
 
 class Matcher:
-    """Matches one channel's items in time order. It keeps a position and no items: waiting items wait in the channel.
+    """Matches one channel's items in time order. The matcher keeps a position and no items: these wait in the channel.
 
     `unmatched` counts items for which a member had no partner. `dropped` counts items that were collected before their
-    match, or that came after their time had been decided. Both are as of the last `take`. `has_more`: the last
-    `take` used up its looks, so call it again without a wait.
+    match, and items that came after the matcher had passed their time. Both are as of the last `take`. `has_more`: the
+    last `take` used up its looks, so call it again without a wait.
     """
 
     def __init__(
         self, channel: ChannelCore, tracks: Mapping[bytes, Track], tolerance_nanos: int, now: int,
         after: Position | None = None, next_seq: int | None = None, partners: Mapping[bytes, ItemKey] | None = None,
     ) -> None:  # fmt: skip
-        """Begin with the items accepted from now on. With `after`: continue after that position.
+        """Begin with the items later than all present items or, with `after`, with the items after that position.
 
-        Items before that position with `next_seq` or a later seq came after the position was decided. If the position
-        is of another incarnation, all items before it count so. `partners`: no item of another member goes into two
-        matches, and of each member only items after its entry are matched; see `Pairing`. None: items may go into
-        several matches.
+        Items before that position with `next_seq` or a later seq came too late for a match, and count as dropped. If
+        the position is of another incarnation, all present items before it count as dropped. If `partners` is None, an
+        item of another member may go into several matches. Otherwise it goes into one match only (see `Pairing`), and
+        `partners` has the last partner in each member, after which the next ones come.
         """
         held, _ = channel.look(now)
         self._channel = channel
@@ -73,32 +73,32 @@ class Matcher:
         self.dropped = 0
         self.has_more = False
         self._looks_left = 0
-        # An item, and the partners already found for it.
+        # The item at which the last `take` used up its looks, and the partners already found for this item.
         self._begun: tuple[ItemKey, dict[bytes, Nearest | None]] | None = None
 
     @property
     def position(self) -> Position:
-        """The matcher has decided all items up to here. Another matcher that begins `after` it continues."""
+        """The position up to which all items are decided. Another matcher can continue `after` this position."""
         time, end_seq = self._low
         return Position(clamp(time), end_seq - 1 if end_seq else None, self._channel.incarnation)
 
     @property
     def next_seq(self) -> int:
-        """The matcher has decided the items with a lower seq that lie below `position`."""
+        """The matcher is done with all items up to `position` that have a lower seq than this."""
         return self._ledger.next_seq
 
     @property
     def partners(self) -> Mapping[bytes, ItemKey]:
-        """The last partner of each member as of `position`. Empty if items may go into several matches."""
+        """The last partner in each member as of `position`. Empty if items may go into several matches."""
         return self._partners or {}
 
     @property
     def earliest(self) -> int:
-        """The matcher needs no earlier items of other members."""
+        """The instant before which the matcher needs no items of other members."""
         return clamp(self._low[0] - self._tolerance)
 
     def set_tracks(self, tracks: Mapping[bytes, Track]) -> None:
-        """Replace the members' tracks: members came, went, or moved to another host."""
+        """Replace the tracks of the members, because members came, left, or moved to another host."""
         self._tracks = dict(tracks)
         self._begun = None
 
@@ -106,10 +106,10 @@ class Matcher:
         self, has_passed: Callable[[bytes, int], bool], now: int, items_max: int, credit_bytes: int = CREDIT_UNLIMITED,
         looks_max: int = LOOKS_UNLIMITED,
     ) -> list[FoundMatch]:  # fmt: skip
-        """Take decided matches, at most `items_max`, and only while some credit is left before each.
+        """Take the next decided matches, at most `items_max`. Each match needs some credit that is left before it.
 
-        Looks about `looks_max` times for the nearest item of a member. Keeps the partners found so far of an undecided
-        item for the next call. `has_passed(member, instant)` returns True if the member can get no more items up to
+        Searches a member's nearest item about `looks_max` times. If the searches for an item are not finished then, the
+        next call continues them. `has_passed(member, instant)` returns True if the member can get no more items up to
         `instant` (see `ChannelTimes.has_passed`), or if matches do not wait for the member. `take` also calls it with
         OWN.
         """
@@ -142,7 +142,7 @@ class Matcher:
     def _found(
         self, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
     ) -> dict[bytes, Nearest | None] | None:  # fmt: skip
-        """Each member's partner; None: one of them is not decided yet, or the looks are used up."""
+        """The partner in each member. None if a partner is not decided yet, or if the looks are used up."""
         found = self._begun[1] if self._begun is not None and self._begun[0] == key else {}
         self._begun = None
         for member, track in self._tracks.items():
@@ -163,7 +163,7 @@ class Matcher:
     def _found_in(
         self, member: bytes, track: Track, key: ItemKey, has_passed: Callable[[bytes, int], bool], now: int
     ) -> Nearest | None:
-        """One member's partner. Raises Undecided."""
+        """The partner in one member. Raises Undecided if an item still to come may change the partner."""
         if self._partners is None:
             self._looks_left -= 1
             return track.nearest(key[0], self._tolerance, now)

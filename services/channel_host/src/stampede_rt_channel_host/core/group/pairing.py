@@ -1,8 +1,8 @@
 """Pairs the items of two channels so that no item is in two pairs: nearest pairs first (decision 0073). Pure.
 
-The pair with the least distance within the tolerance comes first. Then the items before both of its items are paired by
-the same rule, and the items after both. Of equally near pairs the one with the earlier items comes first. So pairs do
-not cross: a later item has a later partner.
+The first pair is the one with the least distance in time, at most the tolerance. Then the same rule pairs the items
+before both items of this pair, and the items after both. Of equally near pairs, the pair with the earlier items comes
+first. So pairs do not cross: a later item has a later partner.
 """
 
 from __future__ import annotations
@@ -14,21 +14,23 @@ from stampede_rt_channel_host.core.channel.index import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.group.tracks import Nearest, Track
 
 STEPS_MAX = 16
+"""The most steps of the chain that a `Pairing` follows."""
 
 HasPassed = Callable[[int], bool]
-"""Tells whether a channel can get no more items up to an instant."""
+"""Returns True if a channel can get no more items up to the given instant, inclusive."""
 
 
 class Undecided(Exception):
-    """An item that is still to come may be nearer."""
+    """Raised while an item that is still to come may change the partner."""
 
 
 class Pairing:
     """Pairs `own` items, in time order, with `other` items at or above `after`.
 
-    An item does not get its nearest partner if a later item is nearer to that partner. The later item depends on others
-    in the same way, at ever smaller distances. The pairing follows that chain for STEPS_MAX steps. Then the item gets
-    the nearest item left. `looks` counts looks for a nearest item.
+    An item does not get the `other` item that is nearest to it if a later `own` item is nearer to that item. The later
+    item depends on another item in the same way, at a smaller distance, and so on. The pairing follows this chain for
+    STEPS_MAX steps. If the chain is longer, the item gets the nearest item that is left. `looks` counts the searches
+    for a nearest item.
     """
 
     def __init__(
@@ -43,13 +45,16 @@ class Pairing:
         self.looks = 0
 
     def partner(self, key: ItemKey, tolerance: int) -> Nearest | None:
-        """The partner of the first unpaired own item.
+        """The partner of `key`, the first unpaired own item; None if it has none.
 
         `other` must have passed the item's time + tolerance. Raises Undecided if an item still to come may change the
         partner.
         """
-        end, other_end = LAST_KEY, LAST_KEY  # the ends of the unpaired items: a pair hides all items after it
-        chain = [(key, tolerance)]  # own items; each is nearer to its predecessor's candidate than the predecessor is
+        # Only items below these keys may be paired: when a pair is found, the items after it do not count any more.
+        end, other_end = LAST_KEY, LAST_KEY
+        # Own items, each with the greatest distance of its partner. Each item is nearer than the item before it to the
+        # other item that both could get.
+        chain = [(key, tolerance)]
         for _ in range(STEPS_MAX):
             one, reach = chain[-1]
             self.looks += 2
@@ -68,7 +73,7 @@ class Pairing:
         return self._other.nearest(key[0], tolerance, self._now, self._after, other_end)
 
     def _rival(self, first: ItemKey, one: ItemKey, near: Nearest, end: ItemKey) -> ItemKey:
-        """The own item that is nearest to `near`. `one` is the own item for which `near` was found."""
+        """The own item from `first` on that is nearest to `near`. `one` is the own item for which `near` was found."""
         distance = abs(near.time - one[0])
         if not self._own_has_passed(clamp(near.time + distance - 1)):
             raise Undecided

@@ -21,17 +21,21 @@ from stampede_rt_channel_host.core.group.following import CutFollower, Loss
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
 
 STEP_BYTES_MAX = 2**20
-"""About how many bytes of items one part has that is only counted, for a reader of the newest item."""
+"""A reader of the newest item gets only the number of the other items. The host counts them in parts of about so many
+bytes.
+"""
 PARTS_PER_TAKE = 8
-"""The most such parts that one call counts."""
+"""The most parts of counted items that one `VisibleNewest.take` takes."""
 
 
 class VisibleAll:
-    """Every item once: late items as they come, and the items between two cuts in (time, seq) order.
+    """A subscription to all items of a channel, each once.
 
-    With `start`, visible items from that bound on come first. With `after`, the first items are those that are later in
-    time or in seq than the stated item. If items were put out of order, such a beginning may repeat some; it never
-    leaves one out. A `saved` cursor continues without a gap or a repetition.
+    The items between two cuts come in the order (time, seq). Late items come with the next step (see `Step`).
+
+    With `start`, visible items from that bound on come first. With `after`, the subscription begins with all items that
+    are later in time or in seq than the stated item. If producers put items out of order, it may then repeat some
+    items, but it leaves none out. A subscription with a `saved` cursor continues without a gap or a repetition.
     """
 
     def __init__(
@@ -47,8 +51,8 @@ class VisibleAll:
     ) -> None:
         """Begin a subscription.
 
-        Raises InvalidArgument if both start and after are given, if after has no seq, or if the cursor comes from a
-        subscription without a group. Raises IncarnationLost if after or the cursor is of another incarnation.
+        Raises InvalidArgument if both `start` and `after` are given, if `after` has no seq, or if `saved` comes from a
+        subscription without a group. Raises IncarnationLost if `after` or `saved` is of another incarnation.
         """
         self._channel = channel
         self._gap: Gap | None = None
@@ -70,7 +74,7 @@ class VisibleAll:
 
     @property
     def saved(self) -> SavedCursor | None:
-        """The cursor from which another subscription continues; None during a step."""
+        """The cursor from which another subscription continues, or None while a step is under way."""
         if self._follower.under_way:
             return None
         cut = self._follower.cut
@@ -81,7 +85,7 @@ class VisibleAll:
         )
 
     def lowest_owed_seq(self, now: int) -> int:
-        """Every item of a lower seq was sent or reported. Walks the hidden items."""
+        """See `CutFollower.lowest_owed_seq`."""
         return self._follower.lowest_owed_seq(now)
 
     def emptying(self) -> Pieces[None]:
@@ -89,10 +93,10 @@ class VisibleAll:
         return self._follower.emptying()
 
     def take(self, horizon: Horizon, now: int, limit_bytes: int) -> SubscriptionBatch:
-        """The next part.
+        """The next part of the subscription, of about `limit_bytes`.
 
-        A gap comes after the items of its step. An empty part without `more` means: wait for the cut or for a late
-        item.
+        A gap comes after the items of its step. If the part is empty and `more` is not set, wait for a later cut or a
+        late item.
         """
         follower = self._follower
         while self._gap is None and horizon.cut is not None and follower.has_news(horizon.cut):
@@ -114,7 +118,8 @@ class VisibleAll:
 class VisibleNewest:
     """A subscription to the latest visible item by (time, seq). It never gives an item earlier than the last one.
 
-    It counts the other items that became visible: see `skipped`. It begins as `ChannelCore.subscribe_newest` does.
+    `skipped` counts the other items that became visible. The subscription begins as one of
+    `ChannelCore.subscribe_newest` does.
     """
 
     def __init__(
@@ -160,7 +165,7 @@ class VisibleNewest:
 
     @property
     def skipped(self) -> int:
-        """The number of the subscription's visible items that it did not give, as of the last `take`."""
+        """The number of the subscription's visible items that the reader did not get, as of the last `take`."""
         return max(0, self._meant - self.delivered)
 
     def emptying(self) -> Pieces[None]:
@@ -168,7 +173,10 @@ class VisibleNewest:
         return self._all.emptying()
 
     def take(self, horizon: Horizon, now: int) -> SubscriptionBatch:
-        """The newest item, if it is later than the last one taken. Counts the items before it in bounded parts."""
+        """Take the newest visible item, if it is later than the last item taken. Also counts other items, in parts.
+
+        If the batch has `more` set, call again: there are more items to count.
+        """
         newest = self._newest(horizon, now)
         is_news = newest is not None and (newest.last_time, newest.end_seq - 1) > self._last
         more = self._count(horizon, now)
@@ -179,7 +187,7 @@ class VisibleNewest:
         return SubscriptionBatch(slices=(DeliveredSlice(newest, None),), more=more)
 
     def _count(self, horizon: Horizon, now: int) -> bool:
-        """Count items that have become visible. Returns True if there are more."""
+        """Count items that have become visible. Returns True if there are more items to count."""
         for _ in range(PARTS_PER_TAKE):
             part = self._all.take(horizon, now, STEP_BYTES_MAX)
             if part.is_empty and not part.more:
@@ -210,5 +218,5 @@ def _resume(channel: ChannelCore, horizon: Horizon, now: int, start: Bound | Non
 
 
 def _gap(loss: Loss) -> Gap:
-    """The gap of a loss. Without an exact count it has at least one item, so that a reader hears of it."""
+    """The gap of a loss. A loss of unknown size counts as at least one item, so that the reader learns of it."""
     return Gap(first_seq=loss.first_seq, last_seq=loss.last_seq, items=max(1, loss.items), reason=loss.reason)

@@ -1,4 +1,4 @@
-"""How far channels are: the timestamps that groups exchange (paper, section 4.1). Pure.
+"""The times that hosts tell each other about the channels of their groups (paper, section 4.1). Pure.
 
 Instants are int nanoseconds since the epoch, durations int nanoseconds.
 """
@@ -16,10 +16,11 @@ from stampede_rt_channel_host.core.group.ledger import newest_gone
 
 
 class ChannelTimes(NamedTuple):
-    """How far one channel is, as its owner tells. Within an incarnation `newest` and `advance` never move back.
+    """The times of one channel, by its owner's report. Within an incarnation `newest` and `advance` never move back.
 
-    `newest`: the newest item's time. `newest_end`: the latest end by duration in that item's bucket, None if no item
-    there has a duration. `advance`: the highest promise. None: there never was one.
+    `newest` is the newest item's time, or None if there never was an item. `newest_end` is the latest end by duration
+    in that item's bucket, or None if no item of the bucket has a duration. `advance` is the highest instant of an
+    advance, or None if there never was an advance.
     """
 
     epoch: int
@@ -30,22 +31,23 @@ class ChannelTimes(NamedTuple):
 
     @property
     def mark(self) -> int | None:
-        """The later of newest and advance."""
+        """The later of `newest` and `advance`, or None if both are None."""
         return _later(self.newest, self.advance)
 
     def has_passed(self, instant: int, lateness_nanos: int = 0) -> bool:
         """Whether no item can come at or before `instant`, if every item is at most `lateness_nanos` behind the newest.
 
-        With 0, items are assumed to come in order; items that still come into the newest bucket are ignored. No item
-        comes before an advance.
+        With a lateness of 0, items come in order. Then the method ignores items that may still come into the newest
+        bucket. No item comes before an advance.
         """
         by_item = self.newest is not None and self.newest - lateness_nanos >= instant + bool(lateness_nanos)
         return by_item or (self.advance is not None and self.advance > instant)
 
     def merged(self, reported: ChannelTimes) -> ChannelTimes:
-        """These times joined with `reported`, which the same owner or a later one has sent.
+        """These times joined with `reported`, which the same owner or a later owner has sent.
 
-        Within one incarnation the later values hold. If `reported` is of another incarnation, only `reported` holds.
+        Within one incarnation the result has the later times. If `reported` is of another incarnation, the result is
+        `reported`.
         """
         if reported.incarnation != self.incarnation:
             return reported
@@ -67,9 +69,9 @@ def _order(newest: tuple[int | None, int | None]) -> tuple[bool, int, bool, int]
 
 
 class OwnTimes:
-    """Follows one channel of this host. Call `observe` after each change. A call costs the items since the last call.
+    """Follows the times of one channel of this host. Call `observe` after each change of the channel.
 
-    `silent_since`: the host's clock at the last put or advance, or at the start of this object.
+    `silent_since` is the host's clock at the last put or advance, or at the start of this object.
     """
 
     def __init__(self, channel: ChannelCore, now: int) -> None:
@@ -82,7 +84,7 @@ class OwnTimes:
         self.observe(now)
 
     def observe(self, now: int) -> bool:
-        """Look at the items since the last call. Returns True if the times have changed."""
+        """Look at the items accepted after the last call. Returns True if the times have changed."""
         channel = self._channel
         if channel.next_seq == self._seen_seq and channel.advanced_to == self._advance:
             return False
@@ -91,14 +93,14 @@ class OwnTimes:
         for part in held.slices_by_seq(self._seen_seq, channel.next_seq):
             self._take(part)
         gone = newest_gone(held)
-        # the newest item came and went before this object could see it
+        # the channel collected the newest item before this object could see it
         if gone is not None and (self._newest is None or gone > self._newest):
             self._newest, self._newest_end = gone, None
         self._seen_seq, self._advance, self.silent_since = channel.next_seq, channel.advanced_to, now
         return before != (self._newest, self._newest_end, self._advance)
 
     def times(self, epoch: int) -> ChannelTimes:
-        """The times as of the last look, with the epoch in which the host owns the channel."""
+        """The times as of the last `observe`. `epoch` is the epoch in which the host owns the channel."""
         return ChannelTimes(epoch, self._channel.incarnation, self._newest, self._newest_end, self._advance)
 
     def _take(self, part: Slice) -> None:
@@ -117,10 +119,10 @@ class OwnTimes:
 
 @dataclass(slots=True)
 class Heard:
-    """A host's knowledge of one channel. All instants are of that host's clock.
+    """A host's knowledge of one channel. `silent_since` and `known_until` are instants of that host's clock.
 
-    `known_until`: the time until which the host knows whether the channel is silent. None: the host owns the channel
-    and always knows.
+    The channel had no put and no advance from `silent_since` to `known_until`. Later ones are not known yet. If
+    `known_until` is None, the host owns the channel and always knows.
     """
 
     times: ChannelTimes
@@ -132,15 +134,15 @@ class Heard:
         return max(0, (now if self.known_until is None else self.known_until) - self.silent_since)
 
     def heard_ago_nanos(self, now: int) -> int:
-        """The age of this knowledge; 0 for a channel of this host."""
+        """The age of this knowledge. It is 0 for a channel of this host."""
         return 0 if self.known_until is None else max(0, now - self.known_until)
 
 
 class TimesBoard:
     """A host's knowledge of the channels of its groups. Each host has one board, which all its groups share.
 
-    `setbacks` counts how often a channel got another incarnation, because its host was lost. Only then its times may
-    move back.
+    `setbacks` counts how often a channel got another incarnation, because its host was lost. The times of a channel
+    move back only at a setback.
     """
 
     def __init__(self) -> None:
@@ -148,7 +150,7 @@ class TimesBoard:
         self._heard: dict[bytes, Heard] = {}
 
     def find(self, channel_id: bytes) -> Heard | None:
-        """The host's knowledge of the channel; None: the host has heard nothing of it."""
+        """The host's knowledge of the channel, or None if the host knows nothing of it."""
         return self._heard.get(channel_id)
 
     def enter_own(self, channel_id: bytes, times: ChannelTimes, silent_since: int) -> None:
@@ -165,9 +167,9 @@ class TimesBoard:
             held.known_until = now
 
     def hear(self, channel_id: bytes, times: ChannelTimes, silent_nanos: int, now: int) -> bool:
-        """Enter the report of a channel's owner.
+        """Enter the report of a channel's owner. `silent_nanos` is the time since the last put or advance.
 
-        Returns True if it is news. A report of a former owner changes nothing.
+        Returns True if the times of the channel have changed. A report of a former owner changes nothing.
         """
         held = self._heard.get(channel_id)
         if held is None:

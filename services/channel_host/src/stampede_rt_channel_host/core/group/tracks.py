@@ -1,4 +1,4 @@
-"""A member as a match needs it: a search for the item nearest to an instant. Pure."""
+"""Tracks: the items of one member of a group, for a search of the item nearest to an instant. Pure."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, S
 from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 
 TRACK_ITEMS_MAX = 65_536
+"""The most item keys that a `FarTrack` holds."""
 
 
 class Nearest(NamedTuple):
-    """The time and seq of the item that was found. `item` is None if that item is at another host."""
+    """The time and seq of a found item. `item` is None if the item is at another host."""
 
     time: int
     seq: int
@@ -21,22 +22,23 @@ class Nearest(NamedTuple):
 
 
 class Track(Protocol):
-    """A member, as a match needs it."""
+    """The items of one member, among which a match searches the nearest one."""
 
     def nearest(
         self, time: int, tolerance: int, now: int, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY
     ) -> Nearest | None:
-        """The nearest item at most `tolerance` away. Of equally near items: the earlier, and in a bucket the lower seq.
+        """The item nearest to `time`, at most `tolerance` nanoseconds away; None if there is no such item.
 
-        Only items at or above `low` and below `high` count.
+        Of two equally near items returns the earlier one, and within a bucket the one with the lower seq. Only items at
+        or above `low` and below `high` count.
         """
 
     def forget_before(self, time: int) -> None:
-        """Forget the items before `time`: no match needs them any more."""
+        """Forget the items before `time`, because no match needs them any more."""
 
 
 class OwnTrack:
-    """A member at this host."""
+    """The track of a member at this host. Searches the channel itself."""
 
     def __init__(self, channel: ChannelCore) -> None:
         self._channel = channel
@@ -57,21 +59,21 @@ class OwnTrack:
         return Nearest(found, one.first_seq, DeliveredSlice(one, held.next_time(found)))
 
     def forget_before(self, time: int) -> None:
-        """Nothing to do, because retention collects the items."""
+        """Does nothing, because retention collects the items."""
 
 
 class FarTrack:
-    """A member at another host. Only the keys of its items are known here.
+    """The track of a member at another host. This host knows only the keys of the member's items.
 
-    Holds at most TRACK_ITEMS_MAX keys. Beyond that it drops the earliest keys, and items that would have matched them
-    count as unmatched.
+    Holds at most TRACK_ITEMS_MAX keys. If there are more, the track drops the earliest keys. Items that would have
+    matched these keys then count as unmatched.
     """
 
     def __init__(self) -> None:
         self._keys: list[ItemKey] = []
 
     def add(self, keys: Iterable[ItemKey]) -> None:
-        """Add items of the member, by time and seq."""
+        """Add the keys of some items of the member."""
         for key in keys:
             if not self._keys or key > self._keys[-1]:
                 self._keys.append(key)

@@ -1,7 +1,7 @@
-"""The part of a channel that a group shows: items before the cut, under a clock that stops there (paper, section 3.3).
+"""The part of a channel that a group shows: the items before the cut (paper, section 3.3). Pure.
 
-Pure. A view copies nothing. It reads the channel's own index. It answers like a channel that never got the hidden
-items.
+A `VisibleChannel` copies nothing; it reads the channel's own index. It answers as a channel would that never got the
+hidden items, and whose clock never passes the cut.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 
 
 class Horizon(NamedTuple):
-    """The end of a group's visible part: the cut (None: no item is visible).
+    """The end of the visible part of a group: the items before `cut` are visible. If `cut` is None, no item is visible.
 
     `held_by` returns a text that names the members that hold the cut back.
     """
@@ -42,7 +42,7 @@ class Horizon(NamedTuple):
 
 
 class VisibleHoldings:
-    """Held items with a time before a cut, to read like `Holdings`."""
+    """The held items before a cut, with the reading methods of `Holdings`. If `cut` is None, there are none."""
 
     __slots__ = ("_end", "_held", "_last", "frontier", "gone_before", "newest", "oldest", "overlap_nanos")
 
@@ -63,11 +63,11 @@ class VisibleHoldings:
 
     @property
     def end(self) -> ItemKey:
-        """The key below which all visible items lie."""
+        """A key above the keys of all visible items, and at or below the keys of all hidden items."""
         return self._end
 
     def snapshot(self) -> ChannelSnapshot:
-        """All items that the channel holds now."""
+        """All items that the channel holds now, hidden items included."""
         return self._held.snapshot()
 
     def slices_down(self, low: ItemKey = FIRST_KEY, high: ItemKey = LAST_KEY, /) -> Iterator[Slice]:
@@ -75,12 +75,12 @@ class VisibleHoldings:
         return self._held.slices_down(low, min(high, self._end))
 
     def next_time(self, time: int, /) -> int | None:
-        """The time of the next visible bucket after `time`."""
+        """The time of the next visible bucket after `time`, or None if there is none."""
         following = self._held.next_time(time)
         return following if following is not None and following <= self._last else None
 
     def floor_time(self, time: int, /) -> int | None:
-        """The time of the visible bucket at or before `time`."""
+        """The time of the last visible bucket at or before `time`, or None if there is none."""
         return None if self.oldest is None else self._held.floor_time(min(time, self._last))
 
 
@@ -88,7 +88,7 @@ class VisibleReading(Reading):
     """Answers one query from the part of a channel before a horizon."""
 
     def __init__(self, channel: ChannelCore | Moment, horizon: Horizon, now: int) -> None:
-        """`now`: the host's clock, to which the channel is aged."""
+        """`now` is the host's clock. The channel first outdates the items that are too old at `now`."""
         self._all: Holdings | HeldThen
         self._all, retention = channel.look(now)
         held = VisibleHoldings(self._all, horizon.cut)
@@ -98,12 +98,12 @@ class VisibleReading(Reading):
         self._asked: tuple[Query, ResolvedInterval, int] | None = None
 
     def now(self, clock: int) -> int:
-        """The instant of NOW, under a clock that stops at the cut."""
+        """The instant of NOW. If the clock is after the cut, the cut counts instead of the clock."""
         cut = self._horizon.cut
         return super().now(clock if cut is None else min(clock, cut))
 
     def resolve_interval(self, interval: Interval, clock: int) -> ResolvedInterval | None:
-        """The resolved interval. As long as there is no cut, NOW has no instant."""
+        """The resolved interval, or None. As long as there is no cut, NOW has no instant."""
         if self._horizon.cut is None and MetaTime.NOW in (interval.start.meta, interval.end.meta):
             return None
         return super().resolve_interval(interval, clock)
@@ -117,7 +117,7 @@ class VisibleReading(Reading):
     def _wake_at(self, first_instant: int, clock: int) -> WakeAt:
         cut = self._horizon.cut
         if cut is None or first_instant > cut:
-            return WakeAt(None)  # only a move of the cut can bring an answer, no clock
+            return WakeAt(None)  # the passing of time brings no answer, only a later cut does
         return super()._wake_at(first_instant, clock)
 
     def _is_finished(self, region: ResolvedInterval) -> bool:
@@ -132,14 +132,16 @@ class VisibleReading(Reading):
     def _reason(
         self, query: Query, region: ResolvedInterval, complete: bool, truncated: bool, more: bool
     ) -> Reason | None:
-        """The reason of a partial answer. Items that a limit cuts off, and hidden items after them, do not count."""
+        """The reason of a partial answer, or None. Items that the limit cuts off do not make an answer partial, and
+        neither do hidden items after them.
+        """
         reason = super()._reason(query, region, complete, truncated, more)
         if reason is None and not (more and not query.newest_first) and self._hides():
             return self._hidden()
         return reason
 
     def _nothing_yet(self, query: Query, region: ResolvedInterval) -> Reason:
-        """The reason while no item matches yet. HIDDEN takes precedence over LOST."""
+        """The reason if no item matches, but one may still come. HIDDEN takes precedence over LOST."""
         if self._is_passed(region) or self._hides():
             return self._hidden()
         return super()._nothing_yet(query, region)
@@ -170,7 +172,7 @@ class VisibleReading(Reading):
 
 
 def _latest_of(query: Query) -> Query:
-    """A query for the latest of the items of `query`."""
+    """A query for the latest item that `query` selects."""
     if query.newest_first:
         return replace(query, limit=1)
     positions = [one for one in (query.after, query.newer_than) if one is not None]
@@ -179,7 +181,10 @@ def _latest_of(query: Query) -> Query:
 
 
 class VisibleChannel:
-    """The visible part of one channel, to read like a channel. Each call gives the horizon, which may only grow."""
+    """The visible part of one channel, with the reading methods of a channel.
+
+    The caller passes the group's horizon to each call. The cut of the horizon may only rise from call to call.
+    """
 
     def __init__(self, channel: ChannelCore) -> None:
         self._channel = channel
@@ -189,7 +194,7 @@ class VisibleChannel:
         return run_to_end(self.reading(query, horizon, now))
 
     def reading(self, query: Query, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
-        """As `read`, in pieces, all as of `now`."""
+        """As `read`, in pieces. The answer is as of `now`."""
         reading = self._reading(query, horizon, now)
         return reading.answer(query, reading.resolve(query, now), now)
 
@@ -202,7 +207,7 @@ class VisibleChannel:
         return run_to_end(self.polling(pending, horizon, now))
 
     def polling(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """As `poll`, in pieces, all as of `now`."""
+        """As `poll`, in pieces. The result is as of `now`."""
         return polling(self._channel, pending, horizon, now)
 
     def give_up(self, pending: Pending, horizon: Horizon, now: int) -> ReadAnswer:
@@ -210,11 +215,14 @@ class VisibleChannel:
         return run_to_end(self.giving_up(pending, horizon, now))
 
     def giving_up(self, pending: Pending, horizon: Horizon, now: int) -> Pieces[ReadAnswer]:
-        """As `give_up`, in pieces, all as of `now`."""
+        """As `give_up`, in pieces. The answer is as of `now`."""
         return VisibleReading(self._channel, horizon, now).answer(pending.query, pending.interval, now)
 
     def stalled(self, floor: int, horizon: Horizon) -> ReadAnswer:
-        """The answer to a reader that has seen a later cut than this host can show yet. It has no items."""
+        """The answer to a reader that has seen the cut `floor`, which is later than this host can show yet.
+
+        The answer has no items.
+        """
         cut = horizon.cut
         behind_at = "nothing is visible here yet" if cut is None else f"the cut is at {format_instant(cut)} here"
         detail = f"the reader has seen the group up to {format_instant(floor)}, but {behind_at}, {horizon.held_by()}"
@@ -229,8 +237,8 @@ class VisibleChannel:
         return held.items - held.items_below(FIRST_KEY if cut is None else (cut, 0))
 
     def window_too_short(self, cut: int | None, now: int) -> bool:
-        """Whether items leave the channel before the group shows them: retention keeps a shorter time than that by
-        which the channel is ahead of the cut.
+        """Whether retention has collected items that the group has not shown yet, or max_age is so short that it soon
+        will.
         """
         held, retention = self._channel.look(now)
         return _has_lost(held, cut) or _outlives_its_age(held, retention, cut)
@@ -250,10 +258,12 @@ def polling(channel: ChannelCore | Moment, pending: Pending, horizon: Horizon, n
 
 
 def _has_lost(held: Holdings, cut: int | None) -> bool:
+    """Whether age, count or bytes collected an item at or after the cut."""
     gone = held.newest_collected
     return gone is not None and (cut is None or gone >= cut)
 
 
 def _outlives_its_age(held: Holdings, retention: Retention, cut: int | None) -> bool:
+    """Whether the newest item is ahead of the cut by more than max_age."""
     age = retention.limits.max_age_nanos
     return age is not None and cut is not None and held.newest is not None and held.newest - cut > age

@@ -1,6 +1,6 @@
 """The latest acknowledged deliveries and their takers, so that a repeated acknowledgement succeeds. Pure.
 
-Delivery ids are consecutive, so columns hold them: 16 bytes for each, instead of an object or two.
+Delivery ids are consecutive, so arrays hold their takers and times. Each delivery takes 16 bytes instead of an object.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from typing import NamedTuple
 
-KEPT_NANOS = 600_000_000_000
+KEPT_NANOS = 600_000_000_000  # how long a queue remembers an acknowledgement
 _IDS_PER_CHUNK = 256
 BYTES_PER_CHUNK = 16 * _IDS_PER_CHUNK
 CHUNKS_MAX = 2**14
 """A queue remembers at most 4 million deliveries, in 64 MiB.
 
-If takers acknowledge more than 7,000 a second, it remembers each for less than 10 minutes.
+If takers acknowledge more than 7,000 deliveries a second, the queue remembers each for less than 10 minutes.
 """
 
 
@@ -43,12 +43,13 @@ class AcknowledgedDeliveries:
 
     def __init__(self, *, chunks_max: int = CHUNKS_MAX) -> None:
         self._chunks_max = chunks_max
-        self._chunks: OrderedDict[int, _Chunk] = OrderedDict()  # number -> chunk, the latest acknowledged last
-        self._latest: dict[int, int] = {}  # chunk -> its latest time
+        # chunk number -> chunk; the chunk with the latest acknowledgement comes last
+        self._chunks: OrderedDict[int, _Chunk] = OrderedDict()
+        self._latest: dict[int, int] = {}  # chunk number -> the time of its latest acknowledgement
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory of these acknowledgements at the host, in bytes."""
+        """The bytes that these acknowledgements take in the host's memory."""
         return len(self._chunks) * BYTES_PER_CHUNK
 
     def record(self, delivery_id: int, taker_id: int, now: int) -> None:
@@ -69,7 +70,7 @@ class AcknowledgedDeliveries:
         return chunk is not None and chunk.takers[offset] == taker_id and chunk.times[offset] > now - KEPT_NANOS
 
     def all(self, now: int) -> Iterator[Acknowledged]:
-        """The acknowledgements of the last 10 minutes, by chunks: the chunk first that was used least recently."""
+        """The acknowledgements of the last 10 minutes, by chunks. The chunk with the latest one comes last."""
         for number, chunk in self._chunks.items():
             for offset, taker_id in enumerate(chunk.takers):
                 if taker_id and chunk.times[offset] > now - KEPT_NANOS:

@@ -22,7 +22,7 @@ class Blocks(Generic[Thing]):
     __slots__ = ("_blocks", "_size")
 
     def __init__(self) -> None:
-        self._blocks: Any = SortedDict()  # number >> _BITS -> the things of these numbers
+        self._blocks: Any = SortedDict()  # number >> _BITS -> a dictionary from numbers to things
         self._size = 0
 
     def __len__(self) -> int:
@@ -50,7 +50,7 @@ class Blocks(Generic[Thing]):
             del self._blocks[number >> _BITS]
 
     def get(self, number: int) -> Thing | None:
-        """The thing of a number; None: there is no such entry."""
+        """The thing of a number, or None if there is no such entry."""
         block = self._blocks.get(number >> _BITS)
         return None if block is None else block.get(number)
 

@@ -13,23 +13,28 @@ from stampede_rt_channel_host.core.queue.takers import TakerState
 from stampede_rt_channel_host.core.queue.values import Batch, LeasedSlice
 
 BATCH_BYTES_MAX = 2**20 - 2**16
-"""The most bytes of a batch with several messages on the wire. With its other fields the batch fits in 1 MiB."""
+"""The most bytes that the messages of a batch take on the wire, unless it has only one message.
+
+With its other fields the batch fits in 1 MiB.
+"""
 ITEMS_DEALT_MAX = 128
-"""The most messages that one call of the queue gives out, in one batch or in several. Then the host serves others."""
+"""The most messages that one call of the queue gives to takers, in one batch or in several.
+
+After such a call the host serves other callers.
+"""
 DELIVERY_BYTES = 16
 """The most bytes that a message's delivery id and number take on the wire."""
 VIEWS_MAX = 4096
-"""The most takers whose views a queue keeps. A forgotten view begins anew."""
+"""The most views that a queue keeps. If it has forgotten the view of a taker, that view begins anew."""
 RETURNS_PER_LOOK_MAX = 1024
-"""The most messages that came back at which a view looks in one go."""
+"""The most returned messages at which a view looks in one step."""
 
 
 class View:
-    """The messages that a taker has still to look at, in a queue with copies. Such a queue gives each message only to
-    some takers.
+    """The position of one taker in a queue with copies, which gives each message only to some of its takers.
 
-    The view has handed out no message with the seq `cursor` or a later one. `passed`: a heap with the seqs of earlier
-    messages that came back and that this taker may get. `returns_seen`: the number of the last return looked at.
+    The taker got no message with the seq `cursor` or a later one. `passed` is a heap with the seqs of earlier messages
+    that came back and that this taker may get. `returns_seen` is the number of the last return that the view knows.
     """
 
     __slots__ = ("cursor", "passed", "returns_seen")
@@ -40,9 +45,9 @@ class View:
         self.passed: list[int] = []
 
     def next_for(self, taker_id: int, queue_items: QueueItems) -> TouchedItem | None:
-        """The oldest touched message that the taker may get; None: there is none.
+        """The oldest touched message that the taker may get, or None if there is none.
 
-        If very many messages have just come back, it may also be one of the first of these.
+        If very many messages have just come back, the result may be another one of these.
         """
         while True:  # each round looks at other messages that came back
             is_behind = self._look_at_returns(taker_id, queue_items)
@@ -54,11 +59,11 @@ class View:
             if not is_behind:
                 break
         while (ahead := queue_items.first_available(self.cursor)) is not None and not ahead.may_go_to(taker_id):
-            self.cursor = ahead.seq + 1  # happens only if the view was forgotten and made anew
+            self.cursor = ahead.seq + 1  # happens only if the queue had forgotten the view
         return ahead
 
     def _look_at_returns(self, taker_id: int, queue_items: QueueItems) -> bool:
-        """Look at a bounded number of messages that came back, each once. Returns True if more are left."""
+        """Look at some of the messages that came back, each once. Returns True if more are left."""
         for item in islice(queue_items.returned_since(self.returns_seen), RETURNS_PER_LOOK_MAX):
             self.returns_seen = item.return_number
             if item.seq < self.cursor and item.may_go_to(taker_id):
@@ -70,7 +75,7 @@ class View:
 
 
 class _Draft:
-    """A batch that is being filled."""
+    """A batch to which the dispatcher still adds messages."""
 
     def __init__(self) -> None:
         self.slices: list[LeasedSlice] = []
@@ -78,7 +83,7 @@ class _Draft:
         self._bytes = 0
 
     def has_room(self, run: QueuedRun, position: int) -> bool:
-        """Whether one more message stays within the batch's limit. The first message always does."""
+        """Whether the batch has room for one more message. It always has room for the first message."""
         return not self.items or self._bytes + self._cost(run, position) <= BATCH_BYTES_MAX
 
     def add(self, run: QueuedRun, position: int, delivery: tuple[int, int]) -> None:
@@ -104,8 +109,8 @@ class _Draft:
 class Dispatcher:
     """The line of waiting takers. `dealt` collects the new batches until the caller takes them.
 
-    While it `is_paused`, no taker gets messages: all wait in line. `has_more`: a call of the queue has reached its
-    limit, so call `deal` again without a wait for a change.
+    While the dispatcher `is_paused`, no taker gets messages: all takers wait in line. `has_more`: a call of the queue
+    has reached its limit, so call `deal` again without a wait for a change.
     """
 
     def __init__(self, queue_items: QueueItems, leasing: Leasing) -> None:
@@ -115,23 +120,24 @@ class Dispatcher:
         self._views: OrderedDict[int, View] = OrderedDict()  # taker id -> view, the least recently used first
         self.dealt: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
-        self._left = ITEMS_DEALT_MAX  # the messages that this call of the queue may still give out
+        self._left = ITEMS_DEALT_MAX  # the number of messages that this call of the queue may still give to takers
 
     def __len__(self) -> int:
         """The number of waiting takers."""
         return len(self._line)
 
     def wait(self, taker: TakerState, now: int) -> None:
-        """Serve a taker that can take: at once if there is a message, else in its turn.
+        """Give the taker messages if the queue has some for it; otherwise put the taker in line.
 
-        The queue has already tried to serve all other takers in line.
+        Does nothing if the taker has no credit, or is busy or silent. The takers in line need no messages now, because
+        the queue has already tried to serve them.
         """
         waits = taker.credit and not taker.is_busy and not taker.is_silent and taker not in self._line
         if waits and (self.is_paused or self.has_more or not self._serve(taker, 1, now)):
             self._line[taker] = None
 
     def begin_call(self) -> None:
-        """Begin a call of the queue, which may give out ITEMS_DEALT_MAX messages."""
+        """Begin a call of the queue, which may give ITEMS_DEALT_MAX messages to takers."""
         self._left = ITEMS_DEALT_MAX
 
     def leave(self, taker: TakerState) -> None:
@@ -153,10 +159,10 @@ class Dispatcher:
             del self._line[taker]
 
     def _serve(self, taker: TakerState, takers: int, now: int) -> bool:
-        """Give a taker its share among `takers` takers. Returns False if the taker gets nothing."""
+        """Give a taker its share of the messages, as one of `takers` takers. Returns False if it gets nothing."""
         there = self._queue_items.available_items * self._queue_items.limits.copies
         share = min(-(-there // takers), taker.credit, ITEMS_DEALT_MAX)
-        if share > self._left:  # the taker waits, so that its share stays as large as those of others
+        if share > self._left:  # the taker waits for the next call, so that it gets its whole share
             self.has_more = True
             return False
         lease_nanos = taker.lease_nanos or self._queue_items.limits.lease_nanos

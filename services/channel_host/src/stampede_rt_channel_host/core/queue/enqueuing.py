@@ -1,6 +1,6 @@
-"""Runs on their way into a queue. Pure.
+"""The way of runs into a queue. Pure.
 
-The queue judges a run message by message, and recognises a repeated run. While there is no room, the run waits.
+The queue judges a run message by message, and recognises a repeated run. While the queue has no room, the run waits.
 """
 
 from __future__ import annotations
@@ -21,24 +21,27 @@ from stampede_rt_channel_host.core.queue.values import SealRun
 
 WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
-"""The bounds of one queue's waiting runs. One run may wait in any case, however large."""
+"""The bounds of one queue's waiting runs. A single run may wait even if it is larger."""
 OFFERED_PER_CALL_MAX = 512
-"""The most messages of waiting runs that one call judges. The last of these runs is judged whole."""
+"""After so many messages of waiting runs, one call judges no further run."""
 DROPPED_PER_RUN_MAX = 1024
 """To make room for a run of n messages, one call drops at most this number plus 2n messages.
 
-If more have to go, the run waits a moment in line.
+If the queue must drop more messages, the run waits in line, and the next call drops some.
 """
 MAKING_ROOM_NANOS = 1_000_000_000
-"""The longest time that a run waits while the queue makes room for it, although its producer does not want to wait."""
+"""While the queue drops messages to make room for a run, the run waits up to this time, even if its producer does not
+want to wait.
+"""
 
 
 class Enqueue:
     """A run that a producer puts into a queue, and its progress.
 
-    `wait_nanos`: how long it may wait for room, None without limit. `is_stamped`: it came without times. A run with a
-    `message_id` holds one message. `is_duplicate`: the queue knew the message id. At the end the run has either an
-    `outcome` or, if the queue refused it as a whole, an `error`. `owner`: see `RetryWindow.record`.
+    The run may wait for room for `wait_nanos`, or without limit if this is None. `is_stamped`: the run came without
+    times, so the host gives its messages their time. A run with a `message_id` has one message. `is_duplicate`: the
+    queue knew the message id. At the end the run has either an `outcome` or, if the queue refused it as a whole, an
+    `error`. `owner`: see `RetryWindow.record`.
     """
 
     __slots__ = (
@@ -75,17 +78,17 @@ class Enqueue:
 
     @property
     def is_through(self) -> bool:
-        """Whether the run is done: no message of it waits."""
+        """Whether the run is done: none of its messages waits."""
         return self.outcome is not None or self.error is not None
 
     @property
     def charged_bytes(self) -> int:
-        """The bytes that its messages count against limits of memory."""
+        """The bytes that its messages count against the limits of memory."""
         return sum(self.lengths) + len(self.lengths) * ITEM_OVERHEAD_BYTES
 
 
 class Enqueuing:
-    """The line of waiting runs. A run that waits blocks all later ones.
+    """The line of waiting runs. A waiting run blocks all later runs.
 
     `finished` collects the runs that waited and are done, until the caller takes them. `has_more`: there may be room
     for the first run in line, so call `offer_line` again without a wait for a change.
@@ -102,7 +105,7 @@ class Enqueuing:
         self.waiting_bytes = 0
         self.finished: list[Enqueue] = []
         self.has_more = False
-        self._ending: StampedeError | None = None  # set while the waiting runs are being refused
+        self._ending: StampedeError | None = None  # the error of `end_line`, until no run waits
         self._drops_left = 0  # the messages that the present offer may still drop to make room
 
     def __len__(self) -> int:
@@ -110,11 +113,11 @@ class Enqueuing:
         return len(self._line)
 
     def enqueue(self, run: Enqueue, now: int) -> None:
-        """Judge the run. If it is not done after that, it waits in line.
+        """Judge the run. If some of its messages have to wait for room, the run waits in line.
 
-        Raises InvalidArgument if the run's numbers overlap another run's, and Overloaded if too many runs wait.
+        Raises InvalidArgument if the run's numbers overlap those of another run, and Overloaded if too many runs wait.
         """
-        if self._ending is not None:  # the run may be a repetition of one that still waits
+        if self._ending is not None:  # the run may repeat a run that still waits
             run.error = self._ending
             return
         if self._recognise(run, now):
@@ -141,7 +144,7 @@ class Enqueuing:
             offered += len(run.lengths)
 
     def give_up_one(self, now: int) -> bool:
-        """End the wait of a run whose time is over. Returns False if there is none."""
+        """End the wait of a run whose time is over. Returns False if there is no such run."""
         run = self._deadlines.pop(now)
         if run is None:
             return False
@@ -151,9 +154,10 @@ class Enqueuing:
         return True
 
     def withdraw(self, run: Enqueue, now: int) -> None:
-        """Take a run out of the line, because its caller waits no more.
+        """Take a run out of the line, because its producer does not wait for it any more. Idempotent.
 
-        Its accepted messages stay, and are remembered. A retry continues after them.
+        The queue keeps the messages that it has accepted. If the producer repeats the run, the queue continues after
+        these messages.
         """
         if run in self._line:
             self._leave_line(run)
@@ -162,8 +166,9 @@ class Enqueuing:
     def fail(self, run: Enqueue, error: StampedeError, now: int) -> None:
         """Refuse a run that is not in line, because of `error`.
 
-        If some messages are accepted and the producer will not repeat the run, only the other messages are refused.
-        Else the run as a whole gets the error, and a repetition continues after the accepted messages.
+        If some messages are accepted and the producer will not repeat the run, refuses only the other messages.
+        Otherwise the run as a whole gets the error. If the producer repeats it, the queue continues after the accepted
+        messages.
         """
         if run.judging.accepted_any and not (error.retryable and run.producer_id):
             self._refuse_rest(run, error, now)
@@ -172,9 +177,9 @@ class Enqueuing:
             run.error = error
 
     def end_line(self, error: StampedeError, now: int, runs_max: int) -> bool:
-        """Refuse the first waiting runs, because the host gives the queue up. Returns True if there are more.
+        """Refuse the first `runs_max` waiting runs, because the host gives the queue up. Returns True if more wait.
 
-        The queue accepts nothing until no run waits any more.
+        While runs wait, the queue refuses all new runs, too.
         """
         self._ending = error
         for run in [*islice(self._line, runs_max)]:
@@ -186,13 +191,13 @@ class Enqueuing:
         return bool(self._line)
 
     def next_deadline(self) -> int | None:
-        """The time at which the next wait of a run ends; None: no wait of a run has an end."""
+        """The time at which the wait of a run next ends, or None if no wait has an end."""
         return self._deadlines.next()
 
     def _recognise(self, run: Enqueue, now: int) -> bool:
-        """Whether the run is done because it repeats an answered run, or because its message id is known.
+        """Whether the run is done because it repeats a judged run, or because its message id is known.
 
-        If only the first messages of the run were judged before, the run continues after them.
+        If only the first messages of the run were judged before, the judgement continues after them.
         """
         known = None
         if run.producer_id:
@@ -204,10 +209,7 @@ class Enqueuing:
         return known.is_whole
 
     def _is_duplicate(self, run: Enqueue, now: int) -> bool:
-        """Whether a message was accepted under the run's message id before.
-
-        The run gets that message's seq as its answer.
-        """
+        """Whether a message with the run's message id was accepted before. The run then gets that message's seq."""
         seq = self.message_ids.find(run.message_id, now) if run.message_id else None
         if seq is not None:
             self._queue_items.tally.duplicates += 1
@@ -216,7 +218,10 @@ class Enqueuing:
         return run.is_duplicate
 
     def _judge_again(self, run: Enqueue, now: int) -> bool:
-        """Judge a waiting run, which may have come in by another stream meanwhile. Returns True if the run is done."""
+        """Judge a waiting run. Returns True if the run is done.
+
+        The producer may have repeated the run on another stream meanwhile.
+        """
         try:
             return self._recognise(run, now) or self._offer(run, now)
         except StampedeError as error:
@@ -240,7 +245,7 @@ class Enqueuing:
 
     @property
     def _is_making_room(self) -> bool:
-        """Whether the runs wait only until the queue has dropped enough messages, and not for a taker."""
+        """Whether the runs wait only because a call has dropped as many messages as it may."""
         return self.has_more and self._queue_items.limits.on_full == DROP_OLDEST
 
     def _leave_line(self, run: Enqueue) -> None:

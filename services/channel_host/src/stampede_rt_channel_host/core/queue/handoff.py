@@ -1,7 +1,7 @@
-"""A whole queue as values, for a host that takes it over (paper, section 4.1: queues migrate). Pure.
+"""A whole queue as values, for a host that takes the queue over (paper, section 4.1: queues migrate). Pure.
 
-Seqs, delivery ids and counters continue. Takers, and runs that wait for room, do not move: the former host names the
-new host to their streams. Durations replace instants, because two hosts' clocks differ. The values follow
+Seqs, delivery ids and counters continue. Takers, and runs that wait for room, do not move: the former host tells their
+streams the address of the new host. Durations replace instants, because two hosts' clocks differ. The values follow
 `HandoffRecord` of the contract.
 """
 
@@ -23,7 +23,7 @@ from stampede_rt_channel_host.core.queue.takers import TakerState
 
 
 class LeaseState(NamedTuple):
-    """A lease. `lease_nanos`: how long it lasts from now on. `leased_ago_nanos`: how long ago it began."""
+    """A lease. It lasts for `lease_nanos` from the export on. It began `leased_ago_nanos` before the export."""
 
     delivery_id: int
     taker_id: int
@@ -35,10 +35,10 @@ class LeaseState(NamedTuple):
 class ItemState(NamedTuple):
     """A message with a history: it is leased, held back or leaving, or was delivered or acknowledged before.
 
-    `deliveries` says for each copy that was delivered and not acknowledged how often it was delivered. The leased
-    copies come first, in the order of `leases`. `delay_nanos`: the queue holds the message back for this time.
-    `is_leaving`: it is on its way to the dead-letter queue. `last`: its last failed delivery. `acknowledged`: the ids
-    of the takers that acknowledged a copy.
+    `deliveries` has a number for each copy that was delivered and not acknowledged: the number of its deliveries. The
+    leased copies come first, in the order of `leases`. The queue holds the message back for `delay_nanos`.
+    `is_leaving`: it waits for its move to the dead-letter queue. `last` is its last failed delivery. `acknowledged` has
+    the ids of the takers that acknowledged a copy.
     """
 
     seq: int
@@ -51,7 +51,7 @@ class ItemState(NamedTuple):
 
 
 class SeqRange(NamedTuple):
-    """The seqs from `first` to `last`, both included."""
+    """The seqs from `first` to `last`, both inclusive."""
 
     first: int
     last: int
@@ -62,8 +62,8 @@ class QueueHandoff:
     """The whole queue.
 
     `runs` and `held` ascend. Each run has at least one held message. Held messages without an entry in `items` have no
-    history. An age in nanoseconds replaces each time in `runs` (`accepted_at`), `acknowledged`, `producers` and
-    `message_ids`.
+    history. In `runs` (`accepted_at`), `acknowledged`, `producers` and `message_ids` each time is replaced by an age in
+    nanoseconds.
     """
 
     next_seq: int
@@ -95,7 +95,7 @@ def export(queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now:
 
 
 def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqueuing: Enqueuing, now: int) -> None:
-    """Fill an empty queue with `state`. The next `Queue.tick` ends the leases and delays that are over by then."""
+    """Fill an empty queue with `state`. The next `QueueCore.tick` ends the leases and delays that are over by then."""
     queue_items.tally = replace(state.tally)
     leasing.next_delivery_id = state.next_delivery_id
     states = {one.seq: one for one in state.items}
@@ -129,10 +129,10 @@ def _aged(kept: KeptRun, now: int) -> KeptRun:
 
 
 def _fresh_from(state: QueueHandoff) -> int:
-    """The seq from which on the queue holds all messages, and none of them has a history. They become fresh messages.
+    """The seq from which on messages become fresh messages: the queue holds all of these, and none has a history.
 
-    An older message may have no history either, for example if the queue took its delivery back before the host sent
-    it. An older message becomes a touched message in any case.
+    An older message becomes a touched message, even if it has no history. An example is a message whose delivery the
+    queue took back before the host sent it.
     """
     if not state.held or state.held[-1].last != state.next_seq - 1:
         return state.next_seq
@@ -149,7 +149,7 @@ def _runs(queue_items: QueueItems) -> Iterator[QueuedRun]:
 
 
 def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
-    """Ascending seqs as ranges."""
+    """The ranges of ascending seqs."""
     found = []
     for _, group in groupby(enumerate(seqs), key=lambda pair: pair[1] - pair[0]):
         members = [seq for _, seq in group]
@@ -158,7 +158,7 @@ def _ranges(seqs: Iterable[int]) -> list[SeqRange]:
 
 
 def _not_leaving(queue_items: QueueItems) -> Iterator[TouchedItem]:
-    """The messages with a history that do not leave."""
+    """The messages with a history that do not wait for a move to the dead-letter queue."""
     for item in queue_items.touched.values():
         has_history = item.returned or item.leases or item.acknowledged or item.due is not None
         if has_history and not item.is_leaving:

@@ -1,6 +1,7 @@
-"""Runs of queued messages, and the state of a message that was delivered once. Pure.
+"""Runs of queued messages, and the state of messages that were delivered at least once. Pure.
 
-A message that was never delivered has no object of its own: its run represents it. A queue may hold a million of them.
+A message that was never delivered has no object of its own: it is a position in its run. A queue may hold a million
+such messages.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from stampede_rt_channel_host.core.channel.run import Slicer
 
 
 class QueuedRun:
-    """Messages that were accepted together. Their seqs are consecutive. `held`: how many have not left the queue.
+    """Messages that were accepted together. Their seqs are consecutive. `held` of them have not left the queue.
 
-    `body` is the result of the owner's seal function. `slicer` cuts parts out of the body; None: no part was needed
-    yet. `lengths` are payload bytes. `accepted_at` is the host's clock.
+    `body` holds the bytes that the `SealRun` returned. `slicer` cuts parts out of the body; it is None until a part is
+    needed. `lengths` are in bytes of payload. `accepted_at` is the time of acceptance by the host's clock.
     """
 
     __slots__ = ("accepted_at", "body", "first_seq", "held", "lengths", "slicer")
@@ -30,7 +31,7 @@ class QueuedRun:
 
     @property
     def end_seq(self) -> int:
-        """The seq after the last message's."""
+        """The seq after the last message's seq."""
         return self.first_seq + len(self.lengths)
 
     @property
@@ -44,7 +45,10 @@ LEASE_EXPIRED, GIVEN_BACK, TERMINATED = "lease_expired", "given_back", "terminat
 
 
 class FailedDelivery(NamedTuple):
-    """A delivery that ended without an acknowledgement. `number`: its number among the deliveries of the copy."""
+    """A delivery that ended without an acknowledgement. `number` counts the deliveries of the message's copy, from 1.
+
+    `ended` is one of LEASE_EXPIRED, GIVEN_BACK and TERMINATED.
+    """
 
     number: int
     taker_id: int
@@ -54,12 +58,12 @@ class FailedDelivery(NamedTuple):
 
 
 class TouchedItem:
-    """A message that was delivered or held back at least once.
+    """A message that was delivered at least once.
 
-    `returned` has one number for each copy that was delivered and has no taker now: how often it was delivered. The
-    numbers ascend. `leases` maps takers to delivery ids. `acknowledged` lists the takers that are done. `due`: the
-    queue holds the message back until then. `last`: its last failed delivery. `is_available`,
-    `is_unleased`, `is_leaving` and `return_number` belong to `QueueItems`.
+    `returned` has a number for each copy that was delivered and has no taker now: the number of the copy's deliveries.
+    The numbers ascend. `leases` maps the ids of takers to delivery ids. `acknowledged` has the ids of the takers that
+    acknowledged a copy. `due` is the time until which the queue holds the message back, or None. `last` is its last
+    failed delivery. `is_available`, `is_unleased`, `is_leaving` and `return_number` belong to `QueueItems`.
     """
 
     __slots__ = (
@@ -85,7 +89,7 @@ class TouchedItem:
 
     @property
     def order(self) -> int:
-        """The sort key of messages that are due together: the older first."""
+        """The sort key of messages that are due at the same time: the older message comes first."""
         return self.seq
 
     @property
@@ -98,8 +102,8 @@ class TouchedItem:
         return copies - len(self.leases) - len(self.acknowledged)
 
     def may_go_to(self, taker_id: int) -> bool:
-        """Whether the taker may get the message: it does not have it and is not done with it.
+        """Whether the taker may get the message: it has no copy now, and has not acknowledged one.
 
-        Copies go to different takers.
+        Each copy of a message goes to another taker.
         """
         return taker_id not in self.leases and taker_id not in self.acknowledged

@@ -1,6 +1,7 @@
-"""Gives, settles and ends the leases of a queue's messages (paper, section 3.5). Pure.
+"""Gives and ends the leases of a queue's messages (paper, section 3.5). Pure.
 
-Only acknowledgements use a message up. A message that is given back, or whose lease ends, returns to its former place.
+Only acknowledgements consume a message. A message that is given back, or whose lease ends, returns to its former
+position in the queue.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from stampede_rt_channel_host.core.queue.values import (
 
 
 class Lease:
-    """One delivery. A copy of `item` belongs to the taker until `due`. `number` counts the deliveries of that copy.
+    """One delivery. The taker has a copy of `item` until `due`. `number` counts the deliveries of that copy, from 1.
 
     `order` is the delivery id.
     """
@@ -51,20 +52,19 @@ class Lease:
         self.due: int | None = None
 
     def in_vain(self, ended: str, reason: str = "") -> FailedDelivery:
-        """This delivery as a failed one. `ended`: how it failed."""
+        """This delivery as a failed delivery. `ended` is the way in which it failed."""
         return FailedDelivery(self.number, self.taker.taker_id, self.taker.name, ended, reason)
 
 
 class Leasing:
-    """All leases of a queue. Delivery ids start at `first_delivery_id` and grow by one each."""
+    """All leases of a queue. Delivery ids start at `first_delivery_id`, and each delivery has the next one."""
 
     def __init__(self, queue_items: QueueItems, queue_name: str, first_delivery_id: int) -> None:
         self._queue_items = queue_items
         self._queue = queue_name
         self._deadlines: Deadlines[Lease] = Deadlines()
         self.leases: Blocks[Lease] = Blocks()  # by delivery id
-        # The takers that let a lease end and have sent nothing since it began. The caller of this class empties the
-        # list.
+        # The takers that let a lease end, and have sent nothing since that lease began. The caller empties the list.
         self.silent: list[TakerState] = []
         self.next_delivery_id = first_delivery_id
         self.acknowledged = AcknowledgedDeliveries()
@@ -72,8 +72,8 @@ class Leasing:
     def deliver(self, item: TouchedItem, taker: TakerState, now: int, expires: int) -> tuple[int, int]:
         """Lease a free copy of the message. Returns the delivery's id and its number among the copy's deliveries.
 
-        The copy that was delivered most often goes first. So a message that no taker can process reaches its limit
-        soon.
+        Of the returned copies, the one that was delivered most often comes first. So a message that no taker can
+        process reaches max_deliveries soon.
         """
         number = 1 + (item.returned.pop() if item.returned else 0)
         delivery_id = self.next_delivery_id
@@ -84,7 +84,7 @@ class Leasing:
         return delivery_id, number
 
     def enter(self, lease: Lease, expires: int) -> None:
-        """Start a lease."""
+        """Add a lease that ends at `expires`."""
         self._queue_items.leased += not lease.item.leases
         lease.item.leases[lease.taker.taker_id] = lease.order
         self.leases[lease.order] = lease
@@ -93,7 +93,7 @@ class Leasing:
     def settle(self, taker_id: int, settlement: Settlement, now: int) -> SettlementResult:
         """Perform a taker's settlement of a delivery.
 
-        The result has an error if the taker does not have the lease any more, except for a repeated acknowledgement.
+        The result has an error if the taker does not have the lease any more. A repeated acknowledgement succeeds.
         """
         delivery_id, verdict = settlement
         lease = self.leases.get(delivery_id)
@@ -128,15 +128,15 @@ class Leasing:
         return True
 
     def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
-        """The leases after a delivery, by delivery id, `limit` at most."""
+        """The leases with delivery ids above `after_delivery_id`, in the order of the ids, at most `limit`."""
         return [_pending(lease) for lease in islice(self.leases.values(after_delivery_id + 1), limit)]
 
     def next_deadline(self) -> int | None:
-        """The time of the next lease end."""
+        """The time of the next lease end, or None if there is no lease."""
         return self._deadlines.next()
 
     def recall(self, slices: Iterable[LeasedSlice]) -> None:
-        """Take back dealt deliveries that were never sent, as if they had not been dealt."""
+        """Take back deliveries that the host has not begun to send, as if the taker had not got them."""
         for one in slices:
             for delivery_id in one.delivery_ids:
                 lease = self.leases.get(delivery_id)
@@ -160,7 +160,7 @@ class Leasing:
         return True
 
     def check_again(self, item: TouchedItem) -> None:
-        """Apply the present limits to a message that was touched under other limits."""
+        """Apply the present limits to a touched message, after the limits have changed."""
         if item.is_leaving and not self._queue_items.limits.dead_letters:
             self.expel(item)
         elif not self.settle_copies(item):
@@ -175,9 +175,7 @@ class Leasing:
         return most is not None and bool(item.returned) and item.returned[-1] >= most
 
     def give_up(self, item: TouchedItem) -> None:
-        """End the leases of the message. If the queue has a dead-letter queue, the message moves there; else it is
-        removed for good.
-        """
+        """End the leases of the message. Let it move to the dead-letter queue or, if there is none, remove it."""
         if self._queue_items.limits.dead_letters:
             self._void(item)
             self._queue_items.set_leaving(item)
@@ -185,7 +183,7 @@ class Leasing:
             self.expel(item)
 
     def expel(self, item: TouchedItem) -> None:
-        """Remove the message for good."""
+        """End the leases of the message and remove it, without a move to a dead-letter queue."""
         self._void(item)
         self._queue_items.tally.expelled += 1
         self._queue_items.remove(item)
@@ -210,9 +208,10 @@ class Leasing:
         self.give_up(lease.item)
 
     def _take_back(self, lease: Lease, ended: str | None, not_before: int | None = None) -> None:
-        """End a delivery that failed, or that does not count (`ended` None).
+        """End a delivery that failed as `ended` says, or that does not count if `ended` is None.
 
-        After the last allowed delivery the message leaves, and its other leases end.
+        If max_deliveries is reached, gives the message up. Otherwise the message is not delivered again before
+        `not_before`.
         """
         item = lease.item
         self._end(lease)

@@ -19,9 +19,9 @@ LEASE_NANOS_MAX = 3_600_000_000_000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class QueueLimits:
-    """The limits of a queue.
+    """The limits of a queue. A field is None if the queue has no such limit.
 
-    None: no such limit. Raises InvalidArgument, which names the value and its allowed range.
+    Raises InvalidArgument if a value is out of its range.
     """
 
     max_items: int | None = None
@@ -32,11 +32,14 @@ class QueueLimits:
     lease_nanos: int = 30_000_000_000
     max_deliveries: int | None = None
     dead_letters: bool = False
-    """Messages that reach max_deliveries wait to move to the dead-letter queue. False: the queue removes them."""
+    """Whether the queue has a dead-letter queue. Without one, the queue removes the messages that it gives up."""
 
     @classmethod
     def of(cls, policy: QueuePolicy) -> QueueLimits:
-        """The policy with defaults for all values that it does not state. Raises InvalidArgument."""
+        """The limits of a policy, with the defaults for values that it does not state.
+
+        Raises InvalidArgument if a value is out of its range.
+        """
         values: dict[str, Any] = {name: getattr(policy, name) for name in _NUMBERS}
         stated = {name: value for name, value in values.items() if value is not None}
         return cls(on_full=policy.on_full or BLOCK, dead_letters=policy.dead_letter_queue_id is not None, **stated)
@@ -53,5 +56,5 @@ class QueueLimits:
 
     @property
     def payload_bytes_max(self) -> int:
-        """The greatest payload that the queue accepts; below 0 if it accepts none."""
+        """The greatest payload that the queue accepts. It is below 0 if the queue accepts no message."""
         return min(self.max_item_bytes, self.max_bytes - ITEM_OVERHEAD_BYTES)

@@ -1,6 +1,7 @@
-"""The message ids of the latest messages, so that a second message of the same id is not stored. Pure.
+"""The message ids of the latest messages, so that the queue does not store a second message of the same id. Pure.
 
-The memory is bounded in time and in bytes. The oldest ids are forgotten first.
+The queue remembers an id for a limited time, and its ids take up a limited number of bytes. It forgets the oldest ids
+first.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from typing import NamedTuple
 
-KEPT_NANOS = 600_000_000_000
+KEPT_NANOS = 600_000_000_000  # how long a queue remembers an id
 OVERHEAD_BYTES = 192
-"""The approximate bytes that an id takes beside its characters."""
+"""About how many bytes an id takes beside its characters."""
 KNOWN_BYTES_MAX = 16 * 2**20
-"""The bound of one queue: about 70,000 ids of 36 characters."""
+"""The most bytes that the ids of one queue take: about 70,000 ids of 36 characters."""
 
 
 class KnownMessage(NamedTuple):
@@ -25,19 +26,19 @@ class KnownMessage(NamedTuple):
 
 
 class MessageIds:
-    """The ids of the last 10 minutes. `now` never goes back."""
+    """The message ids of the last 10 minutes. `now` never goes back."""
 
     def __init__(self) -> None:
         self._known: OrderedDict[str, KnownMessage] = OrderedDict()  # in the order of acceptance
         self.footprint_bytes = 0
 
     def find(self, message_id: str, now: int) -> int | None:
-        """The seq of the message that was accepted under this id; None: there is none, or it was too long ago."""
+        """The seq of the message that was accepted with this id, or None if none was in the last 10 minutes."""
         known = self._known.get(message_id)
         return known.seq if known is not None and known.time > now - KEPT_NANOS else None
 
     def record(self, message_id: str, seq: int, now: int) -> None:
-        """Note an accepted message. It replaces one that was accepted under the same id too long ago."""
+        """Note an accepted message with an id. The entry replaces an older entry with the same id."""
         if message_id in self._known:
             self._forget(message_id)
         self._known[message_id] = KnownMessage(message_id, seq, now)
@@ -46,7 +47,7 @@ class MessageIds:
             self._forget(next(iter(self._known)))
 
     def forget_one(self, now: int) -> bool:
-        """Forget one id that was accepted too long ago. Returns False if there is none."""
+        """Forget one id that is older than 10 minutes. Returns False if there is no such id."""
         due = self.next_deadline()
         if due is None or due > now:
             return False
@@ -54,11 +55,11 @@ class MessageIds:
         return True
 
     def next_deadline(self) -> int | None:
-        """The time at which the oldest id is to be forgotten; None: no id is known."""
+        """The time at which the queue may forget the oldest id, or None if no id is known."""
         return next(iter(self._known.values())).time + KEPT_NANOS if self._known else None
 
     def all(self, now: int) -> Iterator[KnownMessage]:
-        """The known ids, the oldest first."""
+        """The messages with an id of the last 10 minutes, the oldest first."""
         return (known for known in self._known.values() if known.time > now - KEPT_NANOS)
 
     def _forget(self, message_id: str) -> None:

@@ -32,18 +32,18 @@ EMPTIED_PER_PIECE = 256
 ENDED_PER_CALL_MAX = 128
 """The most waiting runs that one call of `end_line` refuses."""
 DUE_PER_CALL_MAX = 256
-"""The most ended leases, delays and waits that one call handles. The others stay due: `next_deadline` says so."""
+"""The most ended leases, delays and waits that one call handles. If more are due, `next_deadline` says so."""
 
 
 class QueueCore:
-    """The messages of one queue, in memory. Not thread-safe: one owner calls it. Each call is atomic and never waits.
+    """The messages of one queue, in memory. Not thread-safe. Each call is atomic and never waits.
 
-    Calls take `now`, the host's clock. If it goes back, the latest `now` counts. After each call the owner takes the
-    results: `take_dealt` gives the batches for takers, `take_finished` the runs that waited and are done. The owner
-    calls `tick` at `next_deadline`.
+    The caller is the shell of queues. It passes `now`, the host's clock, to the calls. A `now` before the latest one
+    counts as the latest. After each call the caller takes the results: `take_dealt` gives the batches for takers, and
+    `take_finished` the runs that waited and are done. The caller calls `tick` at `next_deadline`.
 
-    Each incarnation gets a `first_delivery_id` far from those of earlier incarnations. So the queue never mistakes a
-    delivery of an earlier incarnation, which a taker names, for one of its own.
+    Each incarnation gets a `first_delivery_id` far from the ids of earlier incarnations. A taker may still name a
+    delivery of an earlier incarnation. The queue never mistakes such a delivery for one of its own.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class QueueCore:
         first_delivery_id: int = 1,
         may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
-        """While `may_serve` returns False, the queue deals nothing to takers and accepts no run that waits."""
+        """While `may_serve` returns False, the queue gives takers no messages, and accepts no waiting run."""
         self._may_serve = may_serve
         self.incarnation = incarnation
         self._name = f"queue {name!r}" if name else "the queue"
@@ -65,12 +65,12 @@ class QueueCore:
         self._dispatcher = Dispatcher(self._queue_items, self._leasing)
         self._clock: int | None = None
         self._is_paused = False
-        self._unchecked_from: int | None = None  # the seq of the next touched message to check
+        self._unchecked_from: int | None = None  # the next seq for `_check_again`; None: all messages are checked
 
     def export(self, now: int) -> QueueHandoff:
         """The whole queue as values, without waiting runs and takers.
 
-        Withdraw these runs, and let these takers leave, before you call it.
+        The caller first calls `withdraw` for all waiting runs and `leave` for all takers.
         """
         clock = self._tick(now)
         return handoff.export(self._queue_items, self._leasing, self._enqueuing, clock)
@@ -81,7 +81,7 @@ class QueueCore:
     ) -> QueueCore:
         """The queue that another host exported, with its seqs, leases and counters.
 
-        The call takes longer the more messages the queue has.
+        The time of this call grows with the number of messages.
         """
         queue = cls(limits, incarnation=incarnation, name=name)
         handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
@@ -90,11 +90,11 @@ class QueueCore:
         return queue
 
     def enqueue(self, run: Enqueue, now: int) -> None:
-        """Judge a run. When this returns, the run is done, or it waits and `take_finished` gives it later.
+        """Judge a run. When this method returns, the run is done, or it waits and `take_finished` returns it later.
 
-        A run that its producer put before gets the same answer again. A run whose message id is known gets the seq of
-        the first message with that id. Raises InvalidArgument if the run's numbers overlap another run's, Overloaded if
-        too many runs wait.
+        A run that its producer put before gets the same outcome again. A run whose message id is known gets the seq of
+        the first message with that id. Raises InvalidArgument if the run's numbers overlap those of another run, and
+        Overloaded if too many runs wait.
         """
         clock = self._tick(now)
         self._enqueuing.enqueue(run, clock)
@@ -107,25 +107,25 @@ class QueueCore:
         self._follow_up(clock)
 
     def pause(self) -> None:
-        """Deal nothing to takers until `go_on`, because the host does not serve the queue at present."""
+        """Give takers no messages until `go_on`, because the host does not serve the queue at present."""
         self._is_paused = self._dispatcher.is_paused = True
 
     def end_line(self, error: StampedeError, now: int) -> bool:
         """Refuse some of the waiting runs with `error`, because the host does not serve the queue any more.
 
-        Returns True if more runs are left: then call it again. Until no run is left, the queue accepts none.
+        Returns True if more runs wait: then call this method again. While runs wait, the queue refuses new runs, too.
         """
         return self._enqueuing.end_line(error, self._tick(now), ENDED_PER_CALL_MAX)
 
     def go_on(self, now: int) -> None:
-        """Deal and accept again, after `pause` or `end_line`."""
+        """Serve takers and waiting runs again, after `pause` or `end_line`."""
         clock = self._tick(now)
         self._is_paused = False
         self._check_again()
         self._follow_up(clock)
 
     def reject_malformed(self) -> None:
-        """Count a run that the owner could not read."""
+        """Count a run that the caller could not decode."""
         self._queue_items.tally.rejected_malformed += 1
 
     def reject_overloaded(self, items: int) -> None:
@@ -133,13 +133,13 @@ class QueueCore:
         self._queue_items.tally.rejected_overloaded += items
 
     def reject_too_large(self) -> None:
-        """Count a message that the owner refused, because it is larger than any queue can hold."""
+        """Count a message that the caller refused, because it is larger than any queue can hold."""
         self._queue_items.tally.rejected_too_large += 1
 
     def grant(self, taker: TakerState, credit: int, now: int) -> None:
-        """Add to the taker's credit. A credit of 0 is only a sign of life.
+        """Add `credit` to the taker's credit. A credit of 0 is only a sign of life.
 
-        A taker that was silent is not silent any more.
+        From now on the taker does not count as silent.
         """
         clock = self._tick(now)
         taker.credit += credit
@@ -147,11 +147,11 @@ class QueueCore:
         self._dispatcher.wait(taker, clock)
 
     def sending(self, taker: TakerState) -> None:
-        """The host begins to send the taker's latest batch: from now on the batch counts as delivered."""
+        """Note that the host begins to send the taker's latest batch. From now on the batch counts as delivered."""
         taker.unsent = None
 
     def sent(self, taker: TakerState, now: int) -> None:
-        """The host has sent the taker's latest batch: the taker waits for more."""
+        """Note that the host has sent the taker's latest batch. The taker waits for more messages if it has credit."""
         clock = self._tick(now)
         taker.unsent, taker.is_busy = None, False
         self._dispatcher.wait(taker, clock)
@@ -164,7 +164,8 @@ class QueueCore:
     def leave(self, taker: TakerState, now: int) -> None:
         """Remove a taker whose stream has ended. Idempotent.
 
-        The messages of a batch that the host has not sent go back. The messages that the host has sent stay leased.
+        The queue takes back the messages of a batch that the host has not begun to send. Messages that the host has
+        sent stay leased.
         """
         clock = self._tick(now)
         self.drain(taker)
@@ -176,7 +177,7 @@ class QueueCore:
         self._follow_up(clock)
 
     def settle(self, taker_id: int, settlements: Iterable[Settlement], now: int) -> list[SettlementResult]:
-        """Perform the taker's settlements, in order. Returns a result for each."""
+        """Perform the taker's settlements, in order. Returns one result for each settlement."""
         clock = self._tick(now)
         results = [self._leasing.settle(taker_id, settlement, clock) for settlement in settlements]
         self._follow_up(clock)
@@ -188,15 +189,15 @@ class QueueCore:
         return self._leasing.pending(after_delivery_id, limit)
 
     def departing(self, items_max: int) -> list[Departure]:
-        """At most `items_max` messages that wait to move to the dead-letter queue.
+        """At most `items_max` messages that wait for their move to the dead-letter queue.
 
-        Those that wait longest come first.
+        The message that has waited longest comes first.
         """
         leaving = islice(self._queue_items.leaving.values(), items_max)
         return [Departure(item.seq, item.run, item.position, item.last) for item in leaving]
 
     def departed(self, seq: int, now: int) -> None:
-        """Remove a message, because the dead-letter queue has it now. Idempotent."""
+        """Remove a message, because the dead-letter queue has accepted it. Idempotent."""
         clock = self._tick(now)
         item = self._queue_items.leaving.get(seq)
         if item is not None:
@@ -205,14 +206,15 @@ class QueueCore:
             self._follow_up(clock)
 
     def postpone_departure(self, seq: int) -> None:
-        """Put a message whose move failed behind all others that wait for their move."""
+        """Put a message whose move failed behind all other messages that wait for their move."""
         if seq in self._queue_items.leaving:
             self._queue_items.leaving.move_to_end(seq)
 
     def configure(self, limits: QueueLimits, now: int) -> None:
         """Set other limits. Held messages stay, even if they need more room than the new limits allow.
 
-        The queue checks all touched messages again, a bounded number in one call. Until then it deals nothing.
+        The queue checks all touched messages against the new limits, a bounded number in one call. Until all are
+        checked, it gives takers no messages.
         """
         clock = self._tick(now)
         self._queue_items.limits = limits
@@ -221,7 +223,7 @@ class QueueCore:
         self._follow_up(clock)
 
     def emptying(self) -> Pieces[None]:
-        """Remove all messages, in pieces. Nobody may use the queue during this or afterwards."""
+        """Remove all messages, in pieces. The caller must not use the queue between the pieces or afterwards."""
         while self._queue_items.items:
             for item in [*islice(self._queue_items.touched.values(), EMPTIED_PER_PIECE)]:
                 self._leasing.expel(item)
@@ -231,11 +233,11 @@ class QueueCore:
             yield
 
     def tick(self, now: int) -> None:
-        """Handle the ended leases, delays of messages, and waits of runs."""
+        """Handle ended leases, ended delays of messages, and ended waits of runs."""
         self._tick(now)
 
     def next_deadline(self) -> int | None:
-        """The time at which `tick` has work again; None: only after another call."""
+        """The time at which `tick` next has work, or None if it has none until another call changes the queue."""
         if self._unchecked_from is not None or self._has_more:
             return self._clock
         known = self._enqueuing.message_ids.next_deadline()
@@ -247,33 +249,33 @@ class QueueCore:
         self._enqueuing.retries.expire(now)
 
     def next_expiry(self) -> int | None:
-        """The time at which `expire` has work again; None: no producer is known."""
+        """The time at which `expire` next has work, or None if no producer is known."""
         return self._enqueuing.retries.next_expiry()
 
     def take_dealt(self) -> list[tuple[TakerState, Batch]]:
-        """The batches dealt since the last call, with their takers.
+        """The new batches since the last call, with their takers.
 
-        Send each one: call `sending` when the sending begins, and `sent` when it is done.
+        The caller sends each batch. It calls `sending` when it begins to send a batch, and `sent` when it has sent it.
         """
         dealt, self._dispatcher.dealt = self._dispatcher.dealt, []
         return dealt
 
     def take_silent(self) -> list[TakerState]:
-        """The takers that were found silent since the last call: ask them whether they live.
+        """The takers that became silent since the last call. The caller asks them for a sign of life.
 
-        A silent taker let a lease end and has sent nothing since that lease began. It does not count as waiting, and
+        A silent taker let a lease end, and has sent nothing since that lease began. It does not count as waiting, and
         gets no messages, until it sends something (`grant`).
         """
         silent, self._leasing.silent = self._leasing.silent, []
         return silent
 
     def take_finished(self) -> list[Enqueue]:
-        """The runs that waited and are done since the last call."""
+        """The waiting runs that became done since the last call."""
         finished, self._enqueuing.finished = self._enqueuing.finished, []
         return finished
 
     def counters(self, now: int) -> QueueCounters:
-        """The present counts of all messages by their fate."""
+        """The present counts."""
         self._tick(now)
         tally, queue_items = self._queue_items.tally, self._queue_items
         return QueueCounters(
@@ -305,15 +307,15 @@ class QueueCore:
 
     @property
     def oldest_accepted_at(self) -> int | None:
-        """When the oldest held message was accepted; None: the queue is empty."""
+        """The time at which the oldest held message was accepted, or None if the queue is empty."""
         return self._queue_items.oldest_accepted_at
 
     @property
     def footprint_bytes(self) -> int:
-        """The memory of the queue at the host, in bytes.
+        """The bytes that the queue takes in the host's memory.
 
-        It counts stored runs, 64 bytes for each message, waiting runs, and the facts about acknowledged deliveries,
-        producers' latest runs and message ids.
+        They include stored runs, 64 bytes for each message, waiting runs, acknowledged deliveries, producers' latest
+        runs, and message ids.
         """
         queue_items, enqueuing = self._queue_items, self._enqueuing
         known = self._leasing.acknowledged.footprint_bytes + enqueuing.retries.footprint_bytes
@@ -322,7 +324,7 @@ class QueueCore:
 
     @property
     def _has_more(self) -> bool:
-        """Whether takers or runs in line wait only because a call has reached the limit of its work."""
+        """Whether takers or runs wait in line only because a call has reached the limit of its work."""
         return self._dispatcher.has_more or self._enqueuing.has_more
 
     def _tick(self, now: int) -> int:
@@ -342,7 +344,7 @@ class QueueCore:
         return clock
 
     def _check_again(self) -> int:
-        """Check some messages that were touched under other limits against the present ones.
+        """Check some touched messages against the present limits, if the limits have changed.
 
         Returns the number of checked messages.
         """
@@ -364,7 +366,7 @@ class QueueCore:
         return True
 
     def _follow_up(self, clock: int) -> None:
-        """Try the takers and runs in line again after messages left or came back."""
+        """Serve the waiting runs and the waiting takers, because messages left the queue or came back."""
         if self._may_serve():
             self._enqueuing.offer_line(clock)
         self._dispatcher.deal(clock)

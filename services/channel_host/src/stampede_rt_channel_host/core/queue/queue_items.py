@@ -1,8 +1,8 @@
-"""The messages of a queue.
+"""The messages of a queue. Pure.
 
-Fresh messages were never delivered, and stand in order. Touched messages were delivered; sorted lists say which of
-them a taker may get, and which of them have no lease.
-Pure. Every operation is amortised O(log n).
+Fresh messages were never delivered. They stand in the order of acceptance. Touched messages were delivered at least
+once. Sorted lists say which of these a taker may get, and which of these have no lease. Every operation costs amortised
+O(log n).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from stampede_rt_channel_host.core.queue.limits import ITEM_OVERHEAD_BYTES, Queu
 
 @dataclass(slots=True)
 class QueueTally:
-    """Counts of messages and deliveries so far; see QueueCounters."""
+    """The numbers of messages and deliveries so far. `QueueCounters` explains the fields."""
 
     accepted: int = 0
     accepted_bytes: int = 0
@@ -42,10 +42,11 @@ class QueueTally:
 
 
 class QueueItems:
-    """The held messages. Seqs start at 1. All touched messages are older than all fresh ones.
+    """The held messages. Seqs start at 1. All touched messages are older than all fresh messages.
 
-    `touched` maps seqs to touched messages. `leased` counts messages with a lease. `stored_bytes` counts whole runs
-    with a held message. `leaving` are the messages that wait for their move to the dead-letter queue.
+    `touched` maps seqs to touched messages. `leased` counts messages with a lease. `stored_bytes` is the sum of the
+    bodies of all runs with a held message. `leaving` has the messages that wait for their move to the dead-letter
+    queue, by seq.
     """
 
     def __init__(self, limits: QueueLimits) -> None:
@@ -59,20 +60,20 @@ class QueueItems:
         self.delays: Deadlines[TouchedItem] = Deadlines()  # the messages that the queue holds back
         self.returns_logged = 0  # the number of the latest return; see `log_return`
         self._fresh: deque[QueuedRun] = deque()
-        self._fresh_position = 0  # of the first fresh message in the first fresh run
+        self._fresh_position = 0  # the position of the first fresh message in the first run of `_fresh`
         self._available: Any = SortedList()  # seqs of touched messages that some taker may get
         self._unleased: Any = SortedList()  # seqs of touched messages without a lease
-        self._returns: Any = SortedDict()  # return number -> seq of an available message; only with copies
+        self._returns: Any = SortedDict()  # return number -> seq of an available message; empty if `copies` is 1
 
     def has_room(self, length: int) -> bool:
-        """Whether one more message of `length` payload bytes stays within the limits."""
+        """Whether the limits leave room for one more message of `length` payload bytes."""
         limits = self.limits
         if limits.max_items is not None and self.items >= limits.max_items:
             return False
         return self.payload_bytes + length + (self.items + 1) * ITEM_OVERHEAD_BYTES <= limits.max_bytes
 
     def add(self, run: QueuedRun, length: int) -> None:
-        """Add one more message to a run, which must be the last one and have no body yet."""
+        """Add a new message to a run. The run must be the latest one, and must have no body yet."""
         run.lengths.append(length)  # type: ignore[attr-defined]  # a list until it is sealed
         run.held += 1
         if not self._fresh or self._fresh[-1] is not run:
@@ -90,7 +91,10 @@ class QueueItems:
         self.tally.accepted_bytes += length
 
     def put_back(self, run: QueuedRun, position: int, *, is_fresh: bool) -> None:
-        """Enter a message that another host held. Messages must come in the order of seqs, touched ones first."""
+        """Enter a message that another host held. The caller enters messages in the order of their seqs.
+
+        This order puts all touched messages before all fresh messages.
+        """
         if not run.held:
             self.stored_bytes += len(run.body)
         run.held += 1
@@ -128,7 +132,7 @@ class QueueItems:
         return True
 
     def fresh_run(self) -> QueuedRun | None:
-        """The run of the first message that was never delivered; None if all were."""
+        """The run of the first fresh message, or None if there is no fresh message."""
         while self._fresh and self._fresh_position >= len(self._fresh[0].lengths):
             self._fresh.popleft()
             self._fresh_position = 0
@@ -140,7 +144,10 @@ class QueueItems:
         return self._fresh_position
 
     def touch_fresh(self) -> TouchedItem:
-        """Turn the first fresh message into a touched one, for its first delivery. There must be a fresh message."""
+        """Turn the first fresh message into a touched message, for its first delivery.
+
+        There must be a fresh message.
+        """
         run = self.fresh_run()
         assert run is not None, "the caller has checked that there is a fresh message"
         item = TouchedItem(run, self._fresh_position)
@@ -150,7 +157,7 @@ class QueueItems:
         return item
 
     def fresh(self) -> Iterator[tuple[QueuedRun, int]]:
-        """The fresh runs, each with the position of its first fresh message."""
+        """The runs with fresh messages, each with the position of its first fresh message."""
         if self.fresh_run() is not None:
             position = self._fresh_position
             for run in self._fresh:
@@ -163,7 +170,7 @@ class QueueItems:
         return self.fresh_items + len(self._available)
 
     def first_available(self, from_seq: int = 0) -> TouchedItem | None:
-        """The oldest touched message from `from_seq` on that some taker may get; None: there is none."""
+        """The oldest touched message from `from_seq` on that some taker may get, or None if there is none."""
         if not self._available:
             return None
         for seq in self._available.irange(minimum=from_seq):
@@ -177,11 +184,11 @@ class QueueItems:
 
     @property
     def latest_return(self) -> int:
-        """The number of the latest return of a message that is still available; 0: there is none."""
+        """The number of the latest return of a message that is still available, or 0 if there is none."""
         return self._returns.peekitem(-1)[0] if self._returns else 0
 
     def log_return(self, item: TouchedItem) -> None:
-        """Note that a copy came back: takers that passed the message by look at it again."""
+        """Note that a copy came back, so that takers whose cursor is after the message look at it again."""
         if self.limits.copies > 1 and item.is_available:
             self._returns.pop(item.return_number, None)
             self.returns_logged += 1
@@ -202,7 +209,7 @@ class QueueItems:
             (self._unleased.add if unleased else self._unleased.remove)(item.seq)
 
     def set_leaving(self, item: TouchedItem) -> None:
-        """Mark a message that waits for its move to the dead-letter queue. No taker gets it any more."""
+        """Mark a message as one that waits for its move to the dead-letter queue. No taker gets it any more."""
         item.is_leaving = True
         self.delays.disarm(item)
         self.leaving[item.seq] = item
@@ -230,7 +237,7 @@ class QueueItems:
 
     @property
     def oldest_accepted_at(self) -> int | None:
-        """The time at which the oldest held message was accepted; None: no message is held."""
+        """The time at which the oldest held message was accepted, or None if no message is held."""
         if self.touched:
             return next(self.touched.values()).run.accepted_at
         run = self.fresh_run()

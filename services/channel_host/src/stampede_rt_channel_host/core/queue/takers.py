@@ -6,11 +6,12 @@ from stampede_rt_channel_host.core.queue.values import Batch
 
 
 class TakerState:
-    """One stream of a taker. `credit` is the number of messages it may still get.
+    """One stream of a taker. `credit` is the number of messages that the taker may still get.
 
-    It waits for messages while it has credit and is neither busy nor silent. `lease_nanos` None: the queue's lease.
-    `name` is for people. `unsent`: deliveries that were dealt to it and are not being sent yet. `heard_at`: the time of
-    its last request. `is_silent`: it gets nothing before its next request.
+    The taker waits for messages while it has credit and is neither busy nor silent. `lease_nanos` is the lease that it
+    asks for, or None for the queue's own lease. `name` is for people. `unsent` is a batch for the taker that the host
+    has not begun to send. `heard_at` is the time of its last request. `is_silent`: it gets nothing before its next
+    request.
     """
 
     __slots__ = ("credit", "heard_at", "is_busy", "is_silent", "lease_nanos", "name", "taker_id", "unsent")
@@ -21,6 +22,6 @@ class TakerState:
         self.name = name
         self.credit = 0
         self.heard_at = 0
-        self.is_busy = False  # from the dealing of a batch until it is sent
+        self.is_busy = False  # True from the moment at which the taker gets a batch until the host has sent the batch
         self.is_silent = False
         self.unsent: Batch | None = None

@@ -14,17 +14,21 @@ from stampede_rt_channel_host.core.queue.items import FailedDelivery, QueuedRun
 
 
 class SealRun(Protocol):
-    """Makes the stored bytes of accepted messages. Must not raise."""
+    """Makes the stored bytes of accepted messages. The function must not raise."""
 
     def __call__(self, first_seq: int, positions: Sequence[int], stamped_time: int | None) -> bytes:
         """The bytes to store.
 
-        `positions`: the positions of the accepted messages in their run. `stamped_time`: set if the run had no times.
+        `positions` are the positions of the accepted messages in their run. `stamped_time` is the time that the queue
+        gave them, or None if the run had times.
         """
 
 
 class LeasedSlice(NamedTuple):
-    """The messages of a run from position `lo` up to `hi`, exclusive, each with its delivery id and number."""
+    """The messages of a run from position `lo` up to `hi`, exclusive, each with a delivery id and a delivery number.
+
+    A number in `deliveries` counts the deliveries of the message's copy, from 1.
+    """
 
     run: QueuedRun
     lo: int
@@ -34,7 +38,7 @@ class LeasedSlice(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """The messages that one taker gets at one moment. The leases hold until `expires`."""
+    """The messages that one taker gets at one moment. Their leases end at `expires`."""
 
     slices: Sequence[LeasedSlice]
     expires: int
@@ -52,9 +56,10 @@ class Acknowledge:
 
 @dataclass(frozen=True, slots=True)
 class GiveBack:
-    """The message returns to its place in the queue, and is not delivered again for `delay_nanos`, 0 or more.
+    """The message returns to its position in the queue. The queue does not deliver it again for `delay_nanos`, 0 or
+    more.
 
-    `uncounted`: the taker handed the message to nobody, so the delivery does not count towards max_deliveries.
+    `uncounted`: the taker's program never saw the message, so the delivery does not count towards max_deliveries.
     """
 
     delay_nanos: int = 0
@@ -63,14 +68,14 @@ class GiveBack:
 
 @dataclass(frozen=True, slots=True)
 class Extend:
-    """The lease lasts `lease_nanos` from now on; more than 0."""
+    """The lease lasts for `lease_nanos` from now on. `lease_nanos` is more than 0."""
 
     lease_nanos: int
 
 
 @dataclass(frozen=True, slots=True)
 class Terminate:
-    """The message is given up for all takers, and leaves the queue. `reason` is for people."""
+    """The taker gives the message up for all takers. The message leaves the queue. `reason` is a text for people."""
 
     reason: str = ""
 
@@ -86,7 +91,10 @@ class Settlement(NamedTuple):
 
 
 class SettlementResult(NamedTuple):
-    """The outcome of a settlement. `error` None: it succeeded. `lease_nanos`: the new length, for an Extend."""
+    """The outcome of a settlement. `error` is None if the settlement succeeded.
+
+    `lease_nanos` is the new length of the lease after an `Extend`, and otherwise None.
+    """
 
     delivery_id: int
     error: StampedeError | None = None
@@ -94,7 +102,10 @@ class SettlementResult(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """The message at `position` of `run`, on its way to the dead-letter queue. `last`: its last failed delivery."""
+    """The message at `position` of `run`, which waits for its move to the dead-letter queue.
+
+    `last` is its last failed delivery, or None if no delivery failed.
+    """
 
     seq: int
     run: QueuedRun
@@ -103,7 +114,7 @@ class Departure(NamedTuple):
 
 
 class PendingDelivery(NamedTuple):
-    """A message that a taker has. `number` counts the deliveries of its copy, from 1."""
+    """A message that is leased to a taker. `number` counts the deliveries of the message's copy, from 1."""
 
     delivery_id: int
     seq: int
@@ -118,9 +129,10 @@ class PendingDelivery(NamedTuple):
 class QueueCounters:
     """The counts of a queue. Always `accepted == held + consumed + dropped + dead_lettered + expelled`.
 
-    `leased`: held messages with a lease. `consumed`: acknowledged messages. `dropped`: messages removed to make room.
-    `expelled`: messages given up, without a dead-letter queue. `duplicates`: messages not stored, because their message
-    id was known. `delivered`, `given_back`, `leases_expired` and `terminated` count deliveries.
+    `leased`: held messages with a lease. `consumed`: messages acknowledged by as many takers as `copies` says.
+    `dropped`: messages removed to make room. `dead_lettered`: messages moved to the dead-letter queue. `expelled`:
+    messages given up without a dead-letter queue. `duplicates`: messages not stored, because their message id was
+    known. `delivered`, `given_back`, `leases_expired` and `terminated` count deliveries.
     """
 
     accepted: int = 0
