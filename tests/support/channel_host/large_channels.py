@@ -1,0 +1,69 @@
+"""Large channels, and a count of the slices at which their index looks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, parse_interval
+from stampede_rt_channel_host.core.channel import ChannelCore, Query, Slice, index
+from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
+
+ITEMS = 20_000
+
+
+class SliceCounter:
+    """Counts the slices at which any index has looked."""
+
+    def __init__(self) -> None:
+        self.slices = 0
+
+
+def count_slices(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
+    """A counter for the rest of the test."""
+    counter, clipped = SliceCounter(), index._clipped
+    slices_from = index.ChannelIndex.slices_from
+
+    def counting(*args: Any) -> Iterator[Slice]:
+        counter.slices += 1
+        yield from clipped(*args)
+
+    def counting_from(self: index.ChannelIndex, floor: index.ItemKey) -> Iterator[Slice]:
+        for part in slices_from(self, floor):
+            counter.slices += 1
+            yield part
+
+    monkeypatch.setattr(index, "_clipped", counting)
+    monkeypatch.setattr(index.ChannelIndex, "slices_from", counting_from)
+    return counter
+
+
+def filled(items: int = ITEMS, **policy: Any) -> ChannelCore:
+    """One run for each item, in order."""
+    channel = a_channel(**policy)
+    for time in range(items):
+        put(channel, CLOCK + time)
+    return channel
+
+
+def shuffled(items: int = ITEMS) -> ChannelCore:
+    """Runs of 200 items, each of which every other one splits: as when two producers interleave."""
+    channel = a_channel()
+    for first in range(0, items, 400):
+        for odd in (0, 1):
+            put(channel, *(CLOCK + first + at for at in range(odd, 400, 2)))
+    return channel
+
+
+def backwards(items: int, **policy: Any) -> ChannelCore:
+    """Each item is earlier than the one before it, so that what is collected is out of the order of seqs."""
+    channel = a_channel(max_age_nanos=10**12, **policy)
+    for time in range(items):
+        put(channel, CLOCK - time)
+    return channel
+
+
+def everything(**fields: Any) -> Query:
+    return Query(interval=parse_interval(MIN_INSTANT, MAX_INSTANT), **fields)

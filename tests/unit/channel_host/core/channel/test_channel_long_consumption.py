@@ -1,0 +1,183 @@
+"""Consumers of large channels: each call takes a bounded number of steps, in any order of consumption."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core.channel import pieces, seq_set
+from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, RANGES_PER_LOOK_MAX, Consumers
+from stampede_rt_channel_host.core.channel.retention import CONSUMERS_ASKED_MAX, SLICES_USED_UP_MAX
+from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
+from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
+from tests.support.channel_host.large_channels import ITEMS, SliceCounter, backwards, count_slices, filled, shuffled
+
+
+@pytest.fixture
+def looked(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
+    return count_slices(monkeypatch)
+
+
+def test_what_very_many_consumers_have_consumed_out_of_order_goes_after_a_bounded_number_of_looks_at_them() -> None:
+    """1024 consumers were all looked at for each of 64 slices."""
+    consumers, items = 300, 40
+    channel = a_channel(consumers=consumers)
+    for time in reversed(range(items)):
+        put(channel, CLOCK + time)
+    counted, most = channel.look(CLOCK)[1].consumers, 0
+    assert counted is not None
+    for consumer in range(1, consumers + 1):
+        before = counted.looked_at
+        channel.consume(consumer, range(2, items + 1), CLOCK)  # the first seq is that of the newest item
+        most = max(most, counted.looked_at - before)
+    more = True
+    while more:
+        before = counted.looked_at
+        more = channel.collect(CLOCK)
+        most = max(most, counted.looked_at - before)
+    assert channel.look(CLOCK)[0].items == 1
+    assert most <= 2 * (CONSUMERS_ASKED_MAX + consumers)
+
+
+def test_the_first_consumers_of_a_full_channel_cost_its_set_up_nothing(looked: SliceCounter) -> None:
+    channel = shuffled()
+    looked.slices = 0
+    channel.configure(Policy(consumers=1, max_age_nanos=10**12), CLOCK)
+    assert looked.slices <= 20
+    most = before = 0
+    for _ in channel.catching_up(CLOCK):
+        most, before = max(most, looked.slices - before), looked.slices
+    assert most <= 4 * pieces.STEPS_PER_PIECE
+    assert channel.consume(1, range(1, 101), CLOCK).items == 100
+    assert [one.waiting for one in channel.consumers(CLOCK)] == [ITEMS - 100]
+
+
+def test_what_goes_while_new_consumers_learn_what_had_gone_is_owed_by_nobody() -> None:
+    channel = backwards(3000)
+    channel.configure(Policy(max_items=2000, max_age_nanos=10**12), CLOCK)
+    channel.configure(Policy(max_items=2000, max_age_nanos=10**12, consumers=1), CLOCK)
+    for at, _ in enumerate(channel.catching_up(CLOCK)):
+        put(channel, CLOCK + at)  # the earliest item goes, whose seq is the highest of the first 2000
+    channel.consume(1, [1], CLOCK)
+    assert [one.waiting for one in channel.consumers(CLOCK)] == [1999]
+    assert channel.counters(CLOCK).held == 2000
+
+
+def test_how_many_items_wait_for_a_consumer_is_known_without_a_walk_over_what_has_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    channel = backwards(ITEMS, consumers=10)
+    for consumer in range(1, 11):
+        channel.consume(consumer, [], CLOCK)
+    channel.configure(Policy(max_items=1, max_age_nanos=10**12, consumers=10), CLOCK)  # leaves seq 1
+    for _ in channel.catching_up(CLOCK):
+        pass
+    for time in range(2 * BLOCK_ITEMS):  # every other one of them goes: they come in two orders
+        put(channel, CLOCK + (time if time % 2 else -time))
+    calls, add = 0, seq_set.SeqSet.add
+
+    def counting(self: seq_set.SeqSet, first: int, end: int) -> int:
+        nonlocal calls
+        calls += 1
+        return add(self, first, end)
+
+    monkeypatch.setattr(seq_set.SeqSet, "add", counting)
+    assert {one.waiting for one in channel.consumers(CLOCK)} == {channel.counters(CLOCK).held}
+    assert calls == 0
+
+
+def test_the_status_of_consumers_that_have_consumed_much_out_of_order_is_counted_in_pieces() -> None:
+    channel = filled(4 * pieces.STEPS_PER_PIECE, consumers=3)
+    for consumer in (1, 2, 3):
+        channel.consume(consumer, range(2, 4 * pieces.STEPS_PER_PIECE + 1, 2), CLOCK)
+    counting = channel.counting_consumers(CLOCK)
+    assert sum(1 for _ in counting) >= 3 * 2
+    assert {one.waiting for one in channel.consumers(CLOCK)} == {2 * pieces.STEPS_PER_PIECE}
+
+
+def test_what_is_kept_of_a_consumer_is_bounded_by_what_is_held() -> None:
+    channel = a_channel(consumers=2, max_items=100)
+    put(channel, CLOCK + 10**6)  # is never consumed
+    for time in range(5000):
+        put(channel, CLOCK + time)
+        if time % 2:
+            channel.consume(1, [channel.next_seq - 1], CLOCK)
+    _, retention = channel.look(CLOCK)
+    assert retention.consumers is not None
+    done = retention.consumers._taken[1].done
+    assert done is not None
+    assert len(done.ranges) <= 150
+
+
+def test_a_consumer_that_has_much_behind_a_gap_goes_on_behind_it_by_and_by() -> None:
+    channel = filled(4000, consumers=2)
+    channel.consume(1, range(3, 4001, 2), CLOCK)
+    channel.consume(2, [], CLOCK)
+    _, retention = channel.look(CLOCK)
+    assert retention.consumers is not None
+    for seq in range(2, 4000, 2):
+        retention.consumers.let_go(seq, seq + 1)
+    place, below = retention.consumers._taken[1], []
+    channel.consume(1, [1], CLOCK)
+    while place.below < 4000:
+        below.append(place.below)
+        channel.consume(1, [], CLOCK)
+    assert max(after - before for before, after in pairwise(below)) <= 2 * (RANGES_PER_LOOK_MAX + 16 + 1)
+
+
+def test_a_consumer_whose_many_ranges_have_all_gone_takes_them_in_by_and_by() -> None:
+    """One consume after 200,000 such ranges took 228 ms."""
+    consumers, end = Consumers(1), 40_001
+    consumers.consume(1, range(2, end, 2), next_seq=end, newest_seq=None, clock=0, lease=LEASE_NANOS)
+    consumers.let_go(1, end)
+    done = consumers._taken[1].done
+    assert done is not None
+    left = [done.range_count]
+    while left[-1]:
+        consumers.consume(1, [], next_seq=end, newest_seq=None, clock=0, lease=LEASE_NANOS)
+        left.append(done.range_count)
+    assert max(before - after for before, after in pairwise(left)) <= 2 * RANGES_PER_LOOK_MAX + 16
+    assert done.below == end
+
+
+def test_what_had_gone_before_the_first_consumers_is_taken_in_by_and_by() -> None:
+    consumers, end = Consumers(1), 40_001
+    for seq in range(2, end, 2):
+        consumers.let_go(seq, seq + 1)
+    seq, left = 1, [consumers._gone.range_count]
+    while seq < end:
+        seq = consumers.let_go_some(seq, end, ranges_max=8)
+        left.append(consumers._gone.range_count)
+    assert max(before - after for before, after in pairwise(left)) <= 2 * 8
+    assert consumers._gone.ranges == []
+
+
+def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 200,000 items, consumed out of the order in which they go, one status took 6 x 256."""
+    channel = backwards(ITEMS, consumers=2)
+    for consumer in (1, 2):
+        channel.consume(consumer, [], CLOCK)
+    told, let_go = 0, Consumers.let_go
+
+    def counting(self: Consumers, first: int, end: int) -> None:
+        nonlocal told
+        told += 1
+        let_go(self, first, end)
+
+    monkeypatch.setattr(Consumers, "let_go", counting)
+    for first in range(2, ITEMS + 1, 4096):  # not the first item, which is the newest one
+        seqs = range(first, min(first + 4096, ITEMS + 1))
+        for consumer in (1, 2):
+            channel.consume(consumer, seqs, CLOCK)
+    for look in (channel.counters, channel.next_deadline, channel.collect):
+        told = 0
+        look(CLOCK)
+        assert told <= 2 * SLICES_USED_UP_MAX
+        assert channel.oldest is not None
+        assert channel.frontier is None
+        assert told <= 2 * SLICES_USED_UP_MAX, "a look at the same moment takes nothing more"
+    while channel.collect(CLOCK):
+        pass
+    assert channel.counters(CLOCK).held == 1
