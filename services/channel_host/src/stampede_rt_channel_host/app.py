@@ -121,14 +121,16 @@ class _Service:
 
 
 def where_to_listen(settings: HostSettings, *, secured: bool) -> str:
-    """The address for a host without `--listen`: one that the callers of its front-ends can reach, and any free port.
+    """The address at which a host without `--listen` listens: this machine's address towards the front-ends, any port.
 
-    Raises NotAllowed if other machines could reach that address without certificates and no setting allows it.
+    The address is "localhost" if all front-ends are on this machine. `secured`: the host has certificates. Raises
+    NotAllowed if other machines could call the host without certificates and no setting allows it. Raises CannotListen
+    if no route leads to a front-end.
     """
     own = address_towards(settings.frontend)
     if own != "localhost" and not (secured or settings.allow_insecure_anywhere):
         raise NotAllowed(
-            f"the front-end {', '.join(settings.frontend)} is on another machine, so this host must listen at {own}, "
+            f"a front-end ({', '.join(settings.frontend)}) is on another machine, so this host must listen at {own}, "
             "where others can call it, and without certificates everything, the secret included, would cross the "
             "network in clear text; give it certificates (--tls-ca and the others), or, on a network that you trust, "
             "add --allow-insecure-anywhere"
@@ -137,10 +139,12 @@ def where_to_listen(settings: HostSettings, *, secured: bool) -> str:
 
 
 def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[str]) -> str:
-    """The address at which others reach a host that listens at `address`, which may mean all addresses of its machine.
+    """The address at which others reach a host that listens at `address`.
 
-    `certified`: the names and addresses in its certificate. Raises SettingsError if only its own machine can reach it
-    while its front-ends are on other machines.
+    If the host listens at all addresses of its machine, the result has the machine's name if all front-ends are on
+    this machine or if `certified` has that name; else the machine's address towards the front-ends. `certified`: the
+    names and addresses in the host's certificate. Raises SettingsError if only this machine can call `address` and a
+    front-end is on another machine.
     """
     own_address = parse_address(address)
     if own_address.host in _ANYWHERE:
@@ -149,9 +153,9 @@ def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[st
         return str(Address(socket.gethostname() if by_name else own, own_address.port))
     if is_loopback(address) and (own := address_towards(frontends)) != "localhost":
         raise SettingsError(
-            f"this host would be known as {address}, which only its own machine can call, while the front-end "
-            f"{', '.join(frontends)} is on another one; listen at {own} (--listen {Address(own, own_address.port)}), "
-            "or say with --advertise where others reach it"
+            f"this host would be known as {address}, which only its own machine can call, and a front-end "
+            f"({', '.join(frontends)}) is on another machine; listen at {own} (--listen "
+            f"{Address(own, own_address.port)}), or name with --advertise the address at which others reach this host"
         )
     return address
 

@@ -44,17 +44,17 @@ from stampede_rt_runtime.quotas.limits import Quota
 
 logger = logging.getLogger(__name__)
 
-CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the most that the answer to a registration names
+CHANNELS_LISTED_MAX = QUEUES_LISTED_MAX = 1000  # the answer to a registration names at most so many of each
 
 
 class ChannelHost:
     """Order of use, on one event loop: make it, `add_to` a server, `enter` once that server listens, `leave`.
 
-    `dial` opens connections for that loop. `dial_for_lease` opens those of the lease, which has a thread of its own.
-    `access` judges the callers of the same server; the host gives it the directory's rules. `refused_calls` counts the
-    refused calls of that server. `on_serving` is called whenever the host starts or stops serving. `on_defect` gets the
-    error of a task of the host that died, and must end the host. `explain`: see `Supernodes`. `home` is the cluster of
-    the host.
+    `dial` opens connections for that loop. `dial_for_lease` opens the connections of the lease, which has a thread of
+    its own. `access` judges the callers of the server; the host gives it the directory's rules. `refused_calls` counts
+    the calls that the server refuses. `on_serving` gets True when the host starts to serve, and False when it stops.
+    If a task of the host fails, `on_defect` gets the error, and must end the host. `explain`: see `Supernodes`.
+    `home` is the cluster of the host.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class ChannelHost:
         self._entering: asyncio.Future[None] | None = None
 
     def _make_registration(self, supernodes: Supernodes, clock: HostClock, serving: ServingLoop) -> Registration:
-        """The registration. It hands work on channels to the serving loop, in the order in which the lease changed."""
+        """Make the registration. It passes changes of the lease to the serving loop, which handles them in order."""
 
         async def registered(response: directory_service_pb2.RegisterHostResponse) -> None:
             await serving.run(lambda: self._registered(response))
@@ -165,7 +165,7 @@ class ChannelHost:
         self._start(watch_forever(self._supernodes, of_queues, self.queues), "queue watch")
 
     async def leave(self) -> None:
-        """Deregister the host. Then end all waits and streams. Ends a running `enter`."""
+        """Refuse new requests, and deregister the host. Then end all waits and streams. Cancels a running `enter`."""
         for task in self._tasks:
             task.cancel()
         if self._entering is not None and not self._entering.done():

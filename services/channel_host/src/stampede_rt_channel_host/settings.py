@@ -24,20 +24,22 @@ class HostSettings(ServiceSettings):
         metadata=setting(
             metavar="HOST:PORT",
             parse=parse_address_text,
-            help="the address at which it listens, port 0: any free one; without it: localhost, or, if the front-end "
-            "is on another machine, this machine's address towards it",
+            help="the address at which the host listens (port 0: any free port); default: localhost, or, if a "
+            "front-end is on another machine, this machine's address towards that front-end, and any free port",
         ),
     )
     advertise: str = field(
         default="",
         metadata=setting(
-            metavar="HOST:PORT", parse=parse_target, help="the address at which others reach it; default: --listen"
+            metavar="HOST:PORT",
+            parse=parse_target,
+            help="the address at which others reach the host; default: --listen",
         ),
     )
     name: str = field(
         default="",
         metadata=setting(
-            metavar="NAME", help="its name in the directory; without it: the machine's name with a random end"
+            metavar="NAME", help="the host's name in the directory; default: the machine's name with a random end"
         ),
     )
     frontend: tuple[str, ...] = field(
@@ -51,7 +53,8 @@ class HostSettings(ServiceSettings):
     data_dir: Path | None = field(
         default=None,
         metadata=setting(
-            metavar="FOLDER", help="the folder that keeps its identity over restarts; without it: a new host each time"
+            metavar="FOLDER",
+            help="the folder that keeps the host's identity over restarts; default: none, each start makes a new host",
         ),
     )
     memory_bytes_max: int = field(
@@ -60,7 +63,7 @@ class HostSettings(ServiceSettings):
             metavar="SIZE",
             parse=parse_size,
             minimum=MEMORY_BYTES_MIN,
-            help="the bound on all channels and queues together; the host refuses puts beyond it",
+            help="the most memory that all channels and queues may use together; beyond it the host refuses puts",
         ),
     )
 

@@ -18,7 +18,7 @@ _REQUEST = access_service_pb2.GetAccessStateRequest(stale_ok=True)
 
 
 class AccessFollower:
-    """Asks a supernode for the access state when its answer to a probe names a later version."""
+    """Asks a supernode for the access state when the supernode's answer to a probe names a later version."""
 
     def __init__(self, control: AccessControl) -> None:
         self._control = control

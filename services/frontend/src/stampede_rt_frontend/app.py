@@ -1,4 +1,4 @@
-"""The front-end as a process."""
+"""The front-end as a process: `stampede frontend`."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ class FrontendSettings(ServiceSettings):
     listen: str = field(
         default="localhost:7580",
         metadata=setting(
-            metavar="HOST:PORT", parse=parse_address_text, help="the address at which it listens; port 0: any free one"
+            metavar="HOST:PORT",
+            parse=parse_address_text,
+            help="the address at which the front-end listens (port 0: any free port)",
         ),
     )
     supernodes: tuple[str, ...] = field(
         metadata=setting(
             metavar="HOST:PORT,...",
             parse=parse_list(parse_target),
-            help="supernodes to start with; they name the others",
+            help="the supernodes that the front-end asks first; they name the other supernodes",
         ),
     )
     zone: str = field(
         default="",
-        metadata=setting(metavar="ZONE", help="the zone of callers that name none"),
+        metadata=setting(metavar="ZONE", help="the zone of callers that name no zone"),
     )
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Asks every supernode each second whether it can serve, how far away it is, and who the members are."""
+"""Asks every supernode each second whether it can serve and who the members are. Measures the round trips."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 PROBE_DEADLINE_SECONDS = 1.0
 PROBE_PERIOD_SECONDS = 1.0
 WOKEN_PER_TURN = 16
-"""The most waiting callers that go on in one turn of the event loop."""
+"""The most waiting callers that the front-end wakes in one turn of the event loop."""
 _RETRY_SECONDS_MIN = 0.05  # for a supernode that is just starting; the pause doubles up to the period
 
 
@@ -81,7 +81,10 @@ class Prober:
         return self._roster.any_healthy()
 
     def _wake_some(self) -> None:
-        """Wake the callers that wait longest, because a supernode can serve. The others follow in the next turns."""
+        """Wake some of the callers, those that wait longest first, because a supernode can serve.
+
+        The others follow in the next turns of the event loop.
+        """
         for healthy in [*islice(self._waiting, WOKEN_PER_TURN)]:
             del self._waiting[healthy]
             if not healthy.done():  # if it is, its caller waits no more
@@ -90,7 +93,7 @@ class Prober:
             asyncio.get_running_loop().call_soon(self._wake_some)
 
     def _match_tasks(self) -> None:
-        """Run one task for every target of the roster, which is bounded, and none for others."""
+        """Start a task for each new target of the roster, and cancel the tasks of targets that have left the roster."""
         targets = set(self._roster.targets())
         for target in targets - self._tasks.keys():
             task = asyncio.create_task(self._watch(target), name=f"probe {target}")

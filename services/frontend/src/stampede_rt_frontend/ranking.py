@@ -10,9 +10,10 @@ _SMOOTHING = 8  # a new measurement counts for one eighth, as in TCP's round-tri
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Supernode:
-    """The known facts of one supernode. `answered`: it answered its last probe. `healthy`: it said that it can serve.
+    """The known facts of one supernode.
 
-    `round_trip_nanos` is smoothed. It is None if no round trip was measured.
+    `answered`: the supernode answered the last probe. `healthy`: its answer said that it can serve. `round_trip_nanos`
+    is smoothed over the probes; None if no round trip was measured.
     """
 
     supernode_id: str
@@ -27,9 +28,9 @@ class Supernode:
 def rank(supernodes: Iterable[Supernode], zone: str) -> list[Supernode]:
     """The supernodes, best first.
 
-    The order has four rules, each for supernodes that the rules before it leave equal: healthy ones come first; ones in
-    the caller's `zone` come first, unless `zone` is empty; a shorter round trip comes first; a lower id comes first. A
-    round trip that was never measured counts as the longest.
+    Healthy supernodes come first. Among equals, supernodes in the caller's `zone` come first, unless `zone` is empty.
+    Among equals again, a shorter round trip comes first, and then a lower id. A round trip that was never measured
+    counts as the longest.
     """
 
     def order(node: Supernode) -> tuple[bool, bool, bool, int, str]:

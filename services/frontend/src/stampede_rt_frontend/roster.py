@@ -33,7 +33,9 @@ class ProbeAnswer:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MemberList:
-    """The members as one supernode lists them. Of two lists that with the later (term, applied index) is the newer."""
+    """The members of the cluster, as one supernode lists them. Of two lists, the one with the higher (term, applied
+    index) is newer.
+    """
 
     term: int
     applied_index: int
@@ -104,7 +106,7 @@ class SupernodeRoster:
     def _note_zones(self, members: MemberList) -> None:
         """Take over the zones in a member list, even in an old one.
 
-        A supernode's list has only its own zone, which is always right.
+        A supernode's list has only the zone of that supernode, which is always right.
         """
         for one in members.members:
             if one.zone and one.target in self._nodes:
@@ -113,7 +115,7 @@ class SupernodeRoster:
     def known(self) -> list[Supernode]:
         """The supernodes to name to callers, each id once. Leaves out seeds that are no members.
 
-        If two targets have the same id, one that answered comes first, and then one in the member list.
+        If several targets have the same id, names one that answered; among equals, one that is in the member list.
         """
         best: dict[str, Supernode] = {}
         members = set(self._listed.values())
@@ -143,7 +145,7 @@ class SupernodeRoster:
         return any(node.answered for node in self._nodes.values())
 
     def failures(self) -> Sequence[str]:
-        """The failed targets of the last probes and the reasons, for error texts."""
+        """The targets whose last probe failed, each with the reason, for error texts."""
         return [why if target in why else f"{target}: {why}" for target, why in self._failures.items()]
 
     def _same_cluster(self, answer: ProbeAnswer) -> bool:
@@ -167,7 +169,10 @@ class SupernodeRoster:
         self._nodes[node.target] = replace(node, answered=False, healthy=False, is_leader=False)
 
     def _merged(self, target: str, reported: Supernode | None) -> Supernode:
-        """`target` with the data of the list. Keeps the results of probes, and the zone if the list has none."""
+        """The supernode at `target` with the data of a member list, `reported`; None: the list does not name it.
+
+        Keeps the results of probes, and the zone if the list has none.
+        """
         node = self._nodes.get(target) or Supernode(supernode_id="", target=target)
         if reported is None:
             return replace(node, is_leader=False)

@@ -40,7 +40,11 @@ class FrontendServicer(frontend_service_pb2_grpc.FrontendServiceServicer):
     async def Bind(  # noqa: N802 - the name of the RPC
         self, request: frontend_service_pb2.BindRequest, context: Context
     ) -> frontend_service_pb2.BindResponse:
-        """The supernodes, best first. Waits up to WAIT_SECONDS_MAX for one that can serve."""
+        """The supernodes, best first. If none can serve, waits up to WAIT_SECONDS_MAX until one can.
+
+        Raises VersionMismatch for a caller of another protocol version. Raises Unavailable (NO_QUORUM) if no supernode
+        answers, or if the caller cannot call their addresses.
+        """
         _check_version(request)
         await self._prober.wait_healthy(WAIT_SECONDS_MAX)
         response = self._respond(request.zone or self._default_zone)
@@ -75,9 +79,7 @@ def _check_version(request: frontend_service_pb2.BindRequest) -> None:
 
 
 def _check_callable(response: frontend_service_pb2.BindResponse, peer: str) -> None:
-    """Raises Unavailable if the caller is on another machine and every supernode has an address for its own machine
-    only.
-    """
+    """Raises Unavailable if the caller is on another machine and cannot call the address of any supernode."""
     targets = [record.endpoint.target for record in response.supernodes]
     if targets and all(map(is_loopback, targets)) and is_of_another_machine(peer):
         raise Unavailable(

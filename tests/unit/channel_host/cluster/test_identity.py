@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from stampede_rt_channel_host.cluster.identity import default_name, load_host_id, new_boot_incarnation
+from stampede_rt_channel_host.cluster.identity import HomeCluster, default_name, load_host_id, new_boot_incarnation
 
 
 def test_the_host_id_lasts_as_long_as_the_data_folder(tmp_path: Any) -> None:
@@ -18,6 +18,12 @@ def test_a_damaged_id_file_is_refused_with_the_way_out(tmp_path: Any) -> None:
     (tmp_path / "host-id").write_text("what")
     with pytest.raises(ValueError, match="holds no host id; remove it"):
         load_host_id(tmp_path)
+
+
+def test_a_damaged_cluster_file_is_refused_with_the_way_out(tmp_path: Any) -> None:
+    (tmp_path / "cluster-id").write_bytes(b"\xff")
+    with pytest.raises(ValueError, match="holds no cluster id; remove it, and the host may register with any cluster"):
+        HomeCluster(tmp_path)
 
 
 def test_default_names_are_valid_and_differ() -> None:

@@ -1,4 +1,4 @@
-"""Keeps this host's copy of the access state (rules, token keys, revoked serials) equal to the directory's."""
+"""Keeps this host's copy of the access state (such as rules and quotas) equal to the directory's."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PAUSE_SECONDS = 0.5
 
 
 class AccessWatch:
-    """Hears of changes from the directory watch, as a `Watched`. Then `keep` asks for the access state."""
+    """Notes the changes that the directory's watch reports (see `Watched`). Then `keep` asks for the access state."""
 
     def __init__(self, supernodes: Supernodes, control: AccessControl) -> None:
         self._supernodes = supernodes
@@ -33,18 +33,21 @@ class AccessWatch:
         self.in_use.set()  # the watch is needed from the start: the rules apply to every call
 
     async def missed(self) -> None:
-        """Ask for the state now: the watch may have missed changes. Raises the error that the directory answers."""
+        """Ask for the access state now, because the watch may have missed changes.
+
+        Raises the error that the directory answers, or Unavailable.
+        """
         self._control.set_state(await self._ask())
 
     def changed_in_directory(self, change: RecordedChange) -> None:
-        """Have `keep` ask for the state if the directory reports a change of access."""
+        """If the change concerns access, have `keep` ask for the access state."""
         if change.is_of_access:
             self._due.set()
 
     async def keep(self) -> NoReturn:
-        """After each change, ask for the state until an answer comes.
+        """After each change, ask for the access state until an answer comes.
 
-        One request covers all changes that came meanwhile.
+        One request serves all changes that came before it.
         """
         while True:  # paced by the changes
             await self._due.wait()
@@ -70,9 +73,9 @@ class AccessWatch:
 
 
 def _knows_no_rules(error: StampedeError) -> bool:
-    """Whether a supernode of an earlier release answered, which knows no rules.
+    """Whether the supernode that answered is of an earlier release, which knows no rules.
 
-    While the cluster has such a supernode, its feature level lets nobody make rules.
+    While the cluster has such a supernode, the cluster's feature level allows no rules. So an empty state is right.
     """
     cause = error.__cause__
     return isinstance(cause, grpc.aio.AioRpcError) and cause.code() is grpc.StatusCode.UNIMPLEMENTED

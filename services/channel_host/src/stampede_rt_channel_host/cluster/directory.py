@@ -13,9 +13,9 @@ CALL_SECONDS_MAX = 4.0
 
 
 class DirectoryQueries:
-    """Each method waits for CALL_SECONDS_MAX at most.
+    """Asks the directory about channels, and has it change and delete them.
 
-    It raises the error that the directory answers, or Unavailable.
+    Each method waits for CALL_SECONDS_MAX at most. It raises the error that the directory answers, or Unavailable.
     """
 
     def __init__(self, supernodes: Supernodes) -> None:
@@ -36,10 +36,11 @@ class DirectoryQueries:
         request_id: bytes,
         since_s: float | None = None,
     ) -> RecordedChannel:
-        """Change a channel, and return its new record. Fields that `change` leaves out stay.
+        """Change the policy of a channel, and return the channel's new record. Fields that `change` leaves out stay.
 
-        Safe to repeat with the same request id. `since_s`: when the request was first sent, by `age_clock_s`; None:
-        now.
+        `epoch` is the channel's epoch as this host knows it; the directory refuses another one. Safe to repeat with the
+        same `request_id`; an empty id stands for a new random one. `since_s`: when the request was first sent, by
+        `age_clock_s`; None: now.
         """
         request = pb.UpdateChannelRequest(
             request_id=request_id or secrets.token_bytes(16),

@@ -37,10 +37,10 @@ class Watched(Protocol):
 async def watch_forever(
     supernodes: Supernodes, request: directory_service_pb2.WatchRequest, watched: Watched
 ) -> NoReturn:
-    """Watch without end. Begins at the first use, and begins again when the watch breaks."""
+    """Watch without end. Begins once `watched.in_use` is set. When the watch breaks, begins again after a pause."""
     await watched.in_use.wait()
     pause_s = _PAUSE_SECONDS_MIN
-    while True:  # paced
+    while True:  # paced by the sleep at the end
         try:
             async with contextlib.aclosing(supernodes.stream("Watch", request)) as responses:
                 await _next(responses)
@@ -53,7 +53,10 @@ async def watch_forever(
 
 
 async def _pass_on(responses: AsyncGenerator[directory_service_pb2.WatchResponse, None], watched: Watched) -> NoReturn:
-    """Pass changes on until the stream ends. First lets `watched` ask for the present state."""
+    """Let `watched` ask for the present state, and then pass each change on.
+
+    Raises Unavailable when the stream ends or is silent for SILENCE_SECONDS_MAX.
+    """
     await watched.missed()
     while True:  # ends with the stream
         for change in (await _next(responses)).changes:

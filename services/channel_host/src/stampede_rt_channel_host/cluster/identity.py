@@ -16,11 +16,12 @@ from stampede_rt_runtime.written import naming
 ID_BYTES = 16
 _FILE = "host-id"
 _CLUSTER_FILE = "cluster-id"
+_NEW_HOST = "remove it, and the host registers as a new one"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostIdentity:
-    """The identity as the directory gets it.
+    """The identity of the host, as the host sends it to the directory.
 
     `boot_incarnation` is new at each start of the process, because a start loses the host's earlier items.
     """
@@ -32,9 +33,9 @@ class HostIdentity:
 
 
 def load_host_id(folder: Path | None) -> bytes:
-    """The id in the file in `folder`, created if missing; without a folder, a new id.
+    """The host's id from its file in `folder`. Makes the file if it is missing. `folder` None: returns a new id.
 
-    Reads and writes a file. Raises InvalidArgument if the file holds no id, OSError if the folder cannot be written.
+    Raises InvalidArgument if the file holds no id, OSError if the folder cannot be read or written.
     """
     if folder is None:
         return secrets.token_bytes(ID_BYTES)
@@ -46,25 +47,26 @@ def load_host_id(folder: Path | None) -> bytes:
 
 
 class HomeCluster:
-    """The cluster with which this host has registered. Its id is kept in a file in `folder`, if there is a folder.
+    """The cluster with which this host has registered. Keeps the cluster's id in a file in `folder`; None: in no file.
 
-    Reads and writes the file. `cluster_id` is empty before the first registration.
+    `cluster_id` is empty before the first registration. Raises InvalidArgument if the file holds no text.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
         self._path = None if folder is None else folder / _CLUSTER_FILE
-        self.cluster_id = _kept_text(self._path, "cluster id") if self._path and self._path.exists() else ""
+        remedy = "remove it, and the host may register with any cluster"
+        self.cluster_id = _kept_text(self._path, "cluster id", remedy) if self._path and self._path.exists() else ""
         self._noted = ""  # the id with which `note` was called last
         self._former: tuple[str, ...] = ()  # the clusters that the present one has replaced
 
     def judge(self, callers: str) -> StampedeError | None:
-        """The error for a caller of the cluster `callers`; None if the host serves such callers."""
+        """The error for a caller that names `callers` as its cluster; None if the host serves such callers."""
         if may_change_to(callers, self.cluster_id, self._former):
             return None
         return wrong_cluster("this host", self.cluster_id, callers)
 
     def is_noted(self, cluster_id: str) -> bool:
-        """Whether the last `note` in this process had this id. An empty id needs no note."""
+        """Whether the last `note` in this process had this id. Always True for an empty id, which needs no note."""
         return cluster_id in ("", self._noted)
 
     def note(self, cluster_id: str, former: Iterable[str] = ()) -> None:
@@ -91,21 +93,21 @@ def _write_atomically(path: Path, text: str) -> None:
     draft.rename(path)
 
 
-def _kept_text(path: Path, what: str) -> str:
-    """The text of the file. Raises InvalidArgument if it is no text."""
+def _kept_text(path: Path, what: str, remedy: str) -> str:
+    """The text of the file. Raises InvalidArgument if the file is not UTF-8. `what` and `remedy` go into that error."""
     try:
         return path.read_text().strip()
     except UnicodeDecodeError as error:
-        raise InvalidArgument(f"{path} holds no {what}; remove it, and the host registers as a new one") from error
+        raise InvalidArgument(f"{path} holds no {what}; {remedy}") from error
 
 
 def _read(path: Path) -> bytes:
     try:
-        host_id = bytes.fromhex(_kept_text(path, "host id"))
+        host_id = bytes.fromhex(_kept_text(path, "host id", _NEW_HOST))
     except ValueError:
         host_id = b""
     if len(host_id) != ID_BYTES:
-        raise InvalidArgument(f"{path} holds no host id; remove it, and the host registers as a new one")
+        raise InvalidArgument(f"{path} holds no host id; {_NEW_HOST}")
     return host_id
 
 
@@ -120,5 +122,5 @@ def default_name() -> str:
 
 
 def new_boot_incarnation() -> int:
-    """A random number above 0."""
+    """A random number from 1 to 2**64 - 1."""
     return secrets.randbits(64) | 1

@@ -1,7 +1,8 @@
 """Runs a host's registration on a thread and an event loop of its own (decision 0060).
 
 If something blocks the loop that serves channels, renewals still go on, and the fence still comes in time. A loop that
-has not turned for LOOP_SILENCE_SECONDS_MAX serves nobody. Then renewals stop too, and the channels get another owner.
+has run no callback for LOOP_SILENCE_SECONDS_MAX serves nobody. Then the renewals stop, too, and the directory may give
+the channels to other hosts.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ logger = logging.getLogger(__name__)
 LOOP_SILENCE_SECONDS_MAX = 60.0
 LOOP_LATE_SECONDS = 1.0
 """If the loop performs a call later than this, the host logs a warning."""
-STOP_SECONDS_MAX = 5.0
+STOP_SECONDS_MAX = 5.0  # how long `leave` waits for the end of the thread
 
 Result = TypeVar("Result")
 
@@ -30,10 +31,10 @@ class ServingLoop:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._asked_s: float | None = None  # None: the loop has turned since it was asked
+        self._asked_s: float | None = None  # when `has_hung` scheduled `_turned`; None: that call has run
 
     def run_soon(self, call: Callable[[], None]) -> None:
-        """Run `call` on the serving loop, after all calls that it was given before. Does not wait."""
+        """Run `call` on the serving loop, after all earlier calls of this method. Does not wait."""
         self._loop.call_soon_threadsafe(call)
 
     async def run(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
@@ -41,9 +42,9 @@ class ServingLoop:
         await _on(self._loop, work())
 
     def has_hung(self) -> bool:
-        """Whether the loop has not turned for LOOP_SILENCE_SECONDS_MAX.
+        """Whether the serving loop has run no callback for LOOP_SILENCE_SECONDS_MAX.
 
-        Asks the loop to turn, unless it still has to answer an earlier call.
+        Schedules a callback on the loop. If the callback of an earlier call has not run yet, tells how long it waits.
         """
         now_s, asked_s = time.monotonic(), self._asked_s  # read once: the other thread sets it
         if asked_s is not None:
@@ -53,7 +54,7 @@ class ServingLoop:
         return False
 
     def _turned(self, asked_s: float) -> None:
-        """Note that the loop has turned. Runs on the serving loop's own thread."""
+        """The callback that `has_hung` schedules: notes that the loop runs. Runs on the serving loop's own thread."""
         late_s = time.monotonic() - asked_s
         if late_s > LOOP_LATE_SECONDS:
             logger.warning("the event loop that serves channels was blocked", extra={"seconds": round(late_s, 3)})
@@ -63,8 +64,9 @@ class ServingLoop:
 class LeaseThread:
     """One host's place in the directory, kept on a thread of its own.
 
-    Make it and call it on the loop that serves channels, in this order: `enter`, `keep`, `leave`. `make` gets the
-    serving loop and makes the registration. The registration must hand all work on channels to the serving loop.
+    Create the object on the loop that serves channels. Call `enter`, `keep` and `leave` on that loop, in this order.
+    Any thread may call `lease_held`. `make` gets the serving loop and makes the registration. The registration must
+    pass all work on channels to the serving loop.
     """
 
     def __init__(self, make: Callable[[ServingLoop], Registration]) -> None:

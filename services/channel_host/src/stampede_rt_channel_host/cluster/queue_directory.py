@@ -12,16 +12,16 @@ CALL_SECONDS_MAX = 4.0
 
 
 class QueueDirectory:
-    """Each method waits for CALL_SECONDS_MAX at most.
-
-    It raises the error that the directory answers, or Unavailable.
-    """
+    """Asks the directory about queues."""
 
     def __init__(self, supernodes: Supernodes) -> None:
         self._supernodes = supernodes
 
     async def resolve(self, queue_id: bytes) -> ResolvedQueue:
-        """The present record of the queue (or mailbox), and its owner's address. Raises QueueNotFound."""
+        """The present record of the queue (or mailbox), and its owner's address. Waits CALL_SECONDS_MAX at most.
+
+        Raises QueueNotFound, another error that the directory answers, or Unavailable.
+        """
         request = pb.ResolveQueueRequest(queue_id=queue_id)
         response: pb.ResolveQueueResponse = await self._supernodes.call(
             "ResolveQueue",

@@ -34,7 +34,7 @@ Value = TypeVar("Value", bytes, Policy)
 
 @lru_cache(maxsize=SHARED_VALUES_MAX)
 def _shared(value: Value) -> Value:
-    """An equal value that other records may have, too. A host with 100,000 channels has few different policies."""
+    """An equal object that several records share. A host with 100,000 channels has few different policies."""
     return value
 
 
@@ -133,7 +133,7 @@ def resolved_group(message: group_directory_service_pb2.ResolveGroupResponse) ->
 
 
 def recorded_change(message: directory_pb2.DirectoryChange) -> RecordedChange:
-    """The change of a message. Leaves out hosts and peers, because nothing here needs them."""
+    """The change of a message. Leaves out changes of hosts and peers, because no part of a host needs them."""
     return RecordedChange(
         removed=message.kind == directory_pb2.CHANGE_KIND_REMOVED,
         channel=recorded_channel(message.channel) if message.HasField("channel") else None,

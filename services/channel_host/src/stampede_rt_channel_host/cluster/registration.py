@@ -47,9 +47,9 @@ class Registration:
     """One host's place in the directory.
 
     `on_registered` gets the directory's answer to every registration. The host serves nothing under the registration
-    before `on_registered` has returned. `on_lease` gets True when the lease begins to hold, and False when it has
-    ended. While `has_hung` returns True, the host serves nothing, and `keep` does not renew the lease. `home` is the
-    cluster of the host; before its first registration, the host may enter any cluster.
+    before `on_registered` has returned. `on_lease` gets True when the host has got the lease, and False when the lease
+    has ended. While `has_hung` returns True, the host serves nothing, and `keep` does not renew the lease. `home` is
+    the cluster of the host; before its first registration, the host may enter any cluster.
 
     Call `enter`, `keep` and `leave` in this order, all on one event loop. Any thread may call `lease_held`.
     """
@@ -106,7 +106,7 @@ class Registration:
             pause_s = await _pause(pause_s)
 
     async def keep(self) -> NoReturn:
-        """Renew the lease for as long as the host lives; register again when the directory has ended it."""
+        """Renew the lease for as long as the host lives. Register again when the directory has ended the lease."""
         pause_s = _PAUSE_SECONDS_MIN
         while True:  # paced by the lease, or by the pause after failures
             await asyncio.sleep(self._lease.renewal_in_nanos(self._clock.boottime_nanos()) / 1e9)
@@ -142,7 +142,10 @@ class Registration:
             self._unrenewed_since_s = None
 
     async def leave(self) -> None:
-        """Deregister, so that other hosts get the channels before the lease ends. If that fails, it ends by itself."""
+        """Deregister, so that other hosts may get the channels without a wait for the end of the lease.
+
+        If the directory cannot be reached, other hosts may get them once the lease has ended by itself.
+        """
         self._has_left = True
         if self._fence is not None:
             self._fence.cancel()
@@ -189,7 +192,7 @@ class Registration:
     async def _register(self, timeout_s: float = REGISTER_SECONDS_MAX) -> None:
         """Register with a registration epoch above that of every other process of this host.
 
-        Raises StaleRegistration if a newer process lives: then two processes share one data folder.
+        Raises StaleRegistration if a newer process of the same host is alive. Then two processes use one data folder.
         """
         deadline_s = time.monotonic() + timeout_s
         while True:  # once more for each process that registers meanwhile; ends with the deadline
@@ -246,9 +249,9 @@ class Registration:
         self._check_fence()
 
     def _check_fence(self) -> None:
-        """Tell `on_lease` if the lease has begun or ended, and set the timer for the fence anew.
+        """Report to `on_lease` if the lease has begun or ended, and set the timer for the fence anew.
 
-        Called at every grant, and whenever the lease may have ended.
+        Call this at every grant, and whenever the lease may have ended.
         """
         if self._fence is not None:
             self._fence.cancel()

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 
 
 class SingleFlight:
-    """Keeps only the things that somebody asks about or waits for at this moment."""
+    """One lock for each thing about which a caller asks. Drops the lock when no caller holds it or waits for it."""
 
     def __init__(self) -> None:
         self._locks: dict[bytes, asyncio.Lock] = {}
@@ -16,7 +16,7 @@ class SingleFlight:
 
     @asynccontextmanager
     async def about(self, thing: bytes) -> AsyncIterator[None]:
-        """Inside, no other caller asks about `thing`. Check first whether the answer has come meanwhile."""
+        """Hold the lock of `thing` during the block. Inside, first check whether another caller has got the answer."""
         lock = self._locks.setdefault(thing, asyncio.Lock())
         self._callers[thing] = self._callers.get(thing, 0) + 1
         try:

@@ -38,9 +38,9 @@ Service = Callable[[grpc.aio.Channel], Any]
 
 
 class _Call(NamedTuple):
-    """A call that may be made several times. `service` makes its stub.
+    """A call that the host may repeat at several supernodes. `service` makes the stub that has the method.
 
-    `since_s`: when this call, or the first call with its request id, was made, by `age_clock_s`.
+    `since_s`: when the host made this call, or the first call with the same request id, by `age_clock_s`.
     """
 
     method: str
@@ -65,7 +65,7 @@ class Supernodes:
         self._explain = explain
         self._targets: list[str] = []
         self._channels: dict[str, grpc.aio.Channel] = {}
-        self.cluster_id = ""
+        self.cluster_id = ""  # as the front-ends name it; empty before the first answer
 
     async def call(
         self,
@@ -76,7 +76,7 @@ class Supernodes:
         service: Service = directory_service_pb2_grpc.DirectoryServiceStub,
         since_s: float | None = None,
     ) -> Any:
-        """Make one call of `service`. Tries all supernodes, asks the front-ends for others, and tries again.
+        """Make one call of `service`. Tries all known supernodes. If all fail, asks the front-ends, and tries again.
 
         Updates carry a request id and the age of the request, so it is safe to repeat them. The age counts from now, or
         from `since_s` by `age_clock_s`. Raises the error that the directory answers, or the last failure once
@@ -101,7 +101,7 @@ class Supernodes:
             await self._rebind(backoff.deadline_s)
 
     async def stream(self, method: str, request: Any) -> AsyncGenerator[Any, None]:
-        """The responses of a streaming call of DirectoryService. After a failure, the next call goes to another
+        """Yield the responses of a streaming call of DirectoryService. After a failure, the next stream goes to another
         supernode.
 
         Raises the error that ended the stream, or Unavailable. Close the iterator to end the call.
@@ -126,7 +126,7 @@ class Supernodes:
         return tuple(self._targets)
 
     def learn(self, targets: Sequence[str]) -> None:
-        """Take over supernodes that another part of the host has found, unless this object knows some."""
+        """Take over the addresses that another part of the host has found. Does nothing if some are known already."""
         if not self._targets:
             self._targets = list(targets)
 
