@@ -1,12 +1,12 @@
 """The replicated log: commands in, results out, in the same order on every member.
 
-`await open_replicated_log(settings, state_machine, dial, server)` gives a ReplicatedLog (see interface.py). It runs
-PySyncObj on a thread of its own. Only this package imports that library, and it corrects the library's faults. Order of
-use:
+`await open_replicated_log(settings, state_machine, dial, server)` gives a ReplicatedLog (see interface.py). The log
+runs PySyncObj on a thread of its own. This package corrects the faults of that library, and no other package imports
+it. Order of use:
 
 1. Bind a `grpc.aio` server, so that the address of this member is known. Do not start it yet.
 2. Open the log: it loads its state and registers its service with the server.
-3. Start the server, and serve the directory from the same port.
+3. Register the directory's own services with the same server, and start it.
 
 At the end, close the log before the server stops.
 """

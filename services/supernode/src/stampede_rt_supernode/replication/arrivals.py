@@ -15,6 +15,7 @@ from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRe
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings
 from stampede_rt_supernode.replication.wire.buffered_transport import NetworkEvent, Received
 
+# The most changes of the members, and the most requests for a snapshot, that wait.
 CHANGES_MAX = 100
 SNAPSHOT_REQUESTS_MAX = 10
 
@@ -38,7 +39,7 @@ class Arrivals:
         self.snapshot_requests: deque[SnapshotRequest] = deque()
 
     def add_event(self, event: NetworkEvent) -> None:
-        """Queue a network event. Raises InboxFull if too many messages wait. Changes of links always fit."""
+        """Queue a network event. Raises InboxFull if too many messages of that member wait. Other events always fit."""
         if isinstance(event, Received):
             self._inbox.come(event)
         self.events.append(event)
@@ -86,8 +87,8 @@ def taken_from(queue: deque[T]) -> Iterator[T]:
 class _InboxShares:
     """Counts the waiting messages of each member. Each member has a share, so that none fills the share of another.
 
-    The thread that adds counts the messages that came. The tick thread counts the messages that it has taken. So no
-    counter has two writers.
+    The thread that adds messages counts those that came. The tick thread counts those that it has taken. So each
+    counter has only one writer.
     """
 
     def __init__(self, items_max: int, bytes_max: int) -> None:

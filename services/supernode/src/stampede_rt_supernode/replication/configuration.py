@@ -63,10 +63,10 @@ class ConfigurationChange(NamedTuple):
 
 
 class Configurations:
-    """The configurations in the entries that the log holds, after a base.
+    """A base, and the configurations in the log's entries after it.
 
-    The base is the configuration that held before these entries. Its position is at or before the first entry that may
-    still be cut off. Invariant: the positions ascend.
+    The base is the configuration that held before these entries. The entries up to its position are never cut off.
+    Invariant: the positions ascend.
     """
 
     def __init__(self, base: Configuration) -> None:
@@ -81,7 +81,7 @@ class Configurations:
 
     @property
     def current_index(self) -> int:
-        """The log position of the current configuration; 0 if it is not from the log."""
+        """The log position of the current configuration; for the base, the end of the snapshot that has it, or 0."""
         return self._changes[-1].log_index
 
     def at(self, log_index: int) -> Configuration:
@@ -97,14 +97,14 @@ class Configurations:
         self.version += 1
 
     def cut_from(self, log_index: int) -> None:
-        """Drop the configurations of log entries that were cut off, from a position on."""
+        """Drop the configurations at or after a position, because their entries were cut off. The base stays."""
         kept = [change for change in self._changes[1:] if change.log_index < log_index]
         if len(kept) + 1 != len(self._changes):
             self._changes[1:] = kept
             self.version += 1
 
     def rebase(self, log_index: int, configuration: Configuration) -> None:
-        """Set the base to the configuration that held at the end of a snapshot. Later ones stay."""
+        """Set the base to the configuration that held at the end of a snapshot. Later configurations stay."""
         later = [change for change in self._changes[1:] if change.log_index > log_index]
         self._changes = [ConfigurationChange(log_index, configuration), *later]
         self.version += 1

@@ -1,7 +1,7 @@
-"""The only interface between the directory and the log that replicates it.
+"""The interface between the directory and the log that replicates it.
 
-The code above this file sees bytes in and bytes out, and never the library below it. So another library can replace
-this one (paper, section 4.3: "standard consensus techniques").
+Commands, results and snapshots cross it as bytes. The directory knows nothing of the library that replicates them. So
+another library can replace that one (paper, section 4.3: "standard consensus techniques").
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class StateMachine(Protocol):
     def digest(self) -> tuple[int, bytes]:
         """The last applied position, and a digest of all results up to there. Equal states have equal digests.
 
-        The digest is empty if it is unknown. The call must be cheap, because the log makes it for every command and
-        every message.
+        The digest is empty if it is unknown. The call must be cheap, because the log makes it after every command, and
+        whenever it sends entries or heartbeats.
         """
 
     def adopt_digest(self, digest: bytes) -> None:
@@ -56,9 +56,11 @@ class StateMachine(Protocol):
         """
 
     def prepare_restore(self, snapshot: bytes) -> Callable[[], None]:
-        """Decode a snapshot of this or another replica. Returns a function that puts it in the place of the state.
+        """Decode a snapshot of this or another replica. Returns a function that replaces the state by the snapshot.
 
-        May run on another thread, while the log applies further commands. May raise.
+        The log may call this method on another thread, while it applies further commands. It calls the returned
+        function on its own thread. Raises ReleaseTooOld if this release does not know the snapshot's feature level, and
+        any other error if the snapshot is unreadable.
         """
 
 
@@ -79,17 +81,18 @@ class ReplicationStatus:
     - `removed`: the leader, or most of the others, say that this member was removed for good.
     - `has_lost_store`: the leader, or most of the others, say that this member had another store before, or lacks one.
     - `has_old_store`: the leader, or most of the others, say that this member's store is an older copy.
-    - `refused_by`: by id, the words of each member that says one of these three things or `too_old`.
-    - `other_cluster`: the words of a member of another cluster.
+    - `refused_by`: by id, the words of each member that says one of these three things, or that says `too_old`.
+    - `other_cluster`: the words of a member of another cluster; empty if there was none.
     - `refused`: by id, the reason why this replica does not accept the latest store of another member.
     - `diverged_at`: the position at which this replica's state was found to differ from that of most members;
       0 if it was not.
-    - `doubts`: by id, the position at which a member's state was found to differ from the leader's, while nobody knows
-      the state of most. A follower lists only itself, a leader the others.
-    - `disk_silent_seconds`: how long this replica's disk has not answered, if that is too long; 0 otherwise.
+    - `doubts`: by id, the position at which a member's state was found to differ from the leader's, while neither is
+      known to be the state of most members. A follower lists only itself, a leader the others.
+    - `disk_silent_seconds`: how long this replica has waited for its disk; 0 if that is 3 s or less.
     - `feature_level`: the feature level of the state.
     - `highest_levels`: by id, the highest level of each member's release, this one included, as it reported.
-    - `too_old`: the words of the leader, or of most others, that this release does not know the cluster's level.
+    - `too_old`: the words by which the leader, or most others, say that this release does not know the cluster's
+      feature level; empty if they do not say it.
     - `retired`: ids of former members, which are never used again.
     """
 
@@ -122,15 +125,16 @@ class ReplicationStatus:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TakenSnapshot:
-    """A snapshot on stable storage.
+    """A snapshot on stable storage. `log_index` is the last log position that it covers.
 
-    `record` is opaque. `make_backup` writes it to a file, and `restore_from` opens the file.
+    `record` is opaque. `make_backup` makes a backup file of it, and `restore_from` reads the file.
     """
 
     log_index: int
     record: bytes
 
 
+# The words in every refusal of a release that does not know the cluster's feature level.
 TOO_OLD = "is of a release that is too old"
 
 
@@ -159,7 +163,7 @@ class NotLeading(Exception):
 
 
 class ChangeUnderWay(Exception):
-    """Another member is being added or removed, and only one change runs at a time. Try again later."""
+    """The leader cannot change the members now, for example because another change is under way. Try again later."""
 
 
 class ChangeRefused(Exception):
@@ -167,7 +171,7 @@ class ChangeRefused(Exception):
 
 
 class TicketSpent(ChangeRefused):
-    """The ticket has let in another member."""
+    """The ticket has let in a member already. Each ticket lets in only one."""
 
 
 class ReleaseOutdated(ChangeRefused):
@@ -175,7 +179,10 @@ class ReleaseOutdated(ChangeRefused):
 
 
 class Ambiguous(Exception):
-    """The command may or may not be applied. Try again with the same operation id, and never report it as failed."""
+    """The command, or the change of the members, may or may not take effect. Do not report that it has failed.
+
+    Propose the command again with the same operation id, or ask for the same change again.
+    """
 
 
 class ReplicatedLog(Protocol):
@@ -184,13 +191,15 @@ class ReplicatedLog(Protocol):
     async def propose(self, command: bytes, *, timeout: float) -> bytes:
         """Replicate `command` (64 KiB at most) and return the result of `apply`. Waits `timeout` seconds at most.
 
-        Raises LogUnavailable or Ambiguous. Works on every replica: a follower passes the command on to the leader.
+        Works on every replica: a follower passes the command on to the leader. Raises LogUnavailable or Ambiguous, and
+        ValueError for a larger command.
         """
 
     async def confirm_read(self, *, timeout: float) -> int:
         """Return an applied index that includes every write acknowledged before this call began.
 
-        After it, reads of this replica's own state are linearizable. Raises LogUnavailable.
+        Later reads of this replica's own state are linearizable. Waits `timeout` seconds at most. Raises
+        LogUnavailable.
         """
 
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
@@ -198,7 +207,8 @@ class ReplicatedLog(Protocol):
 
         The replica becomes a member once it has caught up. Idempotent: a repeated call waits for the addition under
         way, which continues after `timeout`. A `ticket` lets in one member. Raises NotLeading, ChangeUnderWay,
-        ChangeRefused (TicketSpent if the ticket has let in another member), LogUnavailable or Ambiguous.
+        ChangeRefused (TicketSpent if the ticket is used up, ReleaseOutdated if the newcomer's release is too old),
+        LogUnavailable or Ambiguous.
         """
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:
@@ -212,17 +222,18 @@ class ReplicatedLog(Protocol):
     async def hand_over(self, *, timeout: float) -> bool:
         """Have another member lead, if this one leads.
 
-        Returns True if this member does not lead afterwards. A failure loses nothing.
+        Returns True if this member does not lead afterwards. A failure loses nothing. Raises LogUnavailable if this
+        replica is closed, or too many changes wait.
         """
 
     async def take_snapshot(self, *, timeout: float) -> TakenSnapshot:
-        """Write a snapshot of at least the present applied state. Returns the last snapshot if nothing is new.
+        """Write a snapshot that covers every entry that is applied now. If the last snapshot does, return that one.
 
-        Raises LogUnavailable; the snapshot may still be written.
+        Raises LogUnavailable. Even then the log may still write the snapshot.
         """
 
     def status(self) -> ReplicationStatus:
         """This replica's present view. Never blocks."""
 
     async def close(self) -> None:
-        """Stop taking part. All acknowledged entries are on stable storage."""
+        """Stop taking part. Afterwards the whole log is on stable storage."""

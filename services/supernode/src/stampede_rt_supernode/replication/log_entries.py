@@ -10,7 +10,10 @@ COMMAND, NO_OP, CONFIGURATION = 0, 1, 2
 
 
 class Entry(NamedTuple):
-    """One position of the log. The order of the fields is the library's, which indexes entries by number."""
+    """One position of the log. The first byte of `command` is the kind of the entry.
+
+    The library reads the fields by their numbers, so their order must stay.
+    """
 
     command: bytes
     log_index: int

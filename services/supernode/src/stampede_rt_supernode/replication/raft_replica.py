@@ -48,7 +48,7 @@ class MemberRoster:
     """The members that a replica knows.
 
     `members` are those of the newest configuration in the log. `peers`, by id, are the other nodes to which the replica
-    keeps links. `removed` has the ids of those that the newest applied configuration names as removed for good.
+    keeps links. `removed` has the ids of former members, which the newest applied configuration lists as retired.
     """
 
     members: tuple[Member, ...]
@@ -59,8 +59,7 @@ class MemberRoster:
 class RaftReplica:
     """The synchronous part of a replica.
 
-    Any thread may call `deliver`, `propose`, `read` and `status`. Only one thread, the tick thread, may call the other
-    methods.
+    Any thread may call the methods under "any thread" below. Only the tick thread may call those under "tick thread".
     """
 
     def __init__(
@@ -87,7 +86,7 @@ class RaftReplica:
         self._clock = clock
         self._wake = wake
         self._arrivals = Arrivals(settings)
-        # Results to deliver once the entries behind them are durable.
+        # Calls that give callers their results. They wait until all changes of the step are durable.
         self._completions: list[Callable[[], None]] = []
         self._log = RaftLog(store, kept_bytes_max=settings.kept_log_bytes_max)
         self._state_machine = state_machine
@@ -140,7 +139,7 @@ class RaftReplica:
     # -- any thread ----------------------------------------------------------------------------------------------
 
     def deliver(self, event: NetworkEvent) -> None:
-        """Queue a network event. Raises InboxFull if too many messages wait. Changes of links always fit."""
+        """Queue a network event. Raises InboxFull if too many messages of that member wait. Other events always fit."""
         self._arrivals.add_event(event)
         self._wake()
 
@@ -256,6 +255,7 @@ class RaftReplica:
         self._proposals.advance(leader_reachable=takes, now=self._clock())
 
     def _later(self, read: ConfirmedRead) -> ConfirmedRead:
+        """The same read, whose caller gets the result after the next sync of the log."""
         done = read.done
         return ConfirmedRead(read.deadline, lambda index: self._completions.append(lambda: done(index)))
 
@@ -269,7 +269,7 @@ class RaftReplica:
         self._run_completions()
 
     def _run_completions(self) -> None:
-        # Clears the list itself, because Proposals and others hold its `append`.
+        # Clears the list and keeps the object, because Proposals and others hold its `append`.
         completions = self._completions[:]
         self._completions.clear()
         for complete in completions:
@@ -283,7 +283,7 @@ class RaftReplica:
         return bool(is_self or self._node.transport.is_reachable(leader.id))
 
     def _commits_alone(self) -> bool:
-        """Whether this leader is the only voter, and has entries to commit. No message will cause the step for that."""
+        """Whether this leader is the only voter, and has entries to commit. Then no message causes the next step."""
         node = self._node
         waiting = node.commit_index < self._log.last_index
         return bool(waiting and not node.other_voters and node.is_leader)

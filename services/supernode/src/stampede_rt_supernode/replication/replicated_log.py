@@ -65,7 +65,7 @@ class PySyncObjLog:
         self._closed = False
 
     def start(self, settings: ReplicationSettings, server: grpc.aio.Server, stores: KnownStores) -> None:
-        """Join the network and begin to tick. Call it once."""
+        """Register the Raft service, connect to the other members, and begin to tick. Call it once."""
         replica = self._replica
         self._servicer = RaftServicer(settings, replica, stores)
         self._servicer.add_to_server(server)
@@ -125,7 +125,7 @@ class PySyncObjLog:
         """See ReplicatedLog."""
         status, links = self._replica.status(), self._links
         if (silent := self._thread.stuck_seconds()) > 0.0:
-            # The last step was long ago, so the others have replaced the leader of that step.
+            # The status is that of the last step, which was long ago. By now the others may have another leader.
             status = replace(status, leader_id=None, is_leader=False, tenure=0, disk_silent_seconds=silent)
         status = replace(status, retired=self._replica.roster.removed)
         refused = self._servicer.refused() if self._servicer is not None else {}
@@ -207,6 +207,8 @@ class PySyncObjLog:
             raise LogUnavailable("this replica is closed")
 
     def _into(self, answer: asyncio.Future[T]) -> Callable[[T], None]:
+        """Returns a function, callable on any thread, that sets the result of `answer` on the loop."""
+
         def set_result(outcome: T) -> None:
             if not answer.done():
                 answer.set_result(outcome)
@@ -227,8 +229,8 @@ async def open_replicated_log(
     The caller binds `server` before this call, so that its address is known, and starts it afterwards. The caller stops
     `server` after it has closed the log. `dial(address)` makes a new channel with the cluster's credentials and with
     CHANNEL_OPTIONS; the log closes that channel. From now on the log drives `state_machine` on its own thread. The log
-    calls `on_fatal` if it cannot go on; by default that ends the process. Raises StoreRefused, StoreDamaged and
-    LibraryMismatch.
+    calls `on_fatal` if it cannot go on; by default that ends the process. Raises StoreRefused, StoreDamaged,
+    LibraryMismatch, and the errors of `state_machine` for its stored snapshot (ReleaseTooOld among them).
     """
     bridge = LoopBridge(asyncio.get_running_loop())
     links = PeerLinks(settings, dial, bridge, on_fatal)

@@ -9,9 +9,12 @@ from pathlib import Path
 from stampede_rt_supernode.replication.interface import Member
 
 COMMAND_BYTES_MAX = 64 * 1024
+# The version of the protocol between members. Members with different versions refuse each other.
 PROTOCOL_VERSION = 2
+# The most bytes of a snapshot that one message carries.
 SNAPSHOT_PIECE_BYTES_MAX = 1 << 20
 
+# The settings that must be more than 0.
 _POSITIVE = (
     "proposals_max",
     "reads_max",
@@ -57,14 +60,15 @@ class ReplicationSettings:
     """One replica of the log.
 
     `initial_members` holds every member, this one included. With `joining` it holds the present members without this
-    replica, which they will add. Once the log has a configuration, that configuration counts. `data_dir` is the folder
-    of this replica's store; None keeps everything in memory, for development. `create` allows a new store in a folder
-    without one. Use False if a store must exist, because a member that lost its disk must come back under a new id.
-    At most `proposals_max` commands and `reads_max` reads wait. The log takes a snapshot when it has more than
-    `snapshot_every_entries` entries, or `snapshot_every_seconds` after the last one. `inbox_items_max` messages and
-    `inbox_bytes_max` bytes of each other member may wait for this replica, and `link_queue_bytes_max` bytes for the
-    link to a member. A leader keeps `kept_log_bytes_max` of the log entries that a snapshot has replaced, for slow
-    members.
+    replica, which they will add. Once the log has a configuration, that configuration counts instead. `data_dir` is the
+    folder of this replica's store; None keeps everything in memory, for development. `create` allows a new store in a
+    folder without one. Use False if a store must exist, because a member that lost its disk must come back under a new
+    id. The members of one cluster have the same `cluster_id`, and refuse callers with another one. At most
+    `proposals_max` commands and `reads_max` reads wait. The log takes a snapshot when it has more than
+    `snapshot_every_entries` entries, or when the last snapshot is more than `snapshot_every_seconds` old. A leader
+    sends a snapshot in pieces of `snapshot_piece_bytes`. `inbox_items_max` messages and `inbox_bytes_max` bytes of each
+    other member may wait for this replica, and `link_queue_bytes_max` bytes may wait on the link to each member. After
+    a snapshot has replaced log entries, a leader keeps the newest `kept_log_bytes_max` bytes of them for slow members.
     """
 
     self_member: Member

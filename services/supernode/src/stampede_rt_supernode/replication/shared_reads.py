@@ -1,7 +1,7 @@
-"""Confirmed reads of one event loop. Reads that come while one is under way share the next one.
+"""Confirmed reads of one event loop. All calls that come while a read is under way share the next read.
 
-A read costs the log's thread one step and the members one round of messages, however many callers wait for it. Its
-position is valid for every call that began before the read.
+A read costs the log's thread one step and the members one round of messages, however many callers wait for it. The
+position that it finds is valid for every call that began before the read.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ _Waiting = tuple[float, asyncio.Future[int | None]]  # the deadline by time.mono
 
 
 class SharedReads:
-    """The waiting reads of one event loop. `start` hands a read to the log's thread.
+    """The waiting callers of one event loop. `start` hands a read to the log's thread.
 
-    Invariant: a caller is in `_waiting`, or in the read under way, until it is answered.
+    Invariant: a caller is in `_waiting`, or belongs to the read under way, until it is answered.
     """
 
     def __init__(self, start: Callable[[ConfirmedRead], None], bridge: LoopBridge, *, waiting_max: int) -> None:
@@ -32,7 +32,9 @@ class SharedReads:
         self._closed = False
 
     async def confirm(self, timeout: float) -> int | None:
-        """An applied index that includes every write acknowledged before this call; None if the time is up.
+        """An applied index that includes every write acknowledged before this call.
+
+        None if the time is up, or the log closes.
 
         Raises LogUnavailable if too many callers wait.
         """

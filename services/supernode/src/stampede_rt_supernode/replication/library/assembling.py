@@ -16,9 +16,10 @@ from stampede_rt_supernode.replication.wire.buffered_transport import BufferedTr
 
 
 class Assembly:
-    """One private copy of the library. Raises LibraryMismatch."""
+    """One private copy of the library. `make_member` makes the library's node for the id of a member."""
 
     def __init__(self, *, clock: Callable[[], float], random_source: RandomSource) -> None:
+        """Load the copy. Raises LibraryMismatch."""
         self._library = load_library(clock=clock, random_source=random_source)
         # The library walks over sets of members. This hash gives the same order in every process, so that a simulated
         # run can be repeated.
@@ -44,7 +45,7 @@ class Assembly:
         keeper: SnapshotKeeper,
         transport: BufferedTransport,
     ) -> None:
-        """Run the library's constructor. It makes the node a follower with the contents of `log` and no snapshot."""
+        """Run the library's constructor. It makes the node a follower with the entries of `log`, without a snapshot."""
         serializer = LibrarySerializer(keeper, log)
         conf = self._conf(settings, LibraryLog(log), serializer)
         self_member = self.make_member(settings.self_member.member_id)

@@ -1,8 +1,8 @@
 """The Raft node of PySyncObj with the names of the Raft paper (Ongaro and Ousterhout 2014, figure 2).
 
-Only this module knows the private names of the library. Other modules use `term` for `_SyncObj__raftCurrentTerm`, and a
-method with a plain name for a private method that the library calls. Without rules above it, the node behaves like the
-unchanged library. pinned_copy.py proves that the installed library has these names.
+Only this module knows the private names of the library. Other modules use plain names: for example, `term` for the
+attribute `_SyncObj__raftCurrentTerm`, and `set_role` for the method `_SyncObj__setState`. Without rules above it, the
+node behaves like the unchanged library. pinned_copy.py proves that the installed library has these names.
 """
 
 # The library's own names are in camelCase.
@@ -43,11 +43,12 @@ class Fate(enum.Enum):
     UNKNOWN = enum.auto()
 
 
+# Gets the result of a command, or its fate.
 ProposalDone = Callable[[bytes | Fate], None]
 
 # The library's FAIL_REASON numbers. A command was not taken in five cases: its queue was full, no leader was known, its
-# entry was discarded, the leader refused it, or the state does not accept it yet. Its fate is unknown after a change of
-# the leader, or if the library says so.
+# entry was replaced, the asked member did not lead, or the state does not accept the command yet. Its fate is unknown
+# after a change of the leader, or if the library says so.
 _SUCCESS = 0
 _REASON_DENIED = 6
 _REASONS_NOT_TAKEN = frozenset((1, 2, 3, 4, _REASON_DENIED))
@@ -135,7 +136,7 @@ class LibraryNode:
         self.doTick(0.0)
 
     def set_term(self, term: int, voted_for: str | None) -> None:
-        """Enter a term, with or without a vote."""
+        """Enter a term. `voted_for`: the id of the member that gets this node's vote; None if no member has it yet."""
         self._SyncObj__setCurrentTerm(term, voted_for)
 
     def become_follower(self, term: int) -> None:

@@ -1,8 +1,8 @@
-"""Loads the Raft module of PySyncObj, in a pinned version, as a private copy with our clock, log and so on.
+"""Loads the Raft module of PySyncObj, in a pinned version, as a private copy that uses our clock, log and snapshots.
 
 The library binds its clock, its random source, its pickle, its log and its poller as module globals. This module runs
-the library's code once more in a namespace of its own, and binds other objects there. The copy that others may import
-stays unchanged. Because we override private methods by name, the version of the file is pinned.
+the library's code once more in a new namespace, and binds our objects there. The module that others may import stays
+unchanged. Because we override private methods by name, the version of the file is pinned.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PINNED_SHA256 = "e8bdf06797085d734df86e24ab4802fe87893dff77268565ec036f7ad4a1cfe
 
 
 class LibraryMismatch(RuntimeError):
-    """The installed PySyncObj is not the pinned version, whose faults our rules correct."""
+    """PySyncObj is not installed, or is not the pinned version, whose faults our rules correct."""
 
 
 class _NoPickle:

@@ -21,7 +21,7 @@ _NOT_SERIALIZING, _SERIALIZING, _SUCCESS = 0, 1, 2
 
 
 class LibraryLog:
-    """Our log as the library's log. The library counts entries from the first held one."""
+    """Our log as the library's log. For the library the first held entry has the number 0."""
 
     def __init__(self, log: RaftLog) -> None:
         self.log = log
@@ -45,12 +45,15 @@ class LibraryLog:
         self.log.clear()
 
     def deleteEntriesFrom(self, entryFrom: int) -> None:
-        """Remove the entries from position `entryFrom` on."""
+        """Remove the entries from number `entryFrom` on."""
         if entryFrom < len(self.log):
             self.log.cut_from(self.log[entryFrom].log_index)
 
     def deleteEntriesTo(self, entryTo: int) -> None:
-        """Do nothing, because the adoption of a snapshot has already cut the log off."""
+        """Do nothing, because the adoption of a snapshot has already removed the entries that it replaces.
+
+        Raises AssertionError if the library wants to remove more.
+        """
         if entryTo > 0:
             raise AssertionError(f"the library wants to cut off {entryTo} entries that no snapshot contains")
 
@@ -75,7 +78,7 @@ class LibraryLog:
         return self.log.voted_for
 
     def onOneSecondTimer(self) -> None:
-        """Called about once a second. The library's own log saves its commit index here."""
+        """Have the next sync write the promises of the members. The library calls this about once a second."""
         self.log.flush_promises()
 
 
@@ -109,7 +112,7 @@ class LibrarySerializer:
         return self._received is not None
 
     def deserialize(self) -> tuple[None, Entry, Entry, list[str]]:
-        """Open the present snapshot into the state machine."""
+        """Open the last received snapshot, or else the stored one, into the state machine. Returns its parts."""
         stored, self._received = self._received or self._log.snapshot, None
         assert stored is not None
         snapshot = self._keeper.open_at_once(stored)
@@ -123,8 +126,8 @@ class LibrarySerializer:
 class LibraryTransport:
     """Our transport as the library's transport, for outgoing messages only.
 
-    BufferedTransport passes incoming messages to the node directly. So nothing reaches the library's remote
-    administration or its anonymous read-only members.
+    BufferedTransport passes incoming messages to the node directly. So no message reaches the functions of the library
+    for remote administration and for read-only members without a name.
     """
 
     ready = True

@@ -1,4 +1,4 @@
-"""Converts between the library's message dictionaries and ours, on their way out of and into the library.
+"""Converts messages between the library's dictionaries and our dataclasses, on their way out of and into the library.
 
 Under our rules the library itself only asks for votes, and sends and receives forwarded commands. The unchanged library
 does more; the tests that compare its faults with our rules need that.

@@ -48,7 +48,7 @@ def introduction(
     roster: MemberRoster,
     highest_level: int,
 ) -> pb.RaftHello:
-    """The hello of this member to another one. `standing`: term and last index on this member's disk."""
+    """The hello of this member to the member `to`. `standing`: the term and last log index on this member's disk."""
     own = settings.self_member
     is_member = any(member.member_id == own.member_id for member in roster.members)
     return pb.RaftHello(

@@ -1,4 +1,4 @@
-"""The outgoing half of the network: a link to every other member, and the refusals that this member gets there."""
+"""The outgoing half of the network: a link to every other member, and the refusals that come back over them."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ logger = logging.getLogger(__name__)
 # The shortest time between two rounds of new hellos to the others. Without this pause one refusing member could make
 # this member restart its streams all the time.
 ASK_OTHERS_SECONDS = 5.0
-OUTDATED_FOLLOWS = "This member goes on until then, and ends"
-REFUSED_FOLLOWS = "This member follows the leader until then, but does not vote, and ends for good"
+# The beginnings of the sentence that a log message adds about an unconfirmed refusal. It goes on with "once ...".
+OUTDATED_FOLLOWS = "This member goes on, but ends"
+REFUSED_FOLLOWS = "This member goes on as a follower without a vote, but ends for good"
 # The leader queues more entries and pieces of a snapshot on a link only while fewer bytes than this wait there.
 ROOM_BYTES = 4 << 20
 
-# The text that gRPC puts before the words of a refusal.
+# The text before the words of a refusal in the reason that a link reports: the status code, and perhaps "refused: ".
 _STATUS = re.compile(r"^(refused: )?(StatusCode\.)?[A-Z_]+: ")
 
 # How often `close` cancels the links that have not ended, and how long it waits for them each time.
@@ -72,9 +73,9 @@ class PeerLinks:
         self.other_cluster = ""
         # The members that say that this release does not know the cluster's feature level.
         self.outdated = Refusals()
-        # The other members according to the log, and the leader that this one follows.
+        # Returns the ids of the other members according to the log, and the id of the leader that this member follows.
         self.see: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
-        # Called once with the reason if others refuse this member for good. Blocks to write a small file.
+        # Called once, with the reason, if others refuse this member for good. The call blocks: it writes a small file.
         self.on_refusal_confirmed: Callable[[str], None] = lambda why: None
         # Called with the id of a member that breaks the protocol, and the text of the fault.
         self.on_fault: Callable[[str, str], None] = lambda member_id, why: None
@@ -135,7 +136,10 @@ class PeerLinks:
                 self.on_refusal_confirmed(self.refusals.why)
 
     def _count(self, refusals: Refusals, member_id: str, why: str, what_follows: str) -> bool:
-        """Note in `refusals` that a member refuses this one. Returns True if this confirms the first refusal there."""
+        """Note in `refusals` that a member refuses this one. Returns True if only now a refusal there is confirmed.
+
+        `what_follows`: the beginning of a sentence for the log, such as OUTDATED_FOLLOWS.
+        """
         is_new, was_confirmed = member_id not in refusals.by, refusals.confirmed is not None
         others, leader_id = self.see()
         is_confirmed = refusals.refused(member_id, why, others=others, leader_id=leader_id)

@@ -31,6 +31,7 @@ from stampede_rt_supernode.replication.wire.records import MalformedMessage, dec
 
 logger = logging.getLogger(__name__)
 
+# Makes a new channel to an address.
 Dial = Callable[[str], grpc.aio.Channel]
 # Makes the hello to a member, given the id of that member.
 Introduce = Callable[[str], pb.RaftHello]
@@ -87,7 +88,7 @@ class PeerLink:
         self._open = False
         # True if the queue had no room for a message, so that the stream must end.
         self._overflow = False
-        # When this member sent the first request since the peer's last answer, in the loop's time.
+        # When this member sent the first request since the peer's last answer, in the loop's time; None without one.
         self._unanswered_since: float | None = None
         # The members in the peer's latest list on this stream.
         self._members_of_peer: tuple[Member, ...] = ()
@@ -188,7 +189,10 @@ class PeerLink:
         raise LinkBroken(f"the peer ended the stream: {await call.details()}")
 
     async def _watch(self) -> None:
-        """End the stream if the peer does not answer. A network may drop all messages for many minutes unnoticed."""
+        """End the stream if the peer does not answer requests. Has empty requests sent until the peer answers.
+
+        Without this check, a network may drop all messages for many minutes unnoticed.
+        """
         limit = self._settings.timing.link_silence_seconds
         while True:
             await asyncio.sleep(limit / 4)

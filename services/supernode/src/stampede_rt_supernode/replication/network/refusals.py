@@ -49,7 +49,10 @@ class Refusals:
         self.why = ""
 
     def refused(self, member_id: str, why: str, *, others: Collection[str], leader_id: str | None) -> bool:
-        """Note a refusal. Returns whether a refusal is confirmed now. `others`: the ids of all other members."""
+        """Note a refusal. Returns whether this or an earlier refusal is confirmed.
+
+        `others`: the ids of all other members. `leader_id`: the leader that this member follows; None if it knows none.
+        """
         self.by[member_id] = why
         trusted = [leader_id] if leader_id in self.by else sorted(one for one in self.by if one in others)
         if self.confirmed is None and (trusted == [leader_id] or 2 * len(trusted) > len(others)):

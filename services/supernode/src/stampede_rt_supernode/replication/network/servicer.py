@@ -91,9 +91,9 @@ class RaftServicer:
         await self._explain(reader, context)
 
     def refused(self) -> dict[str, str]:
-        """By id: the members whose stores were refused at their latest hello, and why.
+        """By id: the members whose stores this one refused at their latest hello, and why.
 
-        Leaves out a member that has a stream, because the refused caller was then a copy of it.
+        Leaves out a member that has a stream. Then the refused caller was another process, with a copy of its folder.
         """
         members = {member.member_id for member in self._replica.roster.members} - self._readers.keys()
         return {member_id: why for member_id, why in self._refused.items() if member_id in members}
@@ -150,7 +150,7 @@ class RaftServicer:
             )
         until, why = self._expelled.get(hello.member_id, (0.0, ""))
         if until > time.monotonic():
-            await context.abort(grpc.StatusCode.UNAVAILABLE, f"not heard for a while: {why}")
+            await context.abort(grpc.StatusCode.UNAVAILABLE, f"refused for {EXPELLED_SECONDS:.0f} s: {why}")
         roster, promise = self._replica.roster, self._replica.promise_of(hello.member_id)
         refusal = refusal_of(
             hello,
@@ -207,7 +207,8 @@ class RaftServicer:
         loop = asyncio.get_running_loop()
         answered_at = loop.time()
         while (request := await context.read()) is not grpc.aio.EOF:
-            # This stream belongs to the member itself, so a caller of the same id that was refused was a copy.
+            # This stream belongs to the member itself. So the caller that was refused under this id had a copy of its
+            # folder.
             self._refused.pop(member_id, None)
             if member_id not in self._replica.roster.peers:
                 raise MalformedMessage(f"{member_id!r} is no longer a member")

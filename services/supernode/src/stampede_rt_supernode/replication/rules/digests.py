@@ -33,8 +33,8 @@ class Digests:
     def __init__(self, adopt: Callable[[bytes], None]) -> None:
         """`adopt` sets the digest of this replica's state machine, if the state machine has none."""
         self._adopt = adopt
-        # The first position at which this replica's state was found to differ from that of most members; 0 if none was
-        # found. Never reset.
+        # The first position at which this replica's state was found to differ from that of most members; 0 as long as
+        # no difference was found. Never reset.
         self.diverged_at = 0
         # The first position at which this replica's state differs from the leader's, while no digest has a majority; 0
         # if it does not differ.
@@ -60,7 +60,8 @@ class Digests:
         """Compare the leader's digest at `index` with this replica's own.
 
         If this replica has not reached `index` yet, it compares them when it gets there. It keeps one such digest, and
-        ignores others meanwhile. It also ignores a position whose digest it no longer has.
+        ignores others meanwhile. It also ignores a position whose digest it no longer has. If its own digest at its
+        last position is unknown, it takes over the leader's.
         """
         own = self._own.get(index)
         last = next(reversed(self._own), 0)

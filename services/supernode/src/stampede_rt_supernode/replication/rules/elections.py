@@ -117,7 +117,7 @@ class RaftRules(Following, Leading):
             super().receive(node, message)
 
     def _on_timeout_now(self, node: MemberNode, message: TimeoutNow) -> None:
-        """Stand for election in this step, because the leader wants this node to lead.
+        """If the leader asks this node to lead, and it may lead, stand for election in this step.
 
         This is as safe as an election timeout that ends early.
         """
@@ -139,7 +139,7 @@ class RaftRules(Following, Leading):
         self.transport.send(node, VoteReply(term=message.term))
 
     def _on_vote(self, node: MemberNode, message: VoteReply) -> None:
-        """Count a vote, once per node and term. The library counts every message."""
+        """Count a vote, once per node and term. The library also counts repeated and late votes."""
         if message.term != self.term or self.role != CANDIDATE:
             return
         if node not in self.other_voters:
@@ -193,7 +193,10 @@ class PreVoteElections(RaftRules):
             self.transport.send(node, request)
 
     def _lose_leader(self) -> None:
-        """Forget the leader after an election timeout without a message. Commands and reads wait for the next one."""
+        """Forget the leader, because an election is due.
+
+        Reads wait for the next leader. Commands that were forwarded to the former leader get an unknown fate.
+        """
         if self.leader is not None:
             self.leader = None
             self.give_up_forwarded()

@@ -26,7 +26,7 @@ class Following(Membership):
             return
         self._follow(node, message.term)
         self.leader_commit_index = message.commit_index
-        # A node whose state has diverged must not lead. So the digests of a stranger do not count.
+        # A stranger's digests do not count. With false digests it could keep this node from leading.
         if not self.is_stranger(node.id):
             self.digests.compare(*message.digest)
             self.digests.compare_with_majority(*message.digest_of_most)

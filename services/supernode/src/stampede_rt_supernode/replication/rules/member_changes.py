@@ -34,7 +34,7 @@ STALLED_SECONDS = 30.0
 # has given up before gives way without delay, until it makes progress.
 GIVES_WAY_SECONDS = 5.0
 # The leader gives up a newcomer that has not caught up in this time, even if it makes progress. At its next try this
-# newcomer gives way at once.
+# newcomer gives way as soon as another one asks.
 JOIN_SECONDS_MAX = 600.0
 
 
@@ -170,6 +170,7 @@ class MemberChanges:
     # -- one at a time -------------------------------------------------------------------------------------------
 
     def _joins_same_change(self, change: MemberChange) -> bool:
+        """If the same change is under way, let the caller wait for that one. Returns whether it is under way."""
         addition, committing = self._addition, self._committing
         if addition is not None and not change.is_removal and addition.member == change.member:
             addition.callers.append(change)
@@ -182,6 +183,7 @@ class MemberChanges:
         return False
 
     def _begin_addition(self, change: MemberChange) -> None:
+        """Begin to send the log to a newcomer, unless it is a member already, or may not join."""
         configuration, member = self._node.configuration(), change.member
         if configuration.find(member.member_id) == member:
             self._finish([change], self._node.last_applied)

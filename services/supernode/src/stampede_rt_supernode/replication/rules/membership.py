@@ -6,9 +6,9 @@ hears every other *known* node, because a member that was away does not know the
 dissertation, section 4.1: servers accept requests from servers outside their configuration). It does not hear a member
 whose removal is applied.
 
-The members in the log are known, and so are the members that one of these has named. A node that only itself or another
-stranger has named is a *stranger*. This node hears strangers only while it is locked out: it has not heard a leader for
-so long that all members it knows may be gone.
+The members in the log are known, and so are the members that a known node has named. Every other node is a *stranger*:
+only that node itself or another stranger has named it. This node hears strangers only while it is *locked out*: it has
+not heard a leader for so long that all members it knows may be gone.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Membership(NodeState):
     _adopted: tuple[int, Configuration | None] = (-1, None)
 
     def open_snapshot(self) -> None:
-        """Load the state, and the members with it."""
+        """Load the stored snapshot, adopt the members in the log, and set the election deadline."""
         super().open_snapshot()
         self.follow_log()
         if self.is_voter() and not self.other_voters:
@@ -93,7 +93,7 @@ class Membership(NodeState):
     def on_members_reported(self, reporter_id: str, members: tuple[Member, ...]) -> None:
         """Take in the list of members that another node has sent.
 
-        Notes known members, too, because a snapshot of an earlier state may remove them from the log's own list.
+        Remembers also the members that the log names, because a snapshot may replace the entries that name them.
         """
         if self.is_stranger(reporter_id):
             for member in members:
@@ -144,7 +144,8 @@ class Membership(NodeState):
     def doubts(self) -> dict[str, int]:
         """By member id: the first position at which the member's state differs from the leader's.
 
-        Empty as soon as more than half of the members are known to have the same state.
+        A leader names the other members, a follower only itself. Empty as soon as more than half of the members are
+        known to have the same state.
         """
         if self.is_leader:
             return dict(self.poll.doubts)
@@ -161,7 +162,7 @@ class Membership(NodeState):
             self.match_index[node] = 0
 
     def append_configuration(self, configuration: Configuration) -> int:
-        """Put a configuration into the log, as the leader. It takes effect at once. Returns its log position."""
+        """Put a configuration into the log. It takes effect at once. Returns its log position. Only for a leader."""
         log_index = self.log.last_index + 1
         self.log.append(encode_configuration(configuration), log_index, self.term)
         self.follow_log()
@@ -188,7 +189,8 @@ class Membership(NodeState):
         peers = {**strangers, **self._named, **{member.member_id: member for member in known}}
         if self.learner is not None:
             peers[self.learner.member_id] = self.learner
-        # Drops a member only when its removal is applied. Until then a new leader, even the member itself, may undo it.
+        # Drops a member only when its removal is applied. Until then a new leader, even the member itself, may undo the
+        # removal.
         for member_id in self.log.configurations.at(self.last_applied).retired:
             peers.pop(member_id, None)
         # Keeps all present members, even if a hostile leader has added a removed member again.

@@ -57,6 +57,7 @@ class Proposals:
         self._handed_max = handed_max
         self._waiting: deque[Proposal] = deque()
         self._handed = 0
+        # A heap of (deadline, number, proposal). The number decides the order of equal deadlines.
         self._deadlines: list[tuple[float, int, Proposal]] = []
         self._sequence = 0
 

@@ -70,7 +70,7 @@ class NodeState(LibraryNode):
         self.on_stream_opened(node)
 
     def on_stream_opened(self, node: MemberNode) -> None:
-        """Note that a stream to or from a member was opened again, so that requests or replies may be lost.
+        """Note that a stream to or from a member has ended or begun, so that requests or replies may be lost.
 
         If the member is the leader, this node repeats its read requests, and reports an unknown fate for the commands
         that it has forwarded. The library lets the callers of those commands wait for ever.

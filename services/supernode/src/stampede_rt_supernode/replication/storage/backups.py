@@ -15,14 +15,16 @@ from pathlib import Path
 from stampede_rt_supernode.replication.storage.store import StoreDamaged, StoredSnapshot, StoredState
 from stampede_rt_supernode.replication.wire.records import MalformedMessage, SnapshotContents, decode_snapshot
 
+# The first line of every backup.
 MAGIC = b"stampede-rt directory backup 1\n"
+# The size of the parts in which a backup is sent.
 PART_BYTES = 1 << 20
 SHA256_BYTES = 32
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BackupHeader:
-    """The origin of a backup."""
+    """The origin of a backup: who made it, and when. `log_index` is the last log position that it covers."""
 
     member_id: str
     cluster_id: str

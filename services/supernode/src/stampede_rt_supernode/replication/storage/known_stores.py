@@ -21,9 +21,11 @@ from typing import Any
 from stampede_rt_supernode.replication.storage.store import REJOIN, StoreDamaged
 
 FILE_NAME = "replicated_log.stores"
-# the most nodes that are remembered although they are not members
+# The most nodes that are remembered although they are not members.
 OTHERS_MAX = 32
+# The length of the random id of a new store. In the file and in hellos the id is in hexadecimal.
 ID_BYTES = 8
+# The longest store id that this member accepts in a hello.
 STORE_ID_BYTES_MAX = 64
 
 

@@ -69,9 +69,9 @@ class SnapshotKeeper:
     def go_on_taking(self) -> Entry | None:
         """Continue to take the snapshot under way.
 
-        Returns None while the snapshot is under way. When the log has adopted it, returns the log's first entry, which
-        is the last but one that the snapshot covers. If a leader has sent a newer snapshot meanwhile, drops this one,
-        and also returns the last but one entry that it covers.
+        Returns None if no snapshot is under way, or as long as it is. When the log has adopted the snapshot, returns
+        the last entry but one that the snapshot covers, which is now the log's first entry. If a leader has sent a
+        newer snapshot meanwhile, drops its own, and returns the last entry but one of the dropped snapshot.
 
         Another thread encodes the snapshot. Then each step writes one piece, so that no step takes long. The seal and
         the log's new beginning reach the disk together. Raises the errors of the encoding.
@@ -158,11 +158,14 @@ class SnapshotKeeper:
         return last
 
     def end_sending(self) -> None:
-        """Drop all snapshots that are being sent, because this member no longer leads."""
+        """Stop sending snapshots to all members. Only a leader sends snapshots."""
         self._sending.clear()
 
     def next_chunk(self, member_id: str) -> SnapshotChunk | None:
-        """The next piece for a member; None if its link has no room, this step has sent enough, or there is none."""
+        """The next piece for a member.
+
+        None if the member's link has no room, if this step has sent enough pieces, or if there is no snapshot.
+        """
         if self._chunks_left == 0 or not self._has_room(member_id):
             return None
         sending = self._sending_to(member_id)
@@ -183,9 +186,10 @@ class SnapshotKeeper:
         )
 
     def _sending_to(self, member_id: str) -> _Sending | None:
-        """The snapshot that is being sent to a member; None without a snapshot.
+        """The snapshot that is being sent to a member; None if this node has no snapshot.
 
-        Begins with the present snapshot if none is being sent, or if the entries after that one are no longer kept.
+        Begins to send the present snapshot if none is being sent, or if the log no longer has the entries that follow
+        the one being sent.
         """
         sending, present = self._sending.get(member_id), self._log.snapshot
         if sending is not None and sending.snapshot.last_log_index >= self._log.first_sendable:

@@ -6,8 +6,8 @@ So the store finds damage when it is opened, and damaged data is never applied.
 
 A snapshot is written in pieces, over several commits. The commit that seals it also drops the entries that it
 replaces. Until then the former snapshot is complete. After that each commit deletes a few pieces of the former
-snapshot. So, once there is a first snapshot, one snapshot is sealed whenever the process is killed, and the log begins
-where that snapshot ends.
+snapshot. So, after the first seal, the database always has one complete snapshot, even if the process is killed, and
+the log begins with the last two entries of that snapshot.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ class SqliteStore:
     def __init__(self, data_dir: Path, *, cluster_id: str, member_id: str, create: bool) -> None:
         """Open or create the store. Blocks. Raises StoreRefused or StoreDamaged, with the way out."""
         self._path = data_dir / DATABASE_NAME
-        # The number of the store's transactions; also in a file beside the database, see watermark.py.
+        # The number of commits so far. The file beside the database has it, too (see watermark.py).
         self._commits = 0
         # Whether there may be pieces of earlier snapshots, of this process or a killed one.
         self._has_old_pieces = True
@@ -184,8 +184,8 @@ class SqliteStore:
             raise StoreDamaged(f"{self._path} does not name its cluster and member: {REJOIN}")
         if row[0] != FORMAT_VERSION:
             raise StoreRefused(
-                f"{self._path} has form {row[0]}, and this version reads form {FORMAT_VERSION}: run the version that "
-                "wrote it, or, if that is this one, the file is damaged; then " + REJOIN
+                f"{self._path} has format {row[0]}, and this version reads format {FORMAT_VERSION}: run the version "
+                "that wrote it, or, if that is this one, the file is damaged; then " + REJOIN
             )
         if row[1:] != (cluster_id, member_id):
             raise StoreRefused(
@@ -252,7 +252,7 @@ class SqliteStore:
             if entries and log_index != entries[-1].log_index + 1:
                 raise StoreDamaged(f"{self._path}: entries before {log_index} are missing: {REJOIN}")
             if entries and term < entries[-1].term:
-                raise StoreDamaged(f"{self._path}: entry {log_index} is of an earlier time: {REJOIN}")
+                raise StoreDamaged(f"{self._path}: entry {log_index} has a lower term than the entry before: {REJOIN}")
             entries.append(entry)
         return entries
 

@@ -28,6 +28,7 @@ class Promise(NamedTuple):
         return term >= self.term and last_index >= self.held
 
 
+# The way out, at the end of the error texts for a store that is not usable.
 REJOIN = "empty the folder and let this member join again under a new id"
 
 

@@ -17,7 +17,9 @@ import time
 import zlib
 from pathlib import Path
 
+# The shortest time between two syncs of the file.
 FORCE_SECONDS = 1.0
+# The number of commits, and a checksum of it.
 _RECORD = struct.Struct("<QI")
 
 

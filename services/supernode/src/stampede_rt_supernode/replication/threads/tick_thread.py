@@ -1,4 +1,4 @@
-"""The one thread on which the log runs. It sleeps until something arrives, and also ticks from time to time.
+"""The one thread on which the log runs. It takes a step when something arrives, and at least every `tick_seconds`.
 
 A second thread watches whether each step ends. A disk that hangs gives no error, and would hold the log's thread for
 ever.
@@ -29,7 +29,7 @@ EXIT_DISK = 74
 EXIT_TOO_OLD = 1
 # If a step takes longer, the disk counts as hanging. After this time the other members have elected a new leader.
 STUCK_SECONDS = 3.0
-# The time between two looks of the second thread at the present step.
+# The second thread looks at the present step once in this time.
 LOOK_SECONDS = 0.5
 
 
@@ -76,13 +76,13 @@ class TickThread:
         self._step_began: float | None = None
 
     def stuck_seconds(self) -> float:
-        """The seconds that the present step has lasted, if that is too long; else 0. Callable on any thread."""
+        """The seconds that the present step has lasted; 0 if that is STUCK_SECONDS or less. Callable on any thread."""
         began = self._step_began
         lasted = 0.0 if began is None else time.monotonic() - began
         return lasted if lasted > STUCK_SECONDS else 0.0
 
     def wake(self) -> None:
-        """Do the next step now."""
+        """Have the thread take the next step now. Never blocks."""
         self._work.set()
 
     def start(self, replica: Ticked) -> None:
@@ -129,9 +129,9 @@ class TickThread:
             if stuck_since is None and began is not None and looks * LOOK_SECONDS >= STUCK_SECONDS:
                 stuck_since = began
                 logger.error(
-                    "the disk of the data folder has not answered for %.0f s: this supernode takes and confirms "
-                    "nothing until it does; the others go on without it. Mend the disk; if it does not come back, "
-                    "remove this member and join a new one",
+                    "the disk of the data folder has not answered for %.0f s: this supernode accepts no "
+                    "changes and no reads until it does; the others go on without it. Mend the disk; if it does not "
+                    "come back, remove this member and join a new one",
                     STUCK_SECONDS,
                 )
             elif stuck_since is not None and began != stuck_since:

@@ -54,7 +54,7 @@ class WorkerThread:
         return self._executor.submit(_giving_way, work)
 
     def close(self) -> None:
-        """Begin no more work. The thread ends with the process. Nobody gets the result of its last work."""
+        """Begin no more work. Work under way goes on, but nobody gets its result."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 

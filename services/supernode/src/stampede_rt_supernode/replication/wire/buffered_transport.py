@@ -57,7 +57,7 @@ class Received:
 
 @dataclass(frozen=True, slots=True)
 class MembersReported:
-    """A member has sent its view of the members, in its answer to a hello."""
+    """A member has sent its list of the members, in an answer on the stream to it."""
 
     member_id: str
     members: tuple[Member, ...]
@@ -73,7 +73,7 @@ class Introduced:
 
 @dataclass(frozen=True, slots=True)
 class Disputed:
-    """A member has refused this node's store, for the reason `why`. If `why` is empty, it accepts the store again."""
+    """A member refuses this node's store, for the reason `why`. If `why` is empty, that member accepts it again."""
 
     member_id: str
     why: str
@@ -82,6 +82,7 @@ class Disputed:
 NetworkEvent = (
     Connected | Disconnected | StreamOpened | StreamEnded | Received | MembersReported | Introduced | Disputed
 )
+# The id of the receiver, and the message.
 Outgoing = tuple[str, Message]
 
 
@@ -141,7 +142,7 @@ class BufferedTransport:
         self._handler = handler
 
     def deliver(self, event: NetworkEvent) -> None:
-        """Pass one network event to the node. Drops events about unknown members."""
+        """Pass one network event to the node. Drops every event about an unknown member, except Introduced."""
         self._note_links(event)
         if self._handler is None:
             return

@@ -1,6 +1,6 @@
 """Converts messages between members from and to protobuf, the only form on the wire.
 
-Decoding checks every number, size and kind, so that no decoded message can make a rule raise.
+Decoding checks every number, size and kind. So a decoded message can make a rule raise nothing but PeerAtFault.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ from stampede_rt_supernode.replication.wire.records import (
     encode_entry,
 )
 
+# The largest snapshot of which this member accepts a piece.
 SNAPSHOT_BYTES_MAX = 1 << 30
+# Of a longer digest this member reads only so many bytes.
 DIGEST_BYTES_MAX = 64
 
 

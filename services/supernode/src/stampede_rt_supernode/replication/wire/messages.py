@@ -19,7 +19,11 @@ NO_DIGEST: StateDigest = (0, b"")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AppendEntries:
-    """A leader's entries after `previous_index`, or a heartbeat. The reply echoes `round`, see `ConfirmedReads`."""
+    """A leader's entries after `previous_index`; without entries, a heartbeat.
+
+    The reply echoes `round`, see `ConfirmedReads`. `digest`: the position that the leader names, and its own digest
+    there. `digest_of_most`: the digest that more than half of all members have at that position (see rules/digests.py).
+    """
 
     term: int
     commit_index: int
@@ -53,7 +57,7 @@ class SnapshotChunk:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InstallSnapshot:
     """A part of a leader's snapshot, for a member that lacks entries no longer in the log; without a part,
-    a heartbeat.
+    a heartbeat. The other fields are those of AppendEntries.
     """
 
     term: int
@@ -108,7 +112,7 @@ class TimeoutNow:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForwardedCommand:
-    """A command that a follower passes on to the leader."""
+    """A command that a follower passes on to the leader. The first byte of `command` is the kind of the entry."""
 
     request_id: int
     command: bytes
@@ -120,6 +124,7 @@ class ForwardRefusal(enum.Enum):
     QUEUE_FULL = enum.auto()
     MISSING_LEADER = enum.auto()
     NOT_LEADER = enum.auto()
+    # The state does not accept the command at its present feature level.
     DENIED = enum.auto()
 
 

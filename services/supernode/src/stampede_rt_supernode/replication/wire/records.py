@@ -1,4 +1,4 @@
-"""Entries, configurations and snapshots as bytes, in the same form on the wire and in the store.
+"""Encodes and decodes entries, configurations and snapshots, for the wire and the store.
 
 Decoding checks every number, size and kind.
 """
@@ -26,7 +26,7 @@ class MalformedMessage(ValueError):
 
 
 def checked_number(value: int) -> int:
-    """The number, if this version can process it. Raises MalformedMessage."""
+    """Return `value`. Raises MalformedMessage if it is more than INT_MAX."""
     if value > INT_MAX:
         raise MalformedMessage(f"{value} is past 2^62")
     return value
@@ -108,7 +108,10 @@ def decode_entry(entry: pb.RaftLogEntry) -> Entry:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SnapshotContents:
-    """The parts of a snapshot. `configuration` is None in a snapshot from before members could change."""
+    """The parts of a snapshot: the last two entries that it covers, the members, and the encoded state.
+
+    `configuration` is None if the snapshot is of an early release, which could not change the members.
+    """
 
     previous: Entry
     last: Entry
