@@ -111,7 +111,7 @@ async def serve(settings: SupernodeSettings) -> None:
         if founding.token and settings.data_dir is not None:
             work.append(_for_good(volunteer(founding, settings.data_dir, log, credentials, zone=settings.zone)))
         async with GarbageCollection(), _background(server, *work):
-            # Printed once `run` handles stop signals: a process that waits for this line may send one at once.
+            # Printed once `run` handles stop signals, because a process that waits for this line may then send one.
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(parts.end_streams)
@@ -134,9 +134,9 @@ class _Parts:
     membership: MembershipServicer
 
     async def end_streams(self) -> None:
-        """End all streams, so that callers go elsewhere.
+        """End all watches, so that callers go elsewhere. Hand the leadership over. Then close the log.
 
-        Hand the leadership over, so that members need no election timeout.
+        Because of the hand-over, the other members need not wait for an election timeout.
         """
         self.watches.close()
         with contextlib.suppress(LogUnavailable):
@@ -291,7 +291,7 @@ async def _follow_access(server: ServiceServer) -> None:
 
 
 async def _follow_leader(server: ServiceServer, members: Members) -> None:
-    """Keep the health service at SERVING as long as this supernode can serve, and at NOT_SERVING else."""
+    """Have the health service say SERVING as long as this supernode can serve, and NOT_SERVING otherwise."""
     serving = False
     while not server.stopping.is_set():
         if members.ready() != serving:
@@ -302,7 +302,10 @@ async def _follow_leader(server: ServiceServer, members: Members) -> None:
 
 @contextlib.asynccontextmanager
 async def _background(server: ServiceServer, *work: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
-    """Run `work` beside the block. A failure in it is a defect: the service stops, and the failure is raised."""
+    """Run `work` beside the caller's `with` block. If any of it ends, the service stops.
+
+    Raises the StampedeError of the work, or an ExceptionGroup if the work has failed in another way.
+    """
     tasks = [asyncio.create_task(one) for one in work]
     for task in tasks:
         task.add_done_callback(lambda _: server.stopping.set())

@@ -1,7 +1,7 @@
-"""The directory as the replicated log drives it: bytes in, bytes out, on the log's own thread.
+"""The directory as the replicated log drives it: commands and results as bytes, on the log's own thread.
 
-Readers run on the event loop's thread. A short lock keeps them from reading half of a command. Nobody holds the lock
-across an await, and every read under it is bounded.
+Readers run on the event loop's thread. A lock keeps them from seeing the effect of half a command. Nobody holds the
+lock across an await, and every read under the lock is bounded.
 """
 
 from __future__ import annotations
@@ -106,7 +106,8 @@ class DirectoryReplica:
         self._check_release(directory)
 
         def restore() -> None:
-            outdated = self._directory  # freed when the function returns, not while readers wait for the lock
+            # The old state is freed when this function returns, not while readers wait for the lock.
+            outdated = self._directory
             with self._lock:
                 self._directory, self._snapshots = directory, SnapshotWriter()
                 self.restored += 1

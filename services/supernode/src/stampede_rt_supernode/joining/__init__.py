@@ -1,1 +1,1 @@
-"""Foundation of a cluster, and preparation, join, removal and restart of its supernodes."""
+"""Founds clusters, lets supernodes join them, reads their data folders at each start, and probes the other members."""

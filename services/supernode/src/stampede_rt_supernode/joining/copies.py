@@ -32,7 +32,7 @@ class OwnAddress:
         self._dial = dial
 
     async def check(self) -> None:
-        """Raises StampedeError if another process answers there as this supernode. Takes ASK_SECONDS at most."""
+        """Raises StampedeError if another process at the address answers as this supernode. Waits up to ASK_SECONDS."""
         async with self._dial(self._address) as channel:
             if await self._boot_of_answer(channel) not in (None, self._boot):
                 raise self._is_copy()
@@ -40,7 +40,7 @@ class OwnAddress:
     async def watch(
         self, cluster_id: Callable[[], str], *, sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
     ) -> None:
-        """Watch the address until this process itself answers there.
+        """Call the address every LOOK_SECONDS, until this process itself answers there.
 
         `cluster_id`: the id of this supernode's cluster. A supernode of another cluster is no copy. Raises
         StampedeError if another process answers FINDINGS_NEEDED times in a row.

@@ -30,9 +30,9 @@ ANYWHERE = ("0.0.0.0", "::")
 
 @dataclass(frozen=True, kw_only=True)
 class Founding:
-    """The origin of a member. `members`: by id, the addresses of all founders.
+    """How a member begins, and how far it has come. `address`: the address at which the other members reach it.
 
-    For a member that joins, they are the addresses of the members that the cluster had at `join`.
+    `members`: by id, the addresses of all founders; for a member that joins, those of the members at that time.
     """
 
     supernode_id: str
@@ -55,7 +55,7 @@ class Founding:
     refusals: int = 0
 
     def replication_settings(self, data_dir: Path | None) -> ReplicationSettings:
-        """The settings of the log."""
+        """The settings of the log. Raises ValueError if the facts contradict each other."""
         return ReplicationSettings(
             self_member=Member(member_id=self.supernode_id, address=self.address),
             initial_members=[Member(member_id=name, address=address) for name, address in self.members.items()],
@@ -108,9 +108,10 @@ def note_started(data_dir: Path, founding: Founding) -> Founding:
 
 @contextlib.contextmanager
 def restoring(data_dir: Path) -> Iterator[None]:
-    """Mark the folder while the block writes into it. A mark that stays means that the block failed or was interrupted.
+    """Mark the folder while the caller's `with` block writes into it. A mark that stays shows that the block failed.
 
-    If the block fails before it has written a store, removes the mark, and the folder if this call has made it.
+    If the block fails before it has written a store, this function removes the mark, and also the folder if it has made
+    the folder.
     """
     is_new = not data_dir.exists()
     data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)

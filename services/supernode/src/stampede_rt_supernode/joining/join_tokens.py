@@ -1,9 +1,9 @@
 """Join tokens: any supernode can make and check them, and no supernode stores them before their use. Pure.
 
-A token contains the time at which it ends, the id of the cluster's log, and a proof (HMAC, RFC 2104) for one supernode
-id and one address. The newcomer needs the id of the log for its first hello. The first leader makes the random key of
-the proofs. The supernodes keep the key in the directory, and tell it to nobody. The log makes sure that a token lets in
-only one member.
+A token contains the time at which it ends, the id of the request that made it, the id of the cluster's log, and a proof
+(HMAC, RFC 2104) for one supernode id and one address. The newcomer needs the id of the log for its first hello. The
+first leader makes the random key of the proofs. The supernodes keep the key in the directory, and give it to nobody.
+The log makes sure that a token lets in only one member.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from stampede_rt_supernode.replication import Member
 VALID_NANOS_DEFAULT = 3600 * 10**9
 VALID_NANOS_MAX = 24 * 3600 * 10**9
 KEY_BYTES = 32
+# The parts before the proof: this prefix with the version of the form, the end, the request id, and the id of the log.
 _PREFIX = "sj3"
 _PARTS = 4
 
@@ -33,7 +34,7 @@ class JoinTokens:
         return f"{body}.{self._proof(body, newcomer)}"
 
     def check(self, token: str, newcomer: Member, *, now_unix_nano: int) -> str:
-        """Check a token, and return the hash by which the log knows it.
+        """Check a token, and return its hash: the ticket by which the log knows it.
 
         Raises PermissionDenied with reason UNAUTHENTICATED.
         """

@@ -24,8 +24,11 @@ from stampede_rt_supernode.joining.join_tokens import VALID_NANOS_DEFAULT, log_c
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import Member, ReleaseTooOld, StoreDamaged, StoreRefused, restore_from
 
+# The verbs of this module.
 PREPARING = ("init", "join")
+# The exit codes of a failure, and of wrong arguments.
 FAILED, MISUSED = 1, 2
+# The length of the random part of an id that the user did not choose.
 ID_BYTES = 4
 
 

@@ -17,12 +17,16 @@ from stampede_rt_supernode.replication.interface import Member, ReplicatedLog
 logger = logging.getLogger(__name__)
 
 PERIOD_SECONDS = 2.0
+# How long a member may take to answer a probe.
 PROBE_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of the last probe of a member. `round_trip_nanos` is None if the member did not answer."""
+    """The result of the last probe of a member. `healthy`: the member has answered that it can serve.
+
+    `round_trip_nanos` is None if the member did not answer.
+    """
 
     healthy: bool
     round_trip_nanos: int | None

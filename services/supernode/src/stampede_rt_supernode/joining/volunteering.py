@@ -22,11 +22,13 @@ from stampede_rt_supernode.replication import ReplicatedLog
 
 logger = logging.getLogger(__name__)
 
+# How long a member may take to answer one request.
 ATTEMPT_SECONDS = 30.0
+# The pause between two requests. It doubles after each failure, up to the maximum.
 PAUSE_SECONDS, PAUSE_SECONDS_MAX = 0.5, 10.0
-# the longest wait before a supernode that the members have refused asks again
+# The longest wait before a supernode that the members have refused asks again.
 REFUSED_SECONDS_MAX = 300
-# the errors after which another attempt would fail, too
+# The errors after which another attempt would fail, too.
 _HOPELESS = (PermissionDenied, InvalidArgument, VersionMismatch)
 NEWER_RELEASE = "start it with the release of the others and the same data folder; it then catches up with them"
 
@@ -42,8 +44,9 @@ async def volunteer(
 ) -> None:
     """Ask one member after the other until this supernode is a member. If a member names the leader, ask the leader.
 
-    If the members have refused this supernode before, it first waits, and longer after each refusal, because a
-    supervisor may restart it at once. Raises StampedeError if a member refuses for a reason that stays.
+    If the members have refused this supernode before, it first waits. The wait doubles with each refusal, because a
+    supervisor may restart the process again and again. Raises StampedeError if a member refuses for a reason that
+    another attempt would not change.
     """
     if founding.refused:
         pause_seconds = seconds_before_asking(founding.refusals)
