@@ -81,7 +81,10 @@ async def test_it_says_of_itself_that_its_disk_does_not_answer_and_doctor_what_t
     node.log.disk_silent_seconds = 7.2
     pong = await node.call(node.stub.Ping(pb.DirectoryServicePingRequest(), timeout=10))
     state, advice = refusal(pong.refused_supernodes["s1"])
-    assert (state, "has not answered for 7 s; the others go on" in advice) == ("waiting for its disk", True), advice
+    assert (state, "has not answered for 7 s; the other supernodes serve without this one" in advice) == (
+        "waiting for its disk",
+        True,
+    ), advice
 
 
 def test_doctor_tells_a_release_that_is_refused_from_a_store() -> None:
