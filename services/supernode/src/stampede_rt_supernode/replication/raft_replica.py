@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from stampede_rt_supernode.replication.arrivals import Arrivals, taken_from
-from stampede_rt_supernode.replication.interface import Member, ReplicationStatus, StateMachine
+from stampede_rt_supernode.replication.interface import LogUnavailable, Member, ReplicationStatus, StateMachine
 from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.elections import TERM_MAX, PreVoteElections
@@ -230,6 +230,8 @@ class RaftReplica:
             self._proposals.add(proposal)
         for request in self._arrivals.snapshot_requests:
             self._snapshots.add(request)
+        for change in self._arrivals.changes:
+            self._refuse_change(change)
         self._proposals.close()
         self._changes.close()
         self._snapshots.close()
@@ -238,6 +240,13 @@ class RaftReplica:
         self._node.reads.close()
         self._log.close()
         self._run_completions()
+
+    def _refuse_change(self, change: MemberChange | HandOver) -> None:
+        """Answer a change or hand-over that has not begun, because this replica is closing."""
+        if isinstance(change, HandOver):
+            self._changes.hand_over(change)
+        else:
+            self._completions.append(lambda: change.done(LogUnavailable("this replica is closing")))
 
     def _take_in(self) -> None:
         for proposal in taken_from(self._arrivals.proposals):

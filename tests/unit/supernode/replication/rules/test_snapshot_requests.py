@@ -11,6 +11,8 @@ import pytest
 from stampede_rt_supernode.replication.arrivals import SNAPSHOT_REQUESTS_MAX
 from stampede_rt_supernode.replication.interface import LogUnavailable, Member
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
+from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
+from stampede_rt_supernode.replication.rules.member_changes import MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings
@@ -111,6 +113,17 @@ def test_what_waits_when_the_replica_closes_is_told_so() -> None:
     alone.ask()
     alone.replica.close()
     assert [str(one) for one in alone.outcomes] == ["this replica is closing"]
+
+
+def test_changes_of_the_members_that_wait_when_the_replica_closes_are_answered() -> None:
+    alone = Alone(MemoryStore())
+    alone.propose(b"a")
+    newcomer = Member(member_id="n", address="n:1")
+    answers: list[object] = []
+    alone.replica.change_members(MemberChange(newcomer, False, answers.append))
+    alone.replica.change_members(HandOver(answers.append))
+    alone.replica.close()
+    assert sorted(str(one) for one in answers) == ["False", "this replica is closing"]
 
 
 def test_no_more_than_a_few_wait() -> None:
