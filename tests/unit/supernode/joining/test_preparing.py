@@ -32,6 +32,6 @@ def test_the_command_to_start_is_a_line_of_its_own(
     folder = tmp_path / "a\x1b[2Jb"
     assert preparing.prepare([*verb, *AT, "--data-dir", str(folder)]) == 0
     first, empty, start = capsys.readouterr().out.splitlines()
-    assert first.endswith("Start it:")
+    assert first.endswith("Start this supernode:")
     assert empty == ""
     assert start == f"  stampede supernode --listen 127.0.0.1:7591 --data-dir {tmp_path}/a\\x1b[2Jb"

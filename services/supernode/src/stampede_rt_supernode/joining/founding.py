@@ -98,7 +98,7 @@ def write_founding(data_dir: Path, founding: Founding) -> None:
 
 
 def note_started(data_dir: Path, founding: Founding) -> Founding:
-    """Note in the file that the store exists."""
+    """Note in the file that the store exists. Returns the new contents of the file."""
     if founding.started:
         return founding
     started = replace(founding, started=True)

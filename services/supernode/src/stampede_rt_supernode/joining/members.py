@@ -14,8 +14,8 @@ from stampede_rt_supernode.replication.interface import Member, ReplicatedLog, R
 def why_diverged(status: ReplicationStatus) -> str:
     """The reason why this supernode does not serve, as one sentence."""
     return (
-        f"the state of {status.self_id!r} differs from that of most members at log position {status.diverged_at}, as "
-        "after a release that did not know all commands, or damaged memory"
+        f"the state of {status.self_id!r} differs from that of most members at log position {status.diverged_at}, for "
+        "example because a release did not know all commands, or memory was damaged"
     )
 
 

@@ -88,7 +88,7 @@ def _run_init(arguments: argparse.Namespace) -> int:
             write_founding(arguments.data_dir, founding)
     else:
         write_founding(arguments.data_dir, founding)
-    _say(f"Cluster {cluster_id} is founded, with supernode {name}. Start it:", "", _start(arguments))
+    _say(f"Cluster {cluster_id} is founded, with supernode {name}. Start this supernode:", "", _start(arguments))
     return 0
 
 
@@ -135,7 +135,8 @@ def _run_join(arguments: argparse.Namespace) -> int:
     write_founding(arguments.data_dir, founding)
     others = ", ".join(members)
     _say(
-        f"Supernode {name} is ready to join the cluster of {others}, which judges its token when it starts. Start it:",
+        f"Supernode {name} is ready to join the cluster of {others}. They check its token when it starts. "
+        "Start this supernode:",
         "",
         _start(arguments),
     )

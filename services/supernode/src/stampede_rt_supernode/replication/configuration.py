@@ -81,7 +81,7 @@ class Configurations:
 
     @property
     def current_index(self) -> int:
-        """The log position of the current configuration; for the base, the end of the snapshot that has it, or 0."""
+        """The log position of the current configuration; for the base, the end of its snapshot, or 0 without one."""
         return self._changes[-1].log_index
 
     def at(self, log_index: int) -> Configuration:

@@ -155,7 +155,10 @@ class ReleaseTooOld(Exception):
 
 
 class LogUnavailable(Exception):
-    """No majority answered in time, and the command is certainly not in the log. Safe to try again."""
+    """The log cannot serve the call now: it has no leader or no majority, too many calls wait, or it is closed.
+
+    A proposed command certainly takes no effect. Safe to try again.
+    """
 
 
 class NotLeading(Exception):
@@ -205,18 +208,18 @@ class ReplicatedLog(Protocol):
     async def add_member(self, member: Member, *, ticket: str = "", timeout: float) -> int:
         """Add a replica that runs at `member.address` and waits to join. Returns the log position of the change.
 
-        The replica becomes a member once it has caught up. Idempotent: a repeated call waits for the addition under
-        way, which continues after `timeout`. A `ticket` lets in one member. Raises NotLeading, ChangeUnderWay,
-        ChangeRefused (TicketSpent if the ticket is used up, ReleaseOutdated if the newcomer's release is too old),
-        LogUnavailable or Ambiguous.
+        If it is a member already, returns the last applied position. The replica becomes a member once it has caught
+        up. Idempotent: a repeated call waits for the addition under way, which continues after `timeout`. A `ticket`
+        lets in one member. Raises NotLeading, ChangeUnderWay, ChangeRefused (TicketSpent if the ticket is used up,
+        ReleaseOutdated if the newcomer's release is too old), LogUnavailable or Ambiguous.
         """
 
     async def remove_member(self, member_id: str, *, timeout: float) -> int:
         """Remove a member. If this replica is that member, hand over to another leader. Returns the log position of the
         change.
 
-        Idempotent: the removal of a non-member succeeds. Raises the errors of `add_member`. After a hand-over it raises
-        NotLeading; then ask the new leader for the removal.
+        Idempotent: the removal of a non-member succeeds, and returns the last applied position. Raises the errors of
+        `add_member`. After a hand-over it raises NotLeading; then ask the new leader for the removal.
         """
 
     async def hand_over(self, *, timeout: float) -> bool:

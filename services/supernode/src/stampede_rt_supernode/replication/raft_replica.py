@@ -120,9 +120,9 @@ class RaftReplica:
         last_term, _ = node.log_end()
         if node.term > TERM_MAX:
             raise StoreDamaged(
-                f"it has taken over term {node.term}, and its log ends in term {last_term}: no elections explain that, "
-                f"so somebody hostile has raised it. {REJOIN}; if all supernodes say so, found a new cluster from the "
-                "folder of one of them, which loses nothing that it holds (stampede supernode init --restore)"
+                f"this member is in term {node.term}, and its log ends in term {last_term}: no elections explain that, "
+                f"so somebody hostile has raised its term. {REJOIN}; if all supernodes say so, found a new cluster "
+                "from the folder of one of them, which loses nothing that it holds (stampede supernode init --restore)"
             )
         return node
 

@@ -50,7 +50,9 @@ class RaftTiming:
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
         if self.election_timeout_min_seconds <= 3 * self.heartbeat_seconds:
-            raise ValueError("election_timeout_min_seconds must be more than three heartbeats, or leaders will flap")
+            raise ValueError(
+                "election_timeout_min_seconds must be more than three heartbeats, or leaders would change without need"
+            )
         if self.election_timeout_max_seconds <= self.election_timeout_min_seconds:
             raise ValueError("election_timeout_max_seconds must be more than election_timeout_min_seconds")
 

@@ -165,9 +165,7 @@ class LibraryNode:
         self._applyCommand(command, lambda result, reason: done(_outcome(result, reason)), COMMAND)
 
     def give_up_forwarded(self) -> None:
-        """Report an unknown fate for commands that were sent to the former leader, because there is another
-        leader now.
-        """
+        """Report an unknown fate for the commands that this node has forwarded, because their answers may be lost."""
         self._SyncObj__onLeaderChanged()
 
     def callers_waiting_count(self) -> int:

@@ -222,7 +222,10 @@ class RaftServicer:
 
     async def _explain(self, reader: asyncio.Task[None], context: Context) -> None:
         if reader.cancelled():
-            await context.abort(grpc.StatusCode.UNAVAILABLE, "closing, or replaced by a newer stream")
+            await context.abort(
+                grpc.StatusCode.UNAVAILABLE,
+                "this member closes, has a newer stream of the caller, or refuses the caller for a while",
+            )
         error = reader.exception()
         if isinstance(error, MalformedMessage):
             await context.abort(grpc.StatusCode.INVALID_ARGUMENT, str(error))

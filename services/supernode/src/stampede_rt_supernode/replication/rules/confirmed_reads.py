@@ -21,9 +21,9 @@ from stampede_rt_supernode.replication.wire.messages import ReadIndexReply, Read
 
 @dataclass(slots=True)
 class ConfirmedRead:
-    """One read under way. `done` is called once: with the applied index, or with None after `deadline` or at the end.
+    """One read under way. `done` is called once: with the applied index, or with None if no index was found.
 
-    `deadline` is by the replica's clock.
+    That is so after `deadline`, by the replica's clock, and when the replica closes.
     """
 
     deadline: float
@@ -130,7 +130,7 @@ class ConfirmedReads:
         self._echoes[member_id] = max(round_number, self._echoes.get(member_id, 0))
 
     def on_leader_lost(self) -> None:
-        """Begin all unconfirmed reads again.
+        """Begin all unconfirmed reads again, and refuse the requests of followers.
 
         Requests and answers may be lost, and those of a former leadership do not count.
         """

@@ -95,6 +95,11 @@ class MemberChanges:
         round_seconds: float,
         alive_seconds: float,
     ) -> None:
+        """A newcomer has caught up once a round of catching up has taken `round_seconds` at most.
+
+        A member that has answered the leader within `alive_seconds` counts as alive. `finish(call)` makes the call once
+        the changes of this step are durable.
+        """
         self._node = node
         self._clock = clock
         self._finish_later = finish
@@ -167,7 +172,7 @@ class MemberChanges:
         """End all waiting calls."""
         self._end(LogUnavailable("this replica is closing"))
 
-    # -- one at a time -------------------------------------------------------------------------------------------
+    # -- the steps of a change -----------------------------------------------------------------------------------
 
     def _joins_same_change(self, change: MemberChange) -> bool:
         """If the same change is under way, let the caller wait for that one. Returns whether it is under way."""

@@ -24,7 +24,7 @@ SHA256_BYTES = 32
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BackupHeader:
-    """The origin of a backup: who made it, and when. `log_index` is the last log position that it covers."""
+    """The origin of a backup: the member that made it, the time, and the last log position that it covers."""
 
     member_id: str
     cluster_id: str

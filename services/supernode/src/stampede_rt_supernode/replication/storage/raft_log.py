@@ -192,7 +192,7 @@ class RaftLog:
         return found
 
     def keep_after(self, log_index: int) -> None:
-        """Free the kept entries at or before a position, because no member needs them any more."""
+        """Free the kept entries at or before a position. They can then no longer be sent."""
         while self._kept and self._kept[0].log_index <= log_index:
             self._let_go_oldest()
 
@@ -222,7 +222,8 @@ class RaftLog:
         """Let the log begin with the last two entries of a snapshot. `configuration` is the one that held at `last`.
 
         Pass all pieces to `write_piece` before. Entries after `last` stay if this log holds exactly the same `last`,
-        because they may be acknowledged already. The snapshot's seal and the log reach the disk together.
+        and no other `previous`, because they may be acknowledged already. The snapshot's seal and the log reach the
+        disk together.
         """
         held_before = self.entry_at(previous.log_index) is not None
         # Compares whole entries, because a hostile leader may have made different entries with the same terms.

@@ -1,8 +1,8 @@
 """The store on disk: one SQLite database for log, term, vote, commit index and snapshot.
 
-SQLite keeps a write-ahead log with `synchronous=FULL`, so a commit is on the disk when it returns. All data has
-checksums. The row of term and vote also holds the positions of the first and the last entry, and the number of commits.
-So the store finds damage when it is opened, and damaged data is never applied.
+SQLite keeps a write-ahead log with `synchronous=FULL`, so a commit is on the disk when it returns. The entries, the
+snapshot, and the row of term and vote have checksums. That row also holds the positions of the first and the last
+entry, and the number of commits. So `load` finds damage, and no member applies damaged data.
 
 A snapshot is written in pieces, over several commits. The commit that seals it also drops the entries that it
 replaces. Until then the former snapshot is complete. After that each commit deletes a few pieces of the former

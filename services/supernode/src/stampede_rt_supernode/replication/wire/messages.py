@@ -37,9 +37,9 @@ class AppendEntries:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SnapshotChunk:
-    """A part of an encoded snapshot, whose last entry is at `last_log_index`.
+    """A part of an encoded snapshot. The snapshot covers the log up to `last_log_index`.
 
-    The checksum is that of the whole snapshot.
+    `total_bytes` and the checksum are those of the whole snapshot.
     """
 
     last_log_index: int
