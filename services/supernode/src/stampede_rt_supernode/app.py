@@ -99,7 +99,7 @@ async def serve(settings: SupernodeSettings) -> None:
             parts.levels.run(),
             parts.probe.run(),
             _follow_access(server),
-            _follow_leader(server, parts.members),
+            _follow_readiness(server, parts.members),
             _watch_state(server, parts),
             _watch_removal(server, log, keeps=settings.data_dir is not None),
             _watch_founding(server, parts, founding),
@@ -244,7 +244,7 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
         if status.has_old_store:
             raise StampedeError(
                 f"supernode {status.self_id} has reported entries or a term that its data folder lacks. The folder is "
-                f"an older copy, as after the restore of a disk or a machine: use the latest data folder, or {anew}"
+                f"an older copy, for example of a restored disk or machine: use the latest data folder, or {anew}"
             )
         await asyncio.sleep(HEALTH_SECONDS)
 
@@ -252,7 +252,7 @@ async def _watch_removal(server: ServiceServer, log: ReplicatedLog, *, keeps: bo
 async def _watch_state(server: ServiceServer, parts: _Parts) -> None:
     """End all watches if this state differs from that of most members, and log the reason.
 
-    The log goes on, and this member still counts in it.
+    The log goes on. This member still takes part in it, and counts for its majorities.
     """
     is_logged = False
     while not server.stopping.is_set():
@@ -273,7 +273,7 @@ async def _watch_founding(server: ServiceServer, parts: _Parts, founding: Foundi
     """End the service if the other founders of its cluster got another list of members."""
     while founding.listed and not server.stopping.is_set():
         if parts.replica.read(lambda directory: directory.tenure > 0):
-            break  # the cluster is founded; later members with another list are refused, which needs nothing here
+            break  # the cluster is founded, and its members themselves refuse later members with another list
         if other := parts.log.status().other_cluster:
             raise StampedeError(
                 f"supernode {founding.supernode_id} founds no cluster with --members {', '.join(founding.members)}: "
@@ -290,7 +290,7 @@ async def _follow_access(server: ServiceServer) -> None:
         await asyncio.sleep(ACCESS_SECONDS)
 
 
-async def _follow_leader(server: ServiceServer, members: Members) -> None:
+async def _follow_readiness(server: ServiceServer, members: Members) -> None:
     """Have the health service say SERVING as long as this supernode can serve, and NOT_SERVING otherwise."""
     serving = False
     while not server.stopping.is_set():
