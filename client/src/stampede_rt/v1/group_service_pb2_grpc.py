@@ -75,8 +75,8 @@ class GroupServiceServicer(object):
         members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
         keeps only the latest values of each channel and group for the next message. After a break both sides begin with
         all values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
-        HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
-        host).
+        HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or a hello for
+        another host).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

@@ -41,8 +41,8 @@ class GroupServiceStub:
     members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
     keeps only the latest values of each channel and group for the next message. After a break both sides begin with
     all values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
-    HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
-    host).
+    HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or a hello for
+    another host).
     """
     GetCut: _grpc.UnaryUnaryMultiCallable[_group_service_pb2.GetCutRequest, _group_service_pb2.GetCutResponse]
     """Get the cut for one read of several channels. The caller then reads every channel up to this cut. Changes nothing.
@@ -77,8 +77,8 @@ class GroupServiceAsyncStub(GroupServiceStub):
     members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
     keeps only the latest values of each channel and group for the next message. After a break both sides begin with
     all values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
-    HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
-    host).
+    HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or a hello for
+    another host).
     """
     GetCut: _aio.UnaryUnaryMultiCallable[_group_service_pb2.GetCutRequest, _group_service_pb2.GetCutResponse]  # type: ignore[assignment]
     """Get the cut for one read of several channels. The caller then reads every channel up to this cut. Changes nothing.
@@ -116,8 +116,8 @@ class GroupServiceServicer(metaclass=_abc_1.ABCMeta):
         members of the same group. The host with the lower id opens it; both sides send. While a host writes a message, it
         keeps only the latest values of each channel and group for the next message. After a break both sides begin with
         all values that they know. Idempotent, because every value is merged by maximum. Errors: VERSION_MISMATCH,
-        HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or one for another
-        host).
+        HOST_NOT_FOUND (the caller's lease has ended), PERMISSION_DENIED, INVALID_ARGUMENT (no hello, or a hello for
+        another host).
         """
 
     @_abc_1.abstractmethod

@@ -100,7 +100,7 @@ class PeerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ResolvePeer(self, request, context):
-        """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
+        """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended lately. Changes nothing.
         Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)

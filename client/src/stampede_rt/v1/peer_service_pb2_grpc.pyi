@@ -48,7 +48,7 @@ class PeerServiceStub:
     process of the same peer is registered).
     """
     ResolvePeer: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]
-    """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
+    """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended lately. Changes nothing.
     Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
     """
     ListPeers: _grpc.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]
@@ -78,7 +78,7 @@ class PeerServiceAsyncStub(PeerServiceStub):
     process of the same peer is registered).
     """
     ResolvePeer: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ResolvePeerRequest, _peer_service_pb2.ResolvePeerResponse]  # type: ignore[assignment]
-    """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
+    """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended lately. Changes nothing.
     Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
     """
     ListPeers: _aio.UnaryUnaryMultiCallable[_peer_service_pb2.ListPeersRequest, _peer_service_pb2.ListPeersResponse]  # type: ignore[assignment]
@@ -129,7 +129,7 @@ class PeerServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _peer_service_pb2.ResolvePeerRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_peer_service_pb2.ResolvePeerResponse, _abc.Awaitable[_peer_service_pb2.ResolvePeerResponse]]:
-        """Find a peer. By id, it may also be one whose lease ended lately; by name, it is a live one. Changes nothing.
+        """Find a peer. By name, only a live peer is found; by id, also a peer whose lease ended lately. Changes nothing.
         Errors: PEER_NOT_FOUND; NOT_LEADER (with_clocks).
         """
 

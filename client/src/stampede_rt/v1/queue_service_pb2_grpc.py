@@ -72,7 +72,7 @@ class QueueServiceServicer(object):
 
     def Enqueue(self, request_iterator, context):
         """Put messages into a queue. The host answers each EnqueueRun with one PutAck, in order. Many runs may be in flight.
-        A caller may safely send a run again with the same producer id and number: the host knows the last 1024 numbers of
+        A caller may safely send a run again with the same producer id and number: the host knows the last 1024 runs of
         a producer for 10 minutes, and answers as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE,
         QUEUE_FULL, WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT,
         OVERLOADED, SHUTTING_DOWN.

@@ -38,7 +38,7 @@ class QueueServiceStub:
     def __new__(cls, channel: _aio.Channel) -> QueueServiceAsyncStub: ...
     Enqueue: _grpc.StreamStreamMultiCallable[_queue_service_pb2.EnqueueRequest, _queue_service_pb2.EnqueueResponse]
     """Put messages into a queue. The host answers each EnqueueRun with one PutAck, in order. Many runs may be in flight.
-    A caller may safely send a run again with the same producer id and number: the host knows the last 1024 numbers of
+    A caller may safely send a run again with the same producer id and number: the host knows the last 1024 runs of
     a producer for 10 minutes, and answers as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE,
     QUEUE_FULL, WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT,
     OVERLOADED, SHUTTING_DOWN.
@@ -74,7 +74,7 @@ class QueueServiceAsyncStub(QueueServiceStub):
     def __init__(self, channel: _aio.Channel) -> None: ...
     Enqueue: _aio.StreamStreamMultiCallable[_queue_service_pb2.EnqueueRequest, _queue_service_pb2.EnqueueResponse]  # type: ignore[assignment]
     """Put messages into a queue. The host answers each EnqueueRun with one PutAck, in order. Many runs may be in flight.
-    A caller may safely send a run again with the same producer id and number: the host knows the last 1024 numbers of
+    A caller may safely send a run again with the same producer id and number: the host knows the last 1024 runs of
     a producer for 10 minutes, and answers as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE,
     QUEUE_FULL, WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT,
     OVERLOADED, SHUTTING_DOWN.
@@ -113,7 +113,7 @@ class QueueServiceServicer(metaclass=_abc_1.ABCMeta):
         context: _ServicerContext,
     ) -> _typing.Union[_abc.Iterator[_queue_service_pb2.EnqueueResponse], _abc.AsyncIterator[_queue_service_pb2.EnqueueResponse]]:
         """Put messages into a queue. The host answers each EnqueueRun with one PutAck, in order. Many runs may be in flight.
-        A caller may safely send a run again with the same producer id and number: the host knows the last 1024 numbers of
+        A caller may safely send a run again with the same producer id and number: the host knows the last 1024 runs of
         a producer for 10 minutes, and answers as before. Errors inside the acks: MALFORMED_RUN, ITEM_TOO_LARGE,
         QUEUE_FULL, WRONG_EPOCH, NOT_HERE, MOVED, QUEUE_NOT_FOUND. Errors that end the stream: INVALID_ARGUMENT,
         OVERLOADED, SHUTTING_DOWN.

@@ -66,8 +66,8 @@ class QuotaServiceServicer(object):
     """
 
     def SetQuotas(self, request, context):
-        """Set limits. A new setting replaces one with the same `who` and kind. Errors: INVALID_ARGUMENT (also for more than
-        1000 settings), NO_QUORUM, VERSION_MISMATCH.
+        """Set limits. A new setting replaces the setting of the same `who` and kind. Errors: INVALID_ARGUMENT (also for more
+        than 1000 settings), NO_QUORUM, VERSION_MISMATCH.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

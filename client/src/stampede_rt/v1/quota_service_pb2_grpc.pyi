@@ -37,8 +37,8 @@ class QuotaServiceStub:
     @_typing.overload
     def __new__(cls, channel: _aio.Channel) -> QuotaServiceAsyncStub: ...
     SetQuotas: _grpc.UnaryUnaryMultiCallable[_quota_service_pb2.SetQuotasRequest, _quota_service_pb2.SetQuotasResponse]
-    """Set limits. A new setting replaces one with the same `who` and kind. Errors: INVALID_ARGUMENT (also for more than
-    1000 settings), NO_QUORUM, VERSION_MISMATCH.
+    """Set limits. A new setting replaces the setting of the same `who` and kind. Errors: INVALID_ARGUMENT (also for more
+    than 1000 settings), NO_QUORUM, VERSION_MISMATCH.
     """
     RemoveQuotas: _grpc.UnaryUnaryMultiCallable[_quota_service_pb2.RemoveQuotasRequest, _quota_service_pb2.RemoveQuotasResponse]
     """Remove settings. Absent settings are no error. Errors: as SetQuotas."""
@@ -56,8 +56,8 @@ class QuotaServiceAsyncStub(QuotaServiceStub):
 
     def __init__(self, channel: _aio.Channel) -> None: ...
     SetQuotas: _aio.UnaryUnaryMultiCallable[_quota_service_pb2.SetQuotasRequest, _quota_service_pb2.SetQuotasResponse]  # type: ignore[assignment]
-    """Set limits. A new setting replaces one with the same `who` and kind. Errors: INVALID_ARGUMENT (also for more than
-    1000 settings), NO_QUORUM, VERSION_MISMATCH.
+    """Set limits. A new setting replaces the setting of the same `who` and kind. Errors: INVALID_ARGUMENT (also for more
+    than 1000 settings), NO_QUORUM, VERSION_MISMATCH.
     """
     RemoveQuotas: _aio.UnaryUnaryMultiCallable[_quota_service_pb2.RemoveQuotasRequest, _quota_service_pb2.RemoveQuotasResponse]  # type: ignore[assignment]
     """Remove settings. Absent settings are no error. Errors: as SetQuotas."""
@@ -78,8 +78,8 @@ class QuotaServiceServicer(metaclass=_abc_1.ABCMeta):
         request: _quota_service_pb2.SetQuotasRequest,
         context: _ServicerContext,
     ) -> _typing.Union[_quota_service_pb2.SetQuotasResponse, _abc.Awaitable[_quota_service_pb2.SetQuotasResponse]]:
-        """Set limits. A new setting replaces one with the same `who` and kind. Errors: INVALID_ARGUMENT (also for more than
-        1000 settings), NO_QUORUM, VERSION_MISMATCH.
+        """Set limits. A new setting replaces the setting of the same `who` and kind. Errors: INVALID_ARGUMENT (also for more
+        than 1000 settings), NO_QUORUM, VERSION_MISMATCH.
         """
 
     @_abc_1.abstractmethod

@@ -48,7 +48,7 @@ class ChangeRing:
 
     @property
     def end_position(self) -> int:
-        """The position of the next change that comes."""
+        """The position that the next appended change will have."""
         return self._dropped + len(self._changes)
 
     def begin(self, index: int) -> None:

@@ -105,7 +105,7 @@ class LeaseTable:
     def follow(self, live: Iterable[Registered], now: int) -> None:
         """Take over the live holders: a new registration gets a full TTL, and a holder that is gone is dropped.
 
-        The call comes later than the registration itself. That only makes the lease longer.
+        The call may come later than a registration; the lease is then only longer.
         """
         for _ in self.following(list(live), MAX_INDEX, now):
             pass

@@ -27,7 +27,7 @@ def write_host(key: tuple[str, bytes] | None) -> str:
 
 
 def read_host(token: str) -> tuple[str, bytes]:
-    """The (name, id) in a token, empty ones for an empty token. Raises InvalidArgument."""
+    """The (name, id) in a token; both are empty for an empty token. Raises InvalidArgument."""
     name, _, host_id = _unpack(token).partition(b"\0")
     try:
         return name.decode(), host_id

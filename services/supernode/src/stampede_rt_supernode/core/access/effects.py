@@ -29,9 +29,9 @@ class AccessEffect:
 
 
 def client_named(who: str) -> Caller:
-    """A client of that name, for asking rules about its rights.
+    """A client of that name, whose rights `AccessRules.judge` can tell.
 
-    `@cluster` stands for the holders of the cluster's secret.
+    "@cluster" names the holders of the cluster's secret.
     """
     if who == "@cluster":
         return Caller(kind=CallerKind.CLUSTER_SECRET, roles=ALL_ROLES, name=who)

@@ -9,12 +9,11 @@ from stampede_rt_supernode.core.commands import Operation, Success
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BeginTenure(Operation):
-    """A new leader takes over the leases. The very first leader founds the cluster: `new_cluster_id` becomes the id of
-    the cluster, and `new_lease_ttl_nanos` the duration of its leases.
+    """A new leader takes over the leases. The very first leader also founds the cluster.
 
-    `founded_anew`: the cluster was restored, so the id replaces that of the former cluster. `takes_over`: whether the
-    hosts and other callers of that former cluster may go over to this one. `new_feature_level`: the first level of a
-    new cluster.
+    `new_cluster_id`, `new_lease_ttl_nanos`: the id of a new cluster, and the duration of its leases. `founded_anew`:
+    the cluster was restored, so the id replaces that of the former cluster. `takes_over`: whether the hosts and other
+    callers of that former cluster may go over to this one. `new_feature_level`: the first level of a new cluster.
     """
 
     tenure: int

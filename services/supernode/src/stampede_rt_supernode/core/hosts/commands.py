@@ -57,6 +57,6 @@ class HostDeregistered(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HostExpired(Success):
-    """`expired`: whether the command ended a lease. If it came too late, it changed nothing."""
+    """`expired`: whether the command ended the lease. A command that came too late changed nothing."""
 
     expired: bool
