@@ -9,7 +9,7 @@ from stampede_rt_channel_host.core.judging import Judged
 
 
 def ack_of(first_number: int, judged: Judged, incarnation: int) -> pb.PutAck:
-    """The ack of a run whose items are all judged."""
+    """The ack of a run of which the host has judged every item: accepted or refused it."""
     ack = pb.PutAck(
         first_number=first_number,
         items=judged.items,

@@ -29,7 +29,7 @@ SERVICE = "stampede_rt.v1.ChannelService"
 
 
 class ChannelServicer:
-    """Each method finds the channel and passes the request on. Errors rise to the caller."""
+    """Each method passes its request to the object that performs it. No method catches errors: they become statuses."""
 
     def __init__(self, store: ChannelStore, groups: GroupAccess, streams: OpenStreams) -> None:
         self._store = store
@@ -37,7 +37,7 @@ class ChannelServicer:
         self._streams = streams
 
     def add_to(self, server: grpc.aio.Server) -> None:
-        """Serve on `server`."""
+        """Add the methods of ChannelService to `server`."""
         handlers = {
             "Put": grpc.stream_stream_rpc_method_handler(self.put),
             "Get": grpc.stream_stream_rpc_method_handler(self.get),

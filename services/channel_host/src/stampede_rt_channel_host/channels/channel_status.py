@@ -12,7 +12,10 @@ from stampede_rt_channel_host.core.channel import ConsumerStanding, Pieces
 
 
 def channel_status(hosted: HostedChannel, now: Callable[[], int]) -> Pieces[channel_pb2.ChannelStatus]:
-    """The status as of the last piece. Only the numbers of items that consumers have still to consume may be older."""
+    """The status as of the last piece of work, made in pieces.
+
+    Only the number of items that each consumer has still to consume may be a little older.
+    """
     consumers = yield from hosted.channel.counting_consumers(now())
     return _status(hosted, consumers, now())
 

@@ -14,19 +14,20 @@ SEQS_PER_PIECE = 256
 
 
 def consuming(store: ChannelStore, request: pb.ConsumeRequest, owner: str = "") -> Pieces[pb.ConsumeResponse]:
-    """Consume items for one consumer, and accept the waiting puts for which there is room now.
+    """Consume items for one consumer, in pieces, and accept the waiting puts for which there is room now.
 
-    An invalid request consumes nothing. Raises InvalidArgument, StaleBinding if the host does not serve the channel,
-    ChannelFull if all consumer places are taken, and IncarnationLost if the seqs belong to another incarnation. Raises
-    Overloaded if the memory for seqs that were consumed out of order is used up, perhaps after the first pieces, or if
-    the caller has too many places. `owner`: the name of the caller; empty if its places have no limit.
+    An invalid request consumes nothing. `owner`: the name of the caller; empty if the number of its consumer places has
+    no limit. Raises InvalidArgument, StaleBinding if the host does not serve the channel, ChannelFull if all consumer
+    places are taken, and IncarnationLost if the seqs belong to another incarnation. Raises Overloaded if the caller has
+    too many places, or if the memory for seqs that are consumed out of order is used up. In the latter case the first
+    pieces may have consumed some of the items.
     """
     hosted, lease_nanos, seqs, items = _find(store, request), _lease_nanos(request), sorted(request.seqs), 0
     yield from hosted.channel.catching_up(store.now())
     hosted.channel.check_consumption(request.consumer_id, seqs, lease_nanos)
     while len(seqs) > SEQS_PER_PIECE:
         part, seqs = seqs[:SEQS_PER_PIECE], seqs[SEQS_PER_PIECE:]
-        # the lease of the request may be 0, which gives the place up: only the last piece may do that
+        # a lease of 0 in the request gives the consumer's place up: only the last piece may do that
         items += _find(store, request).consume(request.consumer_id, part, max(lease_nanos, LEASE_NANOS), owner).items
         yield
     last = _find(store, request).consume(request.consumer_id, seqs, lease_nanos, owner)

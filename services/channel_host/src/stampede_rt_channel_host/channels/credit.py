@@ -1,7 +1,7 @@
 """The credit of a reader (decision 0064).
 
-The reader grants credit as it takes messages. The host spends the credit as it sends. A subscription
-to cut events counts events. Subscriptions to items and to matches count bytes.
+The reader grants credit as it takes messages. The host spends credit with each message that it sends. A subscription to
+cut events counts its credit in events. Subscriptions to items and to matches count it in bytes.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ CREDIT_MAX = 2**62
 
 
 class Credit:
-    """The credit of one stream.
+    """The credit of one stream. Calls `on_news` when the reader grants credit, and when the reader closes its side.
 
-    `left` may be below 0, because the last message may have cost more than the credit left. `is_final`: the reader has
-    closed its side, and grants no more.
+    `left` may be below 0, because the last message may have cost more than the credit that was left. `is_final`: the
+    reader has closed its side, and grants no more.
     """
 
     def __init__(self, on_news: Callable[[], None]) -> None:

@@ -53,7 +53,7 @@ def run_bytes(part: Slice, *, without_payloads: bool) -> bytes:
 def get_responses(
     call_id: int, answer: ReadAnswer, summary: pb.GetSummary, *, without_payloads: bool
 ) -> Iterator[EncodedMessage]:
-    """The messages that answer a call, made one at a time. The last one has the summary."""
+    """Yield the messages that answer a get. The last message has the summary."""
     head = _CALL_ID + _varint(call_id) if call_id else b""  # proto3 leaves out fields of value zero
     parts, runs, size, payload_bytes = [head], 0, 0, 0
     next_time, rest = answer.next_time, drained(answer.slices)
@@ -74,14 +74,14 @@ def get_responses(
 
 
 def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
-    """The one message that ends a call with an error."""
+    """Yield the single message that ends a get with an error."""
     encoded = error.SerializeToString()
     head = _CALL_ID + _varint(call_id) if call_id else b""
     yield EncodedMessage(b"".join((head, _GET_ERROR, _varint(len(encoded)), encoded)), 0, True)
 
 
 class SharedMessages:
-    """The last message that a channel's subscriptions sent. A reader that is to get the same items gets the same bytes.
+    """The last encoded message of a channel's subscriptions. All readers of the same items get the same bytes.
 
     Keeps one message at most.
     """
@@ -89,13 +89,16 @@ class SharedMessages:
     __slots__ = ("_key", "_message")
 
     def __init__(self) -> None:
-        self._key: tuple[Sequence[DeliveredSlice], bytes, bool] | None = None
+        self._key: tuple[Sequence[DeliveredSlice], bytes, bool] | None = None  # the arguments that made the message
         self._message: EncodedMessage | None = None
 
     def encode(
         self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
     ) -> EncodedMessage:
-        """A SubscribeResponse with the runs and the encoded fields `about`. Keeps it if there are several `readers`."""
+        """A SubscribeResponse with the runs `slices` and the encoded fields `about`.
+
+        Keeps the message if `readers`, the number of the channel's subscriptions, is above 1.
+        """
         key = (slices, about, without_payloads)
         if key == self._key and self._message is not None:  # runs compare by identity
             return self._message

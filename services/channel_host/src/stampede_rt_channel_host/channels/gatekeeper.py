@@ -55,7 +55,10 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
 
     @errors_as_status
     async def BindChannel(self, request: pb.BindChannelRequest, context: Context) -> pb.BindChannelResponse:  # noqa: N802
-        """The address of the channel's data. Asks the directory if the channel, epoch or spec is new at this host."""
+        """The address of the channel's data.
+
+        Asks the directory first if this host does not know the channel, or knows another epoch or an older spec.
+        """
         _check_id(request.channel_id)
         hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
         check_known(AccessKind.CHANNEL, hosted.record.name)
@@ -64,7 +67,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
 
     @errors_as_status
     async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802
-        """Delete the channel in the directory, then at this host. The host tells the readers."""
+        """Delete the channel in the directory, then at this host. Its readers' streams end with CHANNEL_NOT_FOUND."""
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
         since_s = _first_sent_s(context)
@@ -75,7 +78,7 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     async def ConfigureChannel(  # noqa: N802
         self, request: pb.ConfigureChannelRequest, context: Context
     ) -> pb.ConfigureChannelResponse:
-        """Change the policy in the directory, then at this host. The change holds when the call returns."""
+        """Change the policy in the directory, then at this host. When the call returns, the new policy is in force."""
         _check_id(request.channel_id)
         _check_request_id(request.request_id)
         hosted = await self._store.configure(
@@ -87,9 +90,9 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
     async def ListHostedChannels(  # noqa: N802
         self, request: pb.ListHostedChannelsRequest, context: Context
     ) -> pb.ListHostedChannelsResponse:
-        """A page of the channels that callers bound at this host, by name.
+        """A page of the channels that callers have bound at this host, sorted by name.
 
-        The page token is the last name of the page.
+        The token of the next page is the last name on this page.
         """
         matches = _glob(request.name_glob)
         size = min(request.page_size or PAGE_SIZE_MAX, PAGE_SIZE_MAX)
@@ -121,7 +124,7 @@ def _check_request_id(request_id: bytes) -> None:
 
 
 def _glob(text: str) -> Callable[[str], bool]:
-    """A function that tells whether a name matches the pattern. Raises InvalidArgument."""
+    """A function that tells whether a name matches the pattern `text`. Raises InvalidArgument if `text` is too long."""
     if len(text) > GLOB_LENGTH_MAX:
         raise InvalidArgument(f"name_glob has {len(text)} characters; it has at most {GLOB_LENGTH_MAX}")
     return matcher(text)

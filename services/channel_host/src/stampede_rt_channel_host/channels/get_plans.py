@@ -1,6 +1,7 @@
-"""Decodes the requests of one stream of gets, and keeps the decoded ones.
+"""Decodes the requests of one stream of gets, and keeps the decoded requests.
 
-A reader often repeats a request, for example for the newest item of one channel. Only the call id differs then.
+A reader often repeats a request, for example for the newest item of one channel. Only the call id differs then, so the
+host need not decode the rest again.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ _VARINT_BYTES_MAX = 10
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GetPlan:
-    """One get without its call id.
+    """The decoded fields of a get, without its call id.
 
-    `wait_nanos`: 0 means that the get may not wait, below 0 that it may wait without limit.
+    `wait_nanos`: 0 means that the get may not wait; below 0 means that it may wait without limit. `group`: the group
+    through which the get reads, if any.
     """
 
     channel_id: bytes
@@ -36,7 +38,10 @@ class GetPlan:
 
 @dataclass(frozen=True, slots=True)
 class GetCall:
-    """One request on the stream: a plan, or the error of a request that has no plan, or a cancellation (both None)."""
+    """One request on the stream.
+
+    `plan`: the get to perform. `refusal`: the error of an invalid get. Both are None for a request that cancels a get.
+    """
 
     call_id: int
     plan: GetPlan | None
@@ -44,7 +49,7 @@ class GetCall:
 
 
 class GetPlans:
-    """The plans of one stream, at most PLANS_MAX. If there is no room for a new plan, the object first forgets all."""
+    """The plans of one stream, at most PLANS_MAX. If a further plan comes, all kept plans are dropped first."""
 
     def __init__(self) -> None:
         self._plans: dict[bytes, GetPlan] = {}
@@ -85,7 +90,7 @@ def _plan(request: pb.GetRequest) -> GetPlan:
 
 
 def _split(raw: bytes) -> tuple[int, bytes]:
-    """The call id and the rest, if the id comes first, as every serializer writes it; else 0 and all bytes."""
+    """The call id and the bytes behind it, if the call id is the first field, as usual; else 0 and all bytes."""
     if not raw or raw[0] != _CALL_ID_TAG:
         return 0, raw
     call_id = 0

@@ -1,6 +1,6 @@
-"""Serves one stream of gets: many calls at once, each with its own answer.
+"""Serves one stream of gets: many calls at the same time, each with its own answer.
 
-The stream starts an asyncio task only for a long answer, and for a get that waits for a group.
+A get has an asyncio task of its own only if its answer is long, or if it waits for a group.
 """
 
 from __future__ import annotations
@@ -56,16 +56,19 @@ class _OpenGet:
         self.hosted = hosted
         self.pending: Pending | None = None  # the query and interval of a blocking get; None for other gets
         self._begun_at = now
-        self._polled_at: int | None = None  # `hosted.changes` at the last poll that counts, if any
+        self._polled_at: int | None = None  # `hosted.changes` at the last poll; None: no poll, or an outdated one
 
     def poll(self, now: int) -> ReadAnswer | WakeAt | Unfinished[ReadAnswer | WakeAt]:
-        """Look for the answer of a blocking get. Returns the answer, when to look again, or the rest of long work."""
+        """Look for the answer of a blocking get.
+
+        Returns the answer, or when to look again, or, if the work is long, the rest of the work.
+        """
         assert self.pending is not None, "only a blocking get is polled"
         self._polled_at = self.hosted.changes
         return first_of(self.hosted.channel.polling(self.pending, now))
 
     def released(self) -> None:
-        """Note that an earlier state of the channel may have released the get. Its last poll no longer counts."""
+        """Note that a look at an earlier state of the channel may have released the get. Sets `is_outdated` to True."""
         self._polled_at = None
 
     @property
@@ -89,9 +92,10 @@ class GetStream:
         self._stream = stream
         self._account = current_account()
         self._work = CallerWork(self._account)
-        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}  # None: the answer is still to be sent
+        # by call id: the get that waits, or the task that makes the answer; None: the answer is still to be sent
+        self._calls: dict[int, WaitingGet | asyncio.Task[None] | None] = {}
         self._plans = GetPlans()
-        self._idle = asyncio.Event()  # set when no call is under way any more
+        self._idle = asyncio.Event()  # set when the last call has ended
         self._outbox = Outbox(context, stream, self._ended, self._room_came, store.scheduler.begin, self._account)
         # how many calls the caller's quota counts for this stream
         self._under_way = self._account.hold(Quota.WAITING_CALLS)
@@ -101,7 +105,7 @@ class GetStream:
     async def run(self) -> None:
         """Serve until the caller has closed its side and every call is answered.
 
-        Raises InvalidArgument for invalid bytes.
+        Raises InvalidArgument if a request cannot be decoded.
         """
         try:
             while (raw := await self._context.read()) is not EOF:
@@ -121,7 +125,7 @@ class GetStream:
             self._store.scheduler.begin(self._cancelling())
 
     def _cancelling(self) -> Pieces[None]:
-        """Cancel the calls that are left, in pieces. Answers that come meanwhile are not sent."""
+        """Cancel the calls that are left, in pieces. The closed outbox drops the answers that come meanwhile."""
         while self._calls:
             for _ in range(min(GETS_PER_PIECE, len(self._calls))):
                 _, get = self._calls.popitem()
@@ -160,7 +164,7 @@ class GetStream:
         self._go_on(get, get.poll(now), now)
 
     def _go_on(self, get: _OpenGet, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
-        """Send the answer, or let the get wait. A task makes a long answer in pieces, between the work of others."""
+        """Send the answer, or let the get wait, or start a task that makes a long answer in pieces."""
         if isinstance(found, Unfinished):
             self._calls[get.call_id] = self._stream.spawn(self._finish(get, found.rest))
         elif isinstance(found, WakeAt):
@@ -251,7 +255,7 @@ class GetStream:
             self._store.scheduler.begin(self._polling_again())
 
     def _polling_again(self) -> Pieces[None]:
-        """Look again at the gets that were released while there was no room, in the order of their release."""
+        """Poll the gets again that were released while the outbox had no room, in the order of their release."""
         try:
             while self._held_back and self._outbox.has_room:
                 for call_id in [*islice(self._held_back, POLLS_PER_PIECE)]:
@@ -281,7 +285,7 @@ class GetStream:
         self._outbox.add(get.call_id, messages, get.hosted.count_delivered, kept_bytes, answer.slices)
 
     def _refuse(self, call_id: int, error: StampedeError) -> None:
-        """Send an error. Leaves the table of calls alone: another call may be under way with the refused id."""
+        """Send an error. Does not change `_calls`, because another call with the refused id may be under way."""
         if isinstance(error, Overloaded):
             self._store.refused_calls.note(error)
         self._outbox.add(call_id, get_error(call_id, to_error_message(error)), _count_nothing)
@@ -302,7 +306,10 @@ class GetStream:
 
 
 def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
-    """The facts about an answer, without its items. `cut` is the cut of the group; None for a read without a group."""
+    """The facts about an answer, without its items.
+
+    `cut`: the cut of the group; None for a read without a group, or if the group has no cut yet.
+    """
     return pb.GetSummary(
         interval=resolved_to_message(answer.interval) if answer.interval else None,
         complete=answer.complete,

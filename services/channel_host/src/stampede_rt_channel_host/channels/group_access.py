@@ -19,8 +19,8 @@ from stampede_rt_channel_host.core.channel import Query, ReadAnswer, SavedCursor
 class GroupReadParams:
     """The group through which a get reads.
 
-    `floor`: the highest cut that the reader has seen; None: it has seen no cut. `at`: the cut to read at; None: the
-    present cut.
+    `floor`: the highest cut that the reader has seen; None: the reader has seen no cut. `at`: the cut at which the get
+    reads; None: the present cut.
     """
 
     group_id: bytes
@@ -29,7 +29,7 @@ class GroupReadParams:
 
 
 class GroupAnswer(NamedTuple):
-    """An answer, and the cut at which the group read it; None: the group had no cut yet."""
+    """The answer to a get, and the cut at which the get read the channel; None: the group had no cut yet."""
 
     answer: ReadAnswer
     cut: int | None
@@ -39,7 +39,7 @@ class Cursor(Protocol):
     """The place at which a subscription stands. Each mode of subscriptions has its own cursor."""
 
     def take(self, now: int, limit_bytes: int) -> SubscriptionBatch:
-        """The next items, about `limit_bytes` bytes of them; empty if there are no new items."""
+        """Take the next items, about `limit_bytes` bytes. Returns an empty batch if there are no new items."""
 
     def progress(self, now: int) -> pb.SubscriptionProgress:
         """The progress of the subscription, as the reader gets it."""
@@ -50,32 +50,33 @@ class Cursor(Protocol):
 
     @property
     def saved(self) -> SavedCursor | None:
-        """The place from which another subscription continues.
+        """The place from which a later subscription of the reader continues.
 
-        None: there is no new place. A reader continues from the place saved before, and gets some items again.
+        None while a subscription through a group is within one step of the cut. If the stream breaks then, the reader
+        continues from the last saved place, and gets some items again.
         """
 
 
 class GroupAccess(Protocol):
     """Reads and subscriptions through a group.
 
-    All methods raise InvalidArgument if the channel is no member of the group, and IncarnationLost for a position of
-    another incarnation. `read` and `subscribe` raise GROUP_NOT_FOUND, too.
+    All methods raise InvalidArgument if the channel is no member of the group, and IncarnationLost if the request has a
+    position of another incarnation. `read` and `subscribe` raise GROUP_NOT_FOUND, too.
     """
 
     def read_now(
         self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
     ) -> GroupAnswer | None:
-        """The answer, if the group has it at this moment. None: call `read`, which may wait."""
+        """The answer, if the group has the answer at this moment. If None, call `read`, which may wait."""
 
     async def read(self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
-        """Wait for the answer.
+        """Wait for the answer, at most `wait_nanos` nanoseconds; below 0: without limit.
 
-        `wait_nanos` bounds the wait, below 0: without limit. A wait for a cut that the reader has seen already may take
-        longer than a very short `wait_nanos`.
+        If the reader has already seen a cut that this host has not reached, the wait for this cut may be a little
+        longer than `wait_nanos`.
         """
 
     def subscribe(
         self, opening: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
     ) -> AbstractAsyncContextManager[Cursor]:
-        """Begin a subscription. While its context is entered, `observer` hears of changes of the group."""
+        """A context that holds a subscription. Inside it, the host wakes `observer` when the group shows more."""

@@ -53,7 +53,7 @@ class HostedChannel:
         """
         self.record = record
         self.epoch: int = record.epoch
-        self.registration = 0  # the host's last registration when the store last took over a record of the directory
+        self.registration = 0  # the number of the host's last registration when the store took `record` over
         self.channel = ChannelCore(
             record.policy,
             incarnation=record.incarnation,
@@ -67,7 +67,8 @@ class HostedChannel:
         self.puts = ChannelPuts(self.channel, self._charge, now, self._announce, self._touched, may_serve)
         self.subscriptions = Observers(begin)
         self.match_streams = Observers(begin)  # streams of matches for the items of this channel
-        # The groups that have the channel, and their blocked gets. The channel wakes all of them in one step.
+        # Observers for groups: one for all groups that have the channel, and one for the blocked gets of each group.
+        # They are few, so the channel wakes all of them in one step.
         self.group_observers: dict[ChannelObserver, None] = {}
         self.group_gets: dict[object, None] = {}  # blocked gets through groups
         # Streams of cut events, and of matches for another channel's items. An empty dict takes less memory than a set.
@@ -105,7 +106,7 @@ class HostedChannel:
         self._touched()
 
     def advance(self, instant: int) -> int:
-        """Promise that no item before `instant` will come. Returns the latest promised instant.
+        """Note a producer's promise that no item before `instant` will come. Returns the latest promised instant.
 
         Raises InFuture if `instant` is too far ahead of the host's clock.
         """
@@ -125,7 +126,7 @@ class HostedChannel:
         if not self._charge.has_room(CONSUMER_BYTES + CONSUMED_RANGE_BYTES * len(seqs)):
             wanted = self.channel.consumption_bytes(consumer_id, seqs)
             if wanted:
-                # consumption lets items leave, so it may go on for a while when puts may not
+                # consumption frees items, so it may use a little more memory than puts (CONSUMPTION_SHARE)
                 self._charge.claim(wanted - self._charge.spare_bytes)
         consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, owner=owner)
         self.puts.changed(now)  # this also calls `_touched`
@@ -148,7 +149,7 @@ class HostedChannel:
             yield from self._gets.ending(error)
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, but for good: the host gives the channel up, frees its items, and counts its memory no more."""
+        """As `ending`, and then free the items, because the host gives the channel up. Its memory counts no more."""
         self._charge.set(0)
         self._charge = Charge(MemoryBudget(0))
         self._on_touched = _ignore
@@ -157,16 +158,16 @@ class HostedChannel:
         yield from self.channel.emptying()
 
     def collect(self, now: int) -> bool:
-        """Free a bounded number of outdated items. Returns True if the caller must soon call again for the rest."""
+        """Free a bounded number of outdated items. Returns True if others are left, for which to call again soon."""
         more = self.channel.collect(now)
         self.puts.expire(now)
         self._charge.set(self.footprint_bytes())
         return more
 
     def next_deadline(self, now: int) -> int | None:
-        """The time at which `collect` must run again; None if only a change can make that necessary.
+        """The time at which `collect` must run again; None if it need not run before the next change.
 
-        This call also frees a few items.
+        This call also frees a few outdated items.
         """
         due = (self.channel.next_deadline(now), self.puts.next_expiry())
         self._charge.set(self.footprint_bytes())
@@ -181,7 +182,7 @@ class HostedChannel:
         return self.channel.footprint_bytes + self.puts.footprint_bytes
 
     def _touched(self) -> None:
-        """Update the memory charge after a put, a consumption or another policy, and report the change."""
+        """Report the memory of the channel to the budget, and the change to `on_touched`."""
         self._charge.set(self.footprint_bytes())
         self._on_touched(self)
 

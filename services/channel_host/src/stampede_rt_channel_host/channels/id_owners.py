@@ -16,13 +16,17 @@ Key = tuple[bytes, int]  # the id of a channel or queue, and a consumer or taker
 
 
 def own_name() -> str:
-    """The name of the present caller in shares; empty for callers without a name of their own, who have no limit."""
+    """The name under which the host counts what the present caller uses, such as consumer places.
+
+    Empty for a caller whom no limit of one caller concerns: a member of the cluster, an operator, or a caller without a
+    name of its own.
+    """
     name = owner_name()
     return "" if name in SHARED_NAMES else intern(name)
 
 
 class IdOwners:
-    """The caller of each consumer id and taker id. An id alone proves nothing: listings of leases show the ids.
+    """The caller of each consumer id and taker id. An id alone proves nothing, because listings of leases show the ids.
 
     A caller that uses more than OWNED_IDS_OF_ONE_MAX ids loses its own oldest entries. If all callers together use more
     than OWNED_IDS_MAX ids, the oldest entry of all goes.
@@ -30,16 +34,16 @@ class IdOwners:
 
     def __init__(self) -> None:
         self._owners: OrderedDict[Key, str] = OrderedDict()  # the oldest key first; "": a member or an operator
-        self._of_owner: dict[str, OrderedDict[Key, None]] = {}
+        self._of_owner: dict[str, OrderedDict[Key, None]] = {}  # the same keys by owner, the oldest key first
 
     def __len__(self) -> int:
         return len(self._owners)
 
     def check(self, thing_id: bytes, used_id: int, what: str) -> None:
-        """Check that the caller may act under `used_id` at a channel or queue. The first caller of an id owns it.
+        """Check that the caller may act under `used_id` at the channel or queue `thing_id`. Raises PermissionDenied.
 
-        Members of the cluster and operators may act under every id. `what` names the id in the error, such as
-        "consumer". Raises PermissionDenied.
+        The first caller that uses an id owns the id. Members of the cluster and operators may act under every id.
+        `what` is the word for the id in the error, such as "consumer".
         """
         key, caller = (thing_id, used_id), owner_name()
         owner = self._owners.get(key)

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.channel import Pieces
 
 NAMES_PER_PIECE = 256
 STATUSES_PER_PIECE = 32
-"""To make a status takes about as long as to match eight names."""
+"""Fewer statuses than names, because to make a status takes about as long as to match eight names."""
 
 
 class Page(NamedTuple):

@@ -15,16 +15,16 @@ from stampede_rt_runtime.quotas.limits import Quota
 logger = logging.getLogger(__name__)
 
 CONSUMPTION_SHARE = 16
-"""Consumption may use this fraction of the budget beyond it."""
+"""Consumption may use 1/16 of the budget in addition to the budget."""
 
 
 class MemoryBudget:
     """The memory of all channels and queues together.
 
-    Each channel and queue reports its memory when it changes, and the budget adds the reports up. So a claim costs the
-    same, however many channels and queues there are. The budget calls `reclaim` before it refuses a claim. `reclaim`
-    frees a bounded number of the outdated items. `requests` is the memory of requests that are not yet complete, beside
-    `bytes_max`.
+    Each channel and queue reports its memory when its memory changes, and the budget adds the reports up. So a claim
+    costs the same, however many channels and queues there are. Before the budget refuses a claim, it calls `reclaim`,
+    which frees a bounded number of outdated items. `requests` is the memory for requests that are not yet complete. It
+    does not count towards `bytes_max`.
     """
 
     def __init__(
@@ -90,11 +90,11 @@ class Charge:
 
     @property
     def spare_bytes(self) -> int:
-        """The memory beyond the limit that only consumption may use."""
+        """The bytes beyond the limit that only consumption may use."""
         return self._budget.bytes_max // CONSUMPTION_SHARE
 
     def has_room(self, wanted_bytes: int) -> bool:
-        """Whether there is room for `wanted_bytes`, without a look at what is outdated."""
+        """Whether there is room for `wanted_bytes` at present. Unlike `claim`, does not free outdated items first."""
         within = self._budget.used_bytes + wanted_bytes <= self._budget.bytes_max
         return within and self._account.has_room(Quota.BYTES_HELD, wanted_bytes)
 

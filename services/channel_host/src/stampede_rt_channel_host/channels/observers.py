@@ -10,13 +10,13 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.core.channel import Pieces, batched, run_to_end
 
 OBSERVERS_PER_PIECE = 16
-"""The observers that one piece of work wakes or ends. Each may send a message in the loop's next turn."""
+"""The most observers that one piece of work wakes or ends. Each may send a message in the event loop's next turn."""
 
 Thing = TypeVar("Thing")
 
 
 class ChannelObserver(Protocol):
-    """A stream, a group or a set of blocked gets that hears of the changes of a channel or group."""
+    """A stream, a group or a set of blocked gets that a channel or group wakes after its changes."""
 
     def wake(self) -> None:
         """There may be items to send."""
@@ -26,17 +26,20 @@ class ChannelObserver(Protocol):
 
 
 class ChangeObserver:
-    """Base of observers that an `Observers` wakes once. They hear of later changes after they have called `listen`."""
+    """The base class of the observers of an `Observers`, which wakes each of them once.
+
+    It wakes the observer again, at a later change, only after the observer has called `listen`.
+    """
 
     def __init__(self) -> None:
         self._woken_by: list[Observers] = []
 
     def note_woken(self, source: Observers) -> None:
-        """Note that `source` wakes this observer, and tells it of no later change before `listen`."""
+        """Note that `source` wakes this observer now, and not again before `listen`."""
         self._woken_by.append(source)
 
     def listen(self) -> None:
-        """Hear of all changes from now on. Call this before each look at the things that may have changed."""
+        """Have the next change wake this observer. Call this before each look at the things that may have changed."""
         while self._woken_by:
             self._woken_by.pop().listen(self)
 
@@ -112,23 +115,26 @@ class Observers:
         return len(self._observers)
 
     def add(self, observer: ChangeObserver) -> None:
-        """Tell `observer` of the next change. Idempotent."""
+        """Add `observer`. The next change wakes it. Idempotent."""
         self._observers[observer] = self._listening[observer] = None
 
     def listen(self, observer: ChangeObserver) -> None:
-        """Tell `observer` of the next change, unless it was discarded."""
+        """Have the next change wake `observer`, unless it was discarded."""
         if observer in self._observers:
             self._listening[observer] = None
 
     def discard(self, observer: ChangeObserver) -> None:
-        """Tell `observer` of no more changes. Idempotent."""
+        """Remove `observer`. No change wakes it any more. Idempotent."""
         self._observers.pop(observer, None)
         self._listening.pop(observer, None)
         if self._to_wake is not None:
             self._to_wake.drop(observer)
 
     def wake(self) -> None:
-        """Wake the listening observers, in pieces. The first piece runs now, unless an earlier wake still goes on."""
+        """Wake the listening observers, in pieces.
+
+        The first piece runs in this call, unless the pieces of an earlier wake are still under way.
+        """
         if not self._listening:
             return
         if self._to_wake is None:

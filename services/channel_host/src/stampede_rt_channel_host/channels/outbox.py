@@ -1,4 +1,4 @@
-"""The only writer of a stream of answers. The loop that reads the requests adds answers, and so do released gets."""
+"""The queue of the answers of one stream of gets, and the only writer of this stream."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ COUNTED_BYTES_MAX = QUEUED_BYTES_MAX // 2
 
 
 class _Answer(NamedTuple):
-    """The messages of one call, each made when it is written. `on_sent` gets the payload bytes of each message.
+    """The messages of one call. Each message is made when it is written.
 
-    `kept_bytes`: the bytes of host memory that the answer's items occupy, even after retention has collected them.
-    `emptying` frees the items that were not sent.
+    `on_sent` gets the number of payload bytes of each written message. `kept_bytes`: the bytes of stored items that the
+    answer keeps in memory, even after retention has collected these items. `emptying` frees the items that were not
+    sent.
     """
 
     call_id: int
@@ -71,7 +72,7 @@ class Outbox:
 
     @property
     def has_room(self) -> bool:
-        """Whether the outbox takes another answer, however large."""
+        """Whether the outbox may take another answer, however large."""
         return len(self._answers) <= ANSWERS_QUEUED_MAX and self.queued_bytes <= QUEUED_BYTES_MAX
 
     def add(
@@ -106,8 +107,7 @@ class Outbox:
         """Write the queued answers. The loop that reads the requests calls this after each request.
 
         If one answer is queued and no task is writing, this call writes the next message of that answer itself. It
-        leaves all other messages to a task.
-        Also waits while the queue is full, which slows the caller down.
+        leaves all other messages to a task. While the queue is full, this call waits, which slows the caller down.
         """
         if len(self._answers) == 1 and not self._writing:
             self._writing = True

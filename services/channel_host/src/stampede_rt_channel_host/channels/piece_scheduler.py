@@ -26,7 +26,7 @@ class PieceScheduler:
         self._begun: set[asyncio.Task[None]] = set()
 
     async def do(self, pieces: Pieces[Result]) -> Result:
-        """Perform the work, and return its result. The first piece waits for no turn; most work has only this piece."""
+        """Perform the work, and return its result. Performs the first piece without a wait; most work has only one."""
         found = first_of(pieces)
         return await self.finish(found.rest) if isinstance(found, Unfinished) else found
 
@@ -39,9 +39,9 @@ class PieceScheduler:
             task.add_done_callback(self._begun.discard)
 
     async def finish(self, pieces: Pieces[Result]) -> Result:
-        """Perform the remaining pieces, each when it is the caller's turn, and return the result.
+        """Perform the remaining pieces, each when the caller has its turn, and return the result.
 
-        Raises the errors of the pieces. A cancellation drops the rest.
+        Raises the errors of the pieces. After a cancellation, only frees what the remaining pieces hold, in pieces.
         """
         return await self._finish(pieces, current_work())
 

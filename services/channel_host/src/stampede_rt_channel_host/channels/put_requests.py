@@ -1,7 +1,6 @@
 """Reads the requests of a put stream.
 
-The runs of a long request stay where they are: each is a view of the request's bytes. So the host copies a run once,
-when it stores the run.
+Each run of a long request is a view of the request's bytes. So the host copies a run only once, when it stores the run.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.whole_requests import check_without_piece
 
 SHORT_BYTES = 4096
-"""A shorter request is parsed whole, which is faster."""
+"""Protobuf parses a request up to this length whole, which is faster. Longer requests are read field by field."""
 
 _HEAD_TAGS = {1 << 3 | 2, 2 << 3 | 0, 3 << 3 | 1}  # channel_id, epoch and producer_id of PutRequest
 _FIXED64 = 1
@@ -32,7 +31,7 @@ class Put(NamedTuple):
     run: bytes | memoryview
 
     def kept(self) -> Put:
-        """The same with bytes of its own, which do not keep the whole request in memory."""
+        """A copy whose run does not keep the whole request in memory."""
         return self._replace(run=bytes(self.run))
 
 
@@ -46,7 +45,7 @@ class PutRequest(NamedTuple):
 
 
 def read_request(raw: bytes) -> PutRequest:
-    """Decode a whole request. Raises InvalidArgument if the bytes are no such message, or hold a piece of another."""
+    """Decode a whole request. Raises InvalidArgument if `raw` is no PutRequest, or holds a piece of another request."""
     request = _read_long(raw) if len(raw) > SHORT_BYTES else None
     if request is not None:
         return request
@@ -86,6 +85,7 @@ def _read_long(raw: bytes) -> PutRequest | None:
 
 
 def _end_of_head(raw: bytes) -> int:
+    """The position behind the fields of the head, which come before the puts."""
     at = 0
     while raw[at] in _HEAD_TAGS:
         if raw[at] & 7 == _FIXED64:
@@ -97,8 +97,9 @@ def _end_of_head(raw: bytes) -> int:
 
 
 def _run_in(raw: bytes, at: int) -> tuple[int, slice]:
-    """The position of the run's tag in a PutRun that begins at `at`, and the place of the run; an empty one if the
-    message has another form.
+    """The position of the run's tag in the PutRun that begins at `at`, and the slice of `raw` that is the run.
+
+    The slice is (-1, -1) if the PutRun does not have the usual form.
     """
     while raw[at] in _NUMBER_TAGS:
         at = decode_varint(raw, at + 1)[1]

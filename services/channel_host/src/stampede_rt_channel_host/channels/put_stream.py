@@ -34,9 +34,9 @@ _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 
 
 class _ReceivedRequest(NamedTuple):
-    """The runs of one request that are not yet judged, and the monotonic time at which the request came.
+    """The runs of one request that the host has not yet judged, and the monotonic time at which the request came.
 
-    `too_much`: the request is larger than allowed, so that all its runs are refused.
+    `too_much`: the request is larger than allowed. The host then refuses all its runs.
     """
 
     puts: deque[Put]
@@ -44,7 +44,7 @@ class _ReceivedRequest(NamedTuple):
     too_much: bool
 
     def keep(self) -> int:
-        """Give each run bytes of its own, and forget the rest of the request. Returns the bytes of the runs."""
+        """Copy each run, so that the request is no longer kept in memory. Returns the sum of the runs' bytes."""
         for _ in range(len(self.puts)):
             self.puts.append(self.puts.popleft().kept())
         return sum(len(put.run) for put in self.puts)
@@ -91,10 +91,7 @@ class PutStream:
             self._requests.close()
 
     def _read_request(self, raw: Any, received_s: float) -> _ReceivedRequest | None:
-        """Decode a request; None at the end of the stream.
-
-        A waiting run keeps only its own bytes in memory, not the whole request's.
-        """
+        """Decode a request; None at the end of the stream."""
         if raw is EOF:
             return None
         request = read_request(raw)
@@ -145,7 +142,11 @@ class PutStream:
         return ack or await self._wait(run, hosted.puts, received)
 
     async def _wait(self, run: IncomingRun, puts: ChannelPuts, received: _ReceivedRequest) -> pb.PutAck:
-        """Wait for the ack of a run that waits for room. The host keeps and charges this run and those behind it."""
+        """Wait for the ack of a run that waits for room.
+
+        Meanwhile the host keeps the bytes of this run and of the later runs of its request, but not the request itself,
+        and counts them as memory.
+        """
         self._news.set()  # let the writer send the earlier acks meanwhile
         run.keep()
         try:

@@ -1,5 +1,5 @@
-"""The puts into one channel. The core judges them. `ChannelPuts` recognises retries, and queues puts while the channel
-is full.
+"""The puts into one channel. The core accepts or refuses their items. `ChannelPuts` recognises retries, and lets puts
+wait while the channel is full.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: t
 
 
 class IncomingRun:
-    """One run on its way into a channel. `wait_nanos` None: the run may wait without limit."""
+    """One run that a producer puts, until the run has its ack. `wait_nanos` None: the run may wait without limit."""
 
     __slots__ = (
         "_done", "_encoded", "_timer", "ack", "first_number", "items", "judging", "offer", "owner", "producer_id",
@@ -61,7 +61,7 @@ class IncomingRun:
         self._timer: asyncio.TimerHandle | None = None
 
     def keep(self) -> None:
-        """Copy the run's bytes, if they are a view, because the run has to wait."""
+        """Copy the run's bytes if they are a view of the request, because the run has to wait."""
         self._encoded = bytes(self._encoded)
 
     @property
@@ -70,7 +70,7 @@ class IncomingRun:
         return len(self._encoded) + self.items * ITEM_OVERHEAD_BYTES
 
     def seal(self, first_seq: int, kept: Sequence[int] | None, stamped_time: int | None) -> bytes:
-        """The bytes to store for the accepted items (see `core.Seal`)."""
+        """Note that the core accepts items, and return the bytes to store for these items (see `core.Seal`)."""
         rest = range(self.judging.judged_items, self.items)
         positions = rest if kept is None else [rest[position] for position in kept]
         self.judging.accept(positions[0], first_seq, len(positions), stamped_time)
@@ -78,7 +78,7 @@ class IncomingRun:
         return seal_run(encoded, first_seq, None if stamped_time is None else (stamped_time,) * len(positions))
 
     def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
-        """Take over the core's verdict on the offer. Returns True if no item has to wait."""
+        """Note which items the core has refused, and which have to wait. Returns True if no item has to wait."""
         offered = self.judging.judged_items
         for one in outcome.rejections:
             self.judging.refuse(offered + one.index, one.error)
@@ -107,7 +107,7 @@ class IncomingRun:
         self.judging.judged_items = self.items
 
     def finish(self, ack: pb.PutAck) -> None:
-        """Store the run's ack, and wake the caller that waits for it."""
+        """Store the run's ack, and wake the coroutine that waits for the ack."""
         self.ack = ack
         self.forget_time()
         if self._done is not None and not self._done.done():
@@ -134,10 +134,10 @@ class IncomingRun:
 
 
 class ChannelPuts:
-    """The puts of one channel, in the order of arrival. A put that waits blocks all later ones.
+    """The puts of one channel, in the order of arrival. A put that waits blocks all later puts.
 
-    `on_accepted` is called after each run of which the channel accepted items. `on_touched` is called whenever the kept
-    memory may have changed.
+    Calls `on_accepted` with the time after each run of which the channel has accepted items. Calls `on_touched`
+    whenever the memory of the channel may have changed.
     """
 
     def __init__(
@@ -168,11 +168,11 @@ class ChannelPuts:
 
     @property
     def footprint_bytes(self) -> int:
-        """The bytes kept of waiting runs and of the producers' latest runs."""
+        """The memory of the waiting runs and of the retry window, in bytes."""
         return self._waiting_bytes + self._retries.footprint_bytes
 
     def expire(self, now: int) -> None:
-        """Forget producers that have put nothing for long."""
+        """Forget the producers that have put nothing for a long time (see `RetryWindow.expire`)."""
         self._retries.expire(now)
 
     def next_expiry(self) -> int | None:
@@ -180,10 +180,11 @@ class ChannelPuts:
         return self._retries.next_expiry()
 
     def put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
-        """Judge a run. Returns its ack, or None if it waits for room.
+        """Judge a run. Returns its ack, or None if the run has to wait for room.
 
-        If None: await `run.wait(self.give_up)`, and call `withdraw` if that wait is cancelled. Raises Overloaded if too
-        many puts wait, or if memory is used up. Raises InvalidArgument if the run's numbers overlap another run's.
+        After None, await `run.wait(self.give_up)`, and then call `withdraw`, also if that wait was cancelled. Raises
+        Overloaded if too many puts wait, or if memory is used up. Raises InvalidArgument if the run's numbers overlap
+        another run's.
         """
         try:
             return self._put(run, now)
@@ -203,7 +204,7 @@ class ChannelPuts:
             return self._refuse_rest(run, now)
         if len(self._waiting_runs) >= WAITING_PUTS_MAX:
             raise Overloaded(
-                f"{WAITING_PUTS_MAX} puts wait for room in the channel already, the limit; put less at once"
+                f"{WAITING_PUTS_MAX} puts wait for room in the channel already, the limit; put again later"
             )
         if self._waiting_runs:
             self._memory.claim(run.charged_bytes)
@@ -261,9 +262,10 @@ class ChannelPuts:
         return run.ack
 
     def withdraw(self, run: IncomingRun) -> None:
-        """Take a run out of the queue, because its caller waits no more. The channel accepts no further item of it.
+        """Stop the wait of a run, because its caller waits no more. The channel accepts no further item of the run.
 
-        The channel remembers the accepted items. If the producer sends the run again, the channel continues after them.
+        The retry window remembers the accepted items. If the producer sends the run again, the channel continues after
+        them. Does nothing for a run that has its ack.
         """
         run.forget_time()
         if run in self._waiting_runs:
@@ -312,9 +314,9 @@ class ChannelPuts:
             run.finish(refused(run.first_number, run.items, error, now, self._channel.incarnation))
 
     def _recognise(self, run: IncomingRun, now: int) -> bool:
-        """Whether the run is a repetition of an answered run. If so, the run gets the former ack, without a wait.
+        """Whether the run repeats a run whose items were all judged. If so, the run gets the former ack.
 
-        If only the first items of the run were judged before, the run continues after them.
+        Returns False if only the first items were judged before. The run then continues after these items.
         """
         known = self._retries.find(run.producer_id, run.first_number, run.items, now) if run.producer_id else None
         if known is None:

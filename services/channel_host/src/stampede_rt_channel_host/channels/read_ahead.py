@@ -20,10 +20,11 @@ AHEAD_BYTES_MAX = 4 * 2**20  # the last request may exceed this limit
 
 
 class ReadAhead:
-    """Gives the requests in order. At its bounds it stops reading, and flow control slows the caller down.
+    """Gives the requests of a stream in order. Reads further requests ahead while the last given one has to wait.
 
-    The requests read ahead count as memory of the host and as bytes in flight of the caller. When the host's memory or
-    the caller's quota is used up, nothing is read ahead.
+    The requests read ahead count as memory of the host and as bytes in flight of the caller. At the bounds, or when the
+    host's memory or the caller's quota is used up, the host reads no more ahead. Flow control then slows the caller
+    down.
     """
 
     def __init__(self, read: Callable[[], Awaitable[Any]], memory: MemoryBudget, account: Account) -> None:
@@ -32,8 +33,8 @@ class ReadAhead:
         self._charge = Charge(memory)
         self._account = account
         self._in_flight = account.hold(Quota.BYTES_IN_FLIGHT)
-        self._received: deque[tuple[Any, float]] = deque()
-        self._bytes = 0
+        self._received: deque[tuple[Any, float]] = deque()  # the requests read ahead, each with its monotonic time
+        self._bytes = 0  # of these requests, and those that `keeping` adds
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None
         self._wanted = False  # whether `next` has been called since `go_on`: the task then begins no further read
@@ -55,7 +56,7 @@ class ReadAhead:
 
     @contextmanager
     def keeping(self, kept_bytes: int) -> Iterator[None]:
-        """Read on, see `go_on`. During the block the `kept_bytes` of the waiting request's other runs count, too."""
+        """Read on as `go_on`. During the block also count `kept_bytes`: the other runs of the request that waits."""
         self._count(kept_bytes)
         self.go_on()
         try:

@@ -10,7 +10,7 @@ SHUTTING_DOWN = error_for(
 
 
 def fenced(host: str) -> StampedeError:
-    """The lease was not renewed in time: another host may own the channels by now."""
+    """The error of a host that did not renew its lease in time. Another host may own the channels by now."""
     return error_for(
         "NOT_HERE",
         f"host {host} could not renew its lease in time and serves nothing until the lease is renewed; resolve the "
@@ -20,7 +20,7 @@ def fenced(host: str) -> StampedeError:
 
 
 def not_here(host: str, channel_id: bytes) -> StampedeError:
-    """Nobody has bound the channel at this host, or another host owns it now."""
+    """The error for a channel that nobody has bound at this host, or that another host owns now."""
     shown = channel_id.hex()
     return error_for(
         "NOT_HERE",
@@ -30,7 +30,7 @@ def not_here(host: str, channel_id: bytes) -> StampedeError:
 
 
 def moved(name: str, host_id: bytes) -> StampedeError:
-    """The directory names another owner."""
+    """The error for a channel for which the directory names another owner."""
     shown = host_id.hex()
     return error_for(
         "MOVED", f"channel {name} is at host {shown} now; resolve it again", {"channel": name, "host_id": shown}
@@ -38,7 +38,7 @@ def moved(name: str, host_id: bytes) -> StampedeError:
 
 
 def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
-    """The epoch of the request is not the channel's."""
+    """The error for a request that names another epoch than the channel's."""
     return error_for(
         "WRONG_EPOCH",
         f"channel {name} is at epoch {actual} and the request names {stated}; resolve the channel again",
@@ -47,7 +47,7 @@ def wrong_epoch(name: str, stated: int, actual: int) -> StampedeError:
 
 
 def other_incarnation(name: str, stated: int, actual: int) -> StampedeError:
-    """The seqs of a consumer do not belong to the channel's present incarnation."""
+    """The error for a request to consume items of another incarnation than the channel's."""
     return IncarnationLost(
         f"the items are of incarnation {stated:x}, and channel {name} is incarnation {actual:x} now: they are another "
         "channel's items, or were lost with the channel's former host; consume items that were read from this channel",
@@ -56,5 +56,5 @@ def other_incarnation(name: str, stated: int, actual: int) -> StampedeError:
 
 
 def deleted(name: str) -> StampedeError:
-    """Somebody deleted the channel while a call or a stream used it."""
+    """The error for a call or a stream whose channel was deleted meanwhile."""
     return ChannelNotFound(f"channel {name} was deleted", metadata={"channel": name})

@@ -13,7 +13,7 @@ CALLER_BYTES_MAX = INCOMPLETE_BYTES_MAX // 2
 
 
 class _WaitingRequest(NamedTuple):
-    """A request in the line for room."""
+    """A request that waits for room. `admitted` is done when the request has its room."""
 
     admitted: asyncio.Future[None]
     caller: str
@@ -23,7 +23,8 @@ class _WaitingRequest(NamedTuple):
 class RequestRoom:
     """The memory of a host for requests that are not yet complete. One caller gets at most half of it.
 
-    Requests get room in the order in which they came. A request of a caller that has its half lets others pass.
+    Requests get room in the order in which they came. Only a request whose caller has used up its half waits longer,
+    while later requests of other callers get room.
     """
 
     def __init__(self, bytes_max: int = INCOMPLETE_BYTES_MAX, caller_bytes_max: int = CALLER_BYTES_MAX) -> None:
@@ -48,7 +49,7 @@ class RequestRoom:
             self._admit()
 
     def _admit(self) -> None:
-        """Give room to the requests in line, as far as there is some."""
+        """Give room to the waiting requests, in their order, until the next one does not fit."""
         left: deque[_WaitingRequest] = deque()
         while self._waiting and self.used_bytes + self._waiting[0].wanted_bytes <= self._bytes_max:
             waiting = self._waiting.popleft()

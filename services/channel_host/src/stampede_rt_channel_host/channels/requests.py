@@ -58,7 +58,7 @@ def query_of(request: pb.GetRequest) -> Query:
 
 
 def wait_nanos_of(request: pb.GetRequest) -> int:
-    """How long the get may wait, in nanoseconds. 0: not at all. -1: as long as the stream lives.
+    """How long the get may wait, in nanoseconds. 0: not at all. -1: until the stream ends.
 
     Raises InvalidArgument for a number below -1.
     """
@@ -88,7 +88,10 @@ def is_newest(opening: pb.SubscribeOpen) -> bool:
 
 
 def beginning_of(opening: pb.SubscribeOpen) -> dict[str, Any]:
-    """The place where a subscription begins, as arguments of the core. Raises InvalidArgument for an unusable bound."""
+    """The place where a subscription begins, as keyword arguments of the core's methods that subscribe.
+
+    Raises InvalidArgument for an unusable bound.
+    """
     which = opening.WhichOneof("begin")
     if which == "start":
         start = bound_from_message(opening.start, "the subscription's start")

@@ -48,8 +48,8 @@ LOOKUPS_MAX = 3
 
 
 class ChannelStore:
-    """Every data request gets its channel by `find`. `bind` asks the directory about a channel that the store does not
-    know in the caller's version.
+    """Every data request gets its channel by `find`. Before, a client calls `bind`. `bind` asks the directory if the
+    store does not know the channel, or knows another epoch or an older spec than the caller.
 
     `lease_held` says whether the host may serve at this moment. `scheduler` does long work in pieces. `limits` ends
     the waits of all blocked gets. `consumers` remembers which caller uses which consumer id.
@@ -106,7 +106,8 @@ class ChannelStore:
         return self.find(channel_id, hosted.epoch if hosted else 0)
 
     async def bind(self, channel_id: bytes, epoch: int, spec_version: int = 0) -> HostedChannel:
-        """The channel under that epoch. Asks the directory if the channel, its epoch or its spec is new here.
+        """The channel under `epoch`. Asks the directory first if this host does not know the channel, or knows another
+        epoch or an older spec.
 
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), ChannelNotFound, Overloaded, Unavailable.
         """
@@ -117,10 +118,10 @@ class ChannelStore:
         return self.find(channel_id, epoch)
 
     async def drop(self, channel_id: bytes, epoch: int, request_id: bytes, since_s: float) -> None:
-        """Delete the channel in the directory and here; its readers hear CHANNEL_NOT_FOUND. Safe to repeat.
+        """Delete the channel in the directory and at this host. The streams of its readers end with CHANNEL_NOT_FOUND.
 
-        `since_s`: when the caller made the request, in seconds of `request_age.age_clock_s`. Raises the errors of
-        `bind`, and those that the directory answers.
+        Safe to repeat. `since_s`: when the caller made the request, in seconds of `request_age.age_clock_s`. Raises the
+        errors of `bind`, and those that the directory answers.
         """
         if request_id in self._drops:
             return
@@ -139,7 +140,7 @@ class ChannelStore:
     async def configure(
         self, channel_id: bytes, epoch: int, change: PolicyChange, request_id: bytes, since_s: float
     ) -> HostedChannel:
-        """Change the policy in the directory, then here. Safe to repeat.
+        """Change the policy in the directory, then at this host. Safe to repeat. `change`: the fields to change.
 
         Raises the errors of `bind`, InvalidArgument for a policy that no channel can have, and the errors that the
         directory answers.
@@ -174,16 +175,17 @@ class ChannelStore:
                 hosted = self._channels.get(channel_id)
                 if hosted is not None and hosted.registration < registration:  # else a newer record has come meanwhile
                     self._compare(hosted, listed.get(channel_id), left, is_complete=is_complete)
-            self.scheduler.begin(one_after_another(left))  # one work for all: each has a task
+            self.scheduler.begin(one_after_another(left))  # together, because each `begin` may start a task
             yield
 
     def _compare(
         self, hosted: HostedChannel, record: RecordedChannel | None, left: list[Pieces[None]], *, is_complete: bool
     ) -> None:
-        """Adopt the directory's record of a channel that has not changed since the registration.
+        """Adopt `record`, the directory's record of a channel that has not changed here since the registration.
 
-        None: the answer has no record of the channel. Then the store drops the channel, and adds the work that is left
-        to `left`. If the answer was not complete, the store asks the directory at the next `bind` instead.
+        `record` None: the directory's answer does not name the channel. Then the store drops the channel, and adds the
+        rest of that work to `left`. If the answer was not complete, the store asks the directory at the next `bind`
+        instead.
         """
         if record is not None:
             self._adopt(record)
@@ -195,11 +197,11 @@ class ChannelStore:
             hosted.epoch = 0  # no request can name it: the next bind asks the directory
 
     def fence(self) -> None:
-        """End all waits and streams, because the lease ran out: their callers must look for the channels elsewhere."""
+        """End all waits and streams, because the lease has ended. The callers must look for the channels elsewhere."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def close(self) -> None:
-        """Refuse all requests from now on, as without a lease, because the host shuts down."""
+        """Refuse all requests from now on with SHUTTING_DOWN."""
         self._closing = refusals.SHUTTING_DOWN
 
     def end_all(self, error: StampedeError) -> None:
@@ -217,7 +219,7 @@ class ChannelStore:
             yield
 
     def named_after(self, name: str, count: int) -> list[HostedChannel]:
-        """The next `count` channels after a name, by name."""
+        """The first `count` channels whose names follow `name`, sorted by name."""
         behind = self._names.irange(minimum=(name, _ID_END), inclusive=(False, True))
         return [self._channels[channel_id] for _, channel_id in islice(behind, count)]
 
@@ -254,11 +256,11 @@ class ChannelStore:
         self._adopt(record)
 
     async def _resolve(self, channel_id: bytes) -> RecordedChannel:
-        """The directory's record of the channel, asked for after the host's last registration.
+        """Ask the directory for the record of the channel. Asks again if the host registers before the answer comes.
 
-        An answer to an earlier question may be out of date: the lease ended before the host registered again, and the
-        channel may have got a new owner meanwhile. Raises the error that the directory answers, or StaleBinding if the
-        host cannot keep a lease.
+        Such an answer may be out of date: the lease ended before the host registered again, and the channel may have
+        got a new owner meanwhile. Raises the error that the directory answers. Raises StaleBinding if the host
+        registered during each of LOOKUPS_MAX questions.
         """
         for _ in range(LOOKUPS_MAX):
             registrations = self._registrations
@@ -268,7 +270,7 @@ class ChannelStore:
         raise refusals.fenced(self._identity.name)
 
     def _adopt(self, record: RecordedChannel) -> HostedChannel:
-        """Serve the channel as the directory describes it. An older record than the held one changes nothing."""
+        """Serve the channel according to a record of the directory. Ignores a record older than the present one."""
         held = self._channels.get(record.channel_id)
         if held is not None and held.record.incarnation == record.incarnation:
             if (record.epoch, record.spec_version) >= (held.record.epoch, held.record.spec_version):
@@ -293,7 +295,7 @@ class ChannelStore:
         self.scheduler.begin(one_after_another(self._drop(channel_id, error)))
 
     def _drop(self, channel_id: bytes, error: StampedeError) -> list[Pieces[None]]:
-        """Drop the channel, and end its first callers with `error`. Returns the work that is left."""
+        """Drop the channel, and end the calls of some of its callers with `error`. Returns the rest of this work."""
         hosted = self._channels.pop(channel_id, None)
         if hosted is None:
             return []

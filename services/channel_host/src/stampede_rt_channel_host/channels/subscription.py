@@ -92,8 +92,8 @@ class Subscription(ChangeObserver):
         self._groups = groups
         self._context = context
         self._stream = stream
-        self._news: asyncio.Future[bool] | None = None
-        # whether the reader began with held items, and must still get the progress that tells the end of those items
+        self._news: asyncio.Future[bool] | None = None  # of the present or last wait; see `_wait_for_news`
+        # whether the reader began with items that the channel held, and must still get the progress after these items
         self._owes_progress = False
         # the latest advance, cursor and count of skipped items that the reader has got
         self._sent_advance: int | None = None
@@ -110,6 +110,7 @@ class Subscription(ChangeObserver):
             self._look()
 
     def _look(self) -> None:
+        """End the present wait for news, if there is one."""
         if self._news is not None and not self._news.done():
             self._news.set_result(True)
 
@@ -165,9 +166,9 @@ class Subscription(ChangeObserver):
             self._hosted.subscriptions.discard(self)
 
     async def _step(self, cursor: Cursor, *, without_payloads: bool) -> None:
-        """Send the new items, or wait. Send the progress after an advance and after a long silence.
+        """Send the new items, or wait for them. Send the progress after an advance and after a long silence.
 
-        Without credit, take and send nothing. When credit comes, the reader gets the state of that moment.
+        Without credit, only waits for credit: the cursor stays where it is, and the reader gets nothing.
         """
         if self._credit.left <= 0:
             await self._wait_for_news(None)
@@ -213,7 +214,7 @@ class Subscription(ChangeObserver):
         return about.SerializeToString() + self._cursor_bytes(cursor)
 
     def _cursor_bytes(self, cursor: Cursor) -> bytes:
-        """The cursor as an encoded response, if it is not the one that the reader got last; else no bytes."""
+        """The cursor as an encoded response, if it has changed since the reader last got the cursor; else no bytes."""
         saved = cursor.saved
         self._owes_cursor = saved is None  # a group has no cursor while it shows the items up to a new cut
         if saved is None or saved == self._sent_cursor:

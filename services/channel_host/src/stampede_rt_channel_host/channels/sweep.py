@@ -24,19 +24,18 @@ CHANNELS_PER_RECLAIM_STEP_MAX = 256  # more, because changed channels come befor
 class Sweep:
     """Frees outdated items in the channels of one host.
 
-    `now` is the host's clock. `looked_at` counts the calls of a channel's `collect` and
-    `next_deadline`.
+    `now` is the host's clock. `looked_at` counts the calls of `collect` and `next_deadline` of all channels.
     """
 
     def __init__(self, now: Callable[[], int]) -> None:
         self._now = now
-        # a dict walks over the places of all deleted keys before it finds its first key
+        # no dict, because a dict passes over the places of all deleted keys to find its first key
         self._touched: OrderedDict[HostedChannel, None] = OrderedDict()
         self._deadlines: Deadlines[HostedChannel] = Deadlines()
         self.looked_at = 0
 
     def touch(self, hosted: HostedChannel) -> None:
-        """Note a change in the channel: it may be due at another time now."""
+        """Note a change in the channel, after which the channel may be due at another time."""
         self._touched[hosted] = None
 
     def forget(self, hosted: HostedChannel) -> None:
@@ -46,23 +45,23 @@ class Sweep:
 
     async def run_forever(self) -> NoReturn:
         """Sweep twice a second."""
-        while True:  # paced
+        while True:  # paced by the sleep
             await asyncio.sleep(ROUND_SECONDS)
             await self.sweep()
 
     async def sweep(self) -> None:
-        """Collect in the channels that are due. Lets other tasks run in between."""
+        """Free outdated items in all channels that are due. Lets other tasks run in between."""
         while self._step():
             await _give_way()
 
     def reclaim(self) -> None:
-        """Collect a bounded part in due channels before this call returns, because a put needs the memory."""
+        """Free a bounded number of outdated items in this call, because a put needs the memory."""
         for _ in range(STEPS_PER_RECLAIM):
             if not self._step(CHANNELS_PER_RECLAIM_STEP_MAX):
                 return
 
     def _step(self, channels_max: int = CHANNELS_PER_STEP_MAX) -> bool:
-        """Collect a bounded part, however many channels are due. Returns True if more may be due now."""
+        """Look at up to `channels_max` channels, and free some of their items. Returns True if more may be due now."""
         freed_entries = 0
         for _ in range(channels_max):
             hosted = next(iter(self._touched), None) or self._deadlines.pop(self._now())
@@ -76,7 +75,10 @@ class Sweep:
         return True
 
     def _look_at(self, hosted: HostedChannel) -> bool:
-        """Note when a touched channel is due, or collect in a due one. Returns True if more is left to collect now."""
+        """Free outdated items, unless the channel has just changed. Note when the channel is due next.
+
+        Returns True if more outdated items are left.
+        """
         more = False
         if hosted in self._touched:
             del self._touched[hosted]

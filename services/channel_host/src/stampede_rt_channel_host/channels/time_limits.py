@@ -18,7 +18,7 @@ TimeLimit = tuple[float, int, Callable[[], None]]
 
 
 class TimeLimits:
-    """The limits of all blocked gets of a host.
+    """The time limits of all blocked gets of a host.
 
     `begin` does long work that nobody waits for (`PieceScheduler.begin`).
     """

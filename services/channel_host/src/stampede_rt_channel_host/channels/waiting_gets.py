@@ -1,8 +1,8 @@
 """The blocked gets of one channel. The host looks at a get again after a change that may release it, and at the instant
 at which the clock may release it.
 
-Ten thousand blocked gets take about 2 KiB of memory each. The host sorts them by the change that they need. So after a
-change it looks only at the gets that this change may release. If these gets are many, the host looks at them in pieces,
+A blocked get takes about 2 KiB of memory. The host sorts the gets by the change that they need. So after a change it
+looks only at the gets that this change may release. If these gets are many, the host looks at them in pieces,
 in the channel's state right after the change. So no get misses the change that releases it (decision 0085).
 """
 
@@ -71,11 +71,11 @@ class WaitingGet:
         self._limit: TimeLimit | None = None
 
     def limit(self, wait_nanos: int, limits: TimeLimits, give_up: Callable[[WaitingGet], None]) -> None:
-        """Give up after `wait_nanos` nanoseconds."""
+        """Call `give_up` with this get after `wait_nanos` nanoseconds, unless the get ends before."""
         self._limits, self._limit = limits, limits.add(wait_nanos, partial(give_up, self))
 
     def cancel(self) -> None:
-        """Forget the get and its timer. Idempotent."""
+        """Stop the wait and its time limit, without an outcome. Idempotent."""
         if self._limits is not None and self._limit is not None:
             self._limits.remove(self._limit)
             self._limit = None
@@ -107,17 +107,17 @@ _NEED_KEYS = tuple(_need_key(position) for position in range(len(Needs._fields))
 
 
 class Polled(Protocol):
-    """The place where blocked gets look for their answers."""
+    """An object in which blocked gets look for their answers: a `Source`, or a snapshot of one."""
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """See `ChannelCore.polling`."""
 
 
 class SourceSnapshot(Polled, Protocol):
-    """The state of the source at one moment."""
+    """A `Source` as it was at one moment."""
 
     def close(self) -> None:
-        """Free the state. No get looks at it any more."""
+        """Free the snapshot. The host polls no get with it any more."""
 
 
 class Source(Polled, Protocol):
@@ -151,7 +151,10 @@ class _Release:
         self.arrivals = later.arrivals
 
     def take(self, by_need: Sequence[KeyedList[WaitingGet]], gets_max: int) -> list[WaitingGet]:
-        """The next gets that the change may release, at most `gets_max`, by arrival. Gets may go between two calls."""
+        """The next gets that the change may release, at most `gets_max`, in the order of arrival.
+
+        Between two calls, gets may be released or cancelled.
+        """
         found: dict[WaitingGet, None] = {}
         for position, (ordered, reached) in enumerate(zip(by_need, self.reach, strict=True)):
             if reached is None:
@@ -170,8 +173,8 @@ class _Release:
 class WaitingGets:
     """The blocked gets of one channel, at most WAITING_GETS_MAX. One step releases gets in the order of arrival.
 
-    `coming` tells how far new items reach. `cut` gives the instant up to which the channel is visible.
-    `looked_at` counts the looks at gets.
+    `coming` tells which needs of gets a change may fulfil. `cut` gives the instant before which the items of the
+    channel are visible. `looked_at` counts the looks at gets.
     """
 
     def __init__(
@@ -209,7 +212,7 @@ class WaitingGets:
     def add(
         self, pending: Pending, wake: WakeAt, wait_nanos: int, now: int, on_outcome: Callable[[Outcome], None]
     ) -> WaitingGet:
-        """Block a get that was just polled. `wait_nanos` below 0: without limit.
+        """Block a get that was just polled. `wake`: the result of that poll. `wait_nanos` below 0: without limit.
 
         Raises Overloaded if WAITING_GETS_MAX gets are blocked already.
         """
@@ -226,7 +229,7 @@ class WaitingGets:
         return get
 
     def remove(self, get: WaitingGet) -> None:
-        """Take a get off the list, because it waits no more."""
+        """Remove a get, because it waits no more."""
         if get in self._waiting:
             del self._waiting[get]
             self._leave(get)
@@ -305,7 +308,7 @@ class WaitingGets:
             self._releases.pop(0).close()
 
     def _look_at(self, gets: deque[WaitingGet], where: Polled, now: int) -> None:
-        """Look at gets until the work of one piece is done. The others stay in `gets`."""
+        """Look at the next gets until the work of one piece is done. The other gets stay in `gets`."""
         left = GETS_PER_PIECE
         while gets and left > 0:
             get = gets.popleft()
@@ -313,7 +316,7 @@ class WaitingGets:
                 left -= self._look(get, where, now)
 
     def _look(self, get: WaitingGet, where: Polled, now: int) -> int:
-        """Poll a get. Returns the work done, in looks at gets that stay blocked."""
+        """Poll a get. Returns the cost of the poll. A poll that leaves the get blocked costs 1."""
         self.looked_at += 1
         found = first_of(where.polling(get.pending, now))
         if isinstance(found, WakeAt):

@@ -20,6 +20,7 @@ from stampede_rt_channel_host.channels.request_room import RequestRoom
 from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import Quota
 
+# All pieces of a request must come within this time, and the time that its bytes take at this rate.
 JOIN_SECONDS_MIN = 10.0
 BYTES_PER_SECOND_MIN = 2**18
 
@@ -33,9 +34,10 @@ class WholeRequests:
         self._account = account
 
     async def read(self) -> Any:
-        """The next encoded request, or EOF.
+        """The next encoded request, or EOF. Joins a request that comes in pieces. Waits for room for such a request.
 
-        Raises InvalidArgument, DeadlineExceeded, or Overloaded for pieces; see `RequestPiece`.
+        Raises InvalidArgument if the pieces do not fit together, DeadlineExceeded if they come too slowly, and
+        Overloaded if the caller's quota of bytes in flight is used up. See `RequestPiece`.
         """
         raw = await self._read()
         if raw is EOF or raw[:1] != PIECE_TAG:
@@ -62,7 +64,7 @@ class WholeRequests:
         except TimeoutError:
             raise DeadlineExceeded(
                 f"{came_bytes} of the {whole_bytes} bytes of a request came within {limit_s:.0f} s; put smaller "
-                "items, or over a faster network"
+                "items, or use a faster network"
             ) from None
         if came_bytes > whole_bytes:
             raise InvalidArgument(f"the pieces have {came_bytes} bytes, and the first one announced {whole_bytes}")
@@ -79,6 +81,6 @@ class WholeRequests:
 
 
 def check_without_piece(request: raw_run_pb2.RawPutRequest | raw_run_pb2.RawEnqueueRequest) -> None:
-    """Raises InvalidArgument for a whole request that also holds a piece of another."""
+    """Raises InvalidArgument for a whole request that also holds a piece of another request."""
     if request.HasField("piece"):
         raise InvalidArgument("a request holds runs and a piece of another request; send the piece alone")
