@@ -29,10 +29,7 @@ class AccessEffect:
 
 
 def client_named(who: str) -> Caller:
-    """A client of that name, whose rights `AccessRules.judge` can tell.
-
-    "@cluster" names the holders of the cluster's secret.
-    """
+    """The client of that name, for `AccessRules.judge`. "@cluster" names the holders of the cluster's secret."""
     if who == "@cluster":
         return Caller(kind=CallerKind.CLUSTER_SECRET, roles=ALL_ROLES, name=who)
     return Caller(kind=CallerKind.TOKEN, roles=frozenset({Role.CLIENT}), name=who)
