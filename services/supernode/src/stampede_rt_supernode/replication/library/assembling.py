@@ -6,9 +6,9 @@ import zlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from stampede_rt_supernode.replication.library.adapters import LibraryLog, LibrarySerializer, LibraryTransport
 from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.library.pinned_copy import load_library
-from stampede_rt_supernode.replication.library.seams import LibraryLog, LibrarySerializer, LibraryTransport
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
 from stampede_rt_supernode.replication.interface import Member, StateMachine
-from stampede_rt_supernode.replication.library.seams import LibraryLog
+from stampede_rt_supernode.replication.library.adapters import LibraryLog
 from stampede_rt_supernode.replication.library.translation import to_library
 from stampede_rt_supernode.replication.log_entries import COMMAND
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
