@@ -185,7 +185,7 @@ class World:
             self._plan_connect(ends)
             self.members[ends[0]].refuse_release(ends[1], f"{ends[0]!r} {TOO_OLD}")
             return
-        if not receiver.promise_of(ends[0]).is_kept_by(*sender.standing):
+        if not receiver.promise_of(ends[0]).is_kept_by(*sender.durable_end):
             self._refuse(self.members[ends[0]])
             return
         sender.deliver(MembersReported(ends[1], receiver.roster.members))
@@ -195,7 +195,7 @@ class World:
                 settings,
                 ends[1],
                 store_id="",
-                standing=sender.standing,
+                durable_end=sender.durable_end,
                 roster=sender.roster,
                 highest_level=sender.highest_level,
             )

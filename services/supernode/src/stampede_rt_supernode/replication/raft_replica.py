@@ -99,7 +99,7 @@ class RaftReplica:
         # By this write the next process that opens the store sees that the store was used.
         self._log.sync()
         # (term, last log index) on stable storage, as this member states them in its hellos
-        self.standing = self._log.end()
+        self.durable_end = self._log.end()
         self._publish_roster()
         self._status = self._observe()
 
@@ -269,7 +269,7 @@ class RaftReplica:
         return ConfirmedRead(read.deadline, lambda index: self._completions.append(lambda: done(index)))
 
     def _release(self) -> None:
-        self.standing = self._log.end()
+        self.durable_end = self._log.end()
         self._publish_roster()
         messages = self._node.transport.take_outbox()
         if messages:

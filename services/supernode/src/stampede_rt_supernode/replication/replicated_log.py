@@ -75,7 +75,7 @@ class PySyncObjLog:
                 settings,
                 to,
                 store_id=stores.own,
-                standing=replica.standing,
+                durable_end=replica.durable_end,
                 roster=replica.roster,
                 highest_level=replica.highest_level,
             )

@@ -24,7 +24,7 @@ OTHERS_STORE = "the store with which s2 came before"
 def refused(*, knows: int = 2, cluster: int = 2, **changes: Any) -> HelloRefusal | None:
     """What s1, of a cluster at level `cluster`, says to s2, whose release knows level `knows`."""
     of_s2, of_s1 = (ReplicationSettings(self_member=one, initial_members=[SELF, OTHER]) for one in (OTHER, SELF))
-    hello = introduction(of_s2, "s1", store_id=OTHERS_STORE, standing=(3, 7), roster=ROSTER, highest_level=knows)
+    hello = introduction(of_s2, "s1", store_id=OTHERS_STORE, durable_end=(3, 7), roster=ROSTER, highest_level=knows)
     for name, value in changes.items():
         setattr(hello, name, value)
     stores = KnownStores(known={"s2": OTHERS_STORE})

@@ -42,7 +42,7 @@ def settings_of(member: Member, **more: Any) -> ReplicationSettings:
 
 
 def hello_to(to: str, settings: ReplicationSettings) -> pb.RaftHello:
-    return introduction(settings, to, store_id="", standing=(0, 0), roster=ROSTER, highest_level=1)
+    return introduction(settings, to, store_id="", durable_end=(0, 0), roster=ROSTER, highest_level=1)
 
 
 def timeout_now(term: int) -> pb.RaftMessage:

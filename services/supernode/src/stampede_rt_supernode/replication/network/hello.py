@@ -44,11 +44,11 @@ def introduction(
     to: str,
     *,
     store_id: str,
-    standing: tuple[int, int],
+    durable_end: tuple[int, int],
     roster: MemberRoster,
     highest_level: int,
 ) -> pb.RaftHello:
-    """The hello of this member to the member `to`. `standing`: the term and last log index on this member's disk."""
+    """The hello of this member to the member `to`. `durable_end`: the term and last log index on this member's disk."""
     own = settings.self_member
     is_member = any(member.member_id == own.member_id for member in roster.members)
     return pb.RaftHello(
@@ -57,8 +57,8 @@ def introduction(
         peer_member_id=to,
         protocol_version=PROTOCOL_VERSION,
         store_id=store_id,
-        term=standing[0],
-        last_log_index=standing[1],
+        term=durable_end[0],
+        last_log_index=durable_end[1],
         address=own.address if is_member else "",
         highest_feature_level=highest_level,
     )
