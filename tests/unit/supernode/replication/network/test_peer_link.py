@@ -15,7 +15,7 @@ from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.hello import OLDER_STORE, introduction
 from stampede_rt_supernode.replication.network.peer_link import PeerLink
-from stampede_rt_supernode.replication.network.reports import SparseReports
+from stampede_rt_supernode.replication.network.reports import ReportLimiter
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
 from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, RaftTiming, ReplicationSettings
@@ -188,7 +188,7 @@ async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() 
         deliver,
         lambda why: None,
         lambda to: hello_to(to, settings),
-        SparseReports(),
+        ReportLimiter(),
     )
     running = asyncio.create_task(link.run())
     async with asyncio.timeout(10):
@@ -201,7 +201,7 @@ async def test_what_waits_on_a_stream_that_breaks_is_not_sent_on_the_next_one() 
 
 def test_a_refusal_that_tells_other_log_positions_each_time_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     unused: Any = None
-    link = PeerLink(OTHER, settings_of(SELF), unused, unused, unused, unused, SparseReports())
+    link = PeerLink(OTHER, settings_of(SELF), unused, unused, unused, unused, ReportLimiter())
     for entry in (7, 8, 9):
         link._report(
             f"PERMISSION_DENIED: 'self' {OLDER_STORE}: it held term 1 and entry {entry} before, and holds 1 and 1 now"

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from stampede_rt_supernode.replication.network.reports import AGAIN_SECONDS, REPORTS_MAX, SparseReports
+from stampede_rt_supernode.replication.network.reports import AGAIN_SECONDS, REPORTS_MAX, ReportLimiter
 
 
 def test_two_reasons_that_take_turns_are_said_once_each() -> None:
-    reports = SparseReports()
+    reports = ReportLimiter()
     said = [reports.is_due(("s3", reason), now) for now in range(10) for reason in ("refused", "nobody there")]
     assert said == [True, True] + 18 * [False]
 
 
 def test_what_goes_on_is_said_again_after_a_while() -> None:
-    reports = SparseReports()
+    reports = ReportLimiter()
     assert reports.is_due("down", 0.0)
     assert not reports.is_due("down", AGAIN_SECONDS - 1)
     assert reports.is_due("down", AGAIN_SECONDS)
 
 
 def test_no_more_than_some_are_kept() -> None:
-    reports = SparseReports()
+    reports = ReportLimiter()
     for number in range(3 * REPORTS_MAX):
         assert reports.is_due(number, 0.0)
     assert len(reports._said_at) == REPORTS_MAX

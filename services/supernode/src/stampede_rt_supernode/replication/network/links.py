@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.hello import OTHER_CLUSTER
 from stampede_rt_supernode.replication.network.peer_link import Dial, Introduce, PeerLink
 from stampede_rt_supernode.replication.network.refusals import Grounds, Refusals, grounds_of
-from stampede_rt_supernode.replication.network.reports import SparseReports
+from stampede_rt_supernode.replication.network.reports import ReportLimiter
 from stampede_rt_supernode.replication.raft_replica import MemberRoster
 from stampede_rt_supernode.replication.settings import ReplicationSettings
 from stampede_rt_supernode.replication.threads.loop_bridge import LoopBridge
@@ -59,7 +59,7 @@ class PeerLinks:
         self._bridge = bridge
         self._on_fatal = on_fatal
         self._links: dict[str, PeerLink] = {}
-        self._reports = SparseReports()
+        self._reports = ReportLimiter()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         # The tasks of dropped links that have not ended yet.
         self._ending: set[asyncio.Task[None]] = set()

@@ -19,7 +19,7 @@ from stampede_rt.v1 import raft_service_pb2_grpc
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.network.hello import UNKNOWN, other_protocol
 from stampede_rt_supernode.replication.network.refusals import grounds_of
-from stampede_rt_supernode.replication.network.reports import SparseReports
+from stampede_rt_supernode.replication.network.reports import ReportLimiter
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.wire.buffered_transport import (
     Connected,
@@ -72,7 +72,7 @@ class PeerLink:
         deliver: Callable[[NetworkEvent], None],
         on_refused: Callable[[str], None],
         introduce: Introduce,
-        reports: SparseReports,
+        reports: ReportLimiter,
     ) -> None:
         """`on_refused` gets the reason each time that the stream cannot be opened, or ends."""
         self._reports = reports

@@ -8,7 +8,7 @@ AGAIN_SECONDS = 600.0
 REPORTS_MAX = 256
 
 
-class SparseReports:
+class ReportLimiter:
     """Lets each report be logged once in AGAIN_SECONDS. Remembers the REPORTS_MAX newest reports."""
 
     def __init__(self) -> None:

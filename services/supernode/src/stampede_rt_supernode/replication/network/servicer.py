@@ -30,7 +30,7 @@ from stampede_rt_supernode.replication.network.hello import (
 )
 from stampede_rt_supernode.replication.network.peer_link import REQUEST_MESSAGES_MAX
 from stampede_rt_supernode.replication.network.refusals import grounds_of
-from stampede_rt_supernode.replication.network.reports import SparseReports
+from stampede_rt_supernode.replication.network.reports import ReportLimiter
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.settings import PROTOCOL_VERSION, ReplicationSettings
 from stampede_rt_supernode.replication.storage.known_stores import KnownStores
@@ -64,7 +64,7 @@ class RaftServicer:
         self._expelled: dict[str, tuple[float, str]] = {}
         # Member id -> the task that reads the member's present stream. A member has at most one stream.
         self._readers: dict[str, asyncio.Task[None]] = {}
-        self._reports = SparseReports()
+        self._reports = ReportLimiter()
         self._closed = False
 
     def add_to_server(self, server: grpc.aio.Server) -> None:
