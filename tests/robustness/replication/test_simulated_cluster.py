@@ -192,7 +192,7 @@ class ForgetsWhatItSends(PreVoteElections):
 
     keeper: SnapshotKeeper
 
-    def let_go_of_log(self) -> None:
+    def free_sent_entries(self) -> None:
         snapshot = self.log.snapshot
         if snapshot is not None and snapshot.last_log_index != getattr(self, "_last_snapshot", 0):
             self._last_snapshot = snapshot.last_log_index

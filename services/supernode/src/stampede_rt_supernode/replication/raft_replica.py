@@ -208,7 +208,7 @@ class RaftReplica:
         self._snapshots.advance()
         if self._node.is_leader:
             self._node.note_promises()
-        self._node.let_go_of_log()
+        self._node.free_sent_entries()
         self._log.sync()
         self._release()
         return bool(self._arrivals.events) or self._commits_alone()

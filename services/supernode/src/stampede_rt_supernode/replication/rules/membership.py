@@ -280,7 +280,7 @@ class Membership(NodeState):
             held = min(match, self.commit_index)
             self.log.note_promise(node.id, 0, held)
 
-    def let_go_of_log(self) -> None:
+    def free_sent_entries(self) -> None:
         """Free the entries that a snapshot has replaced and that are only kept to be sent.
 
         A leader keeps those that a receiver may still lack, and the entry before them. A follower keeps none.

@@ -194,7 +194,7 @@ class RaftLog:
     def keep_after(self, log_index: int) -> None:
         """Free the kept entries at or before a position. They can then no longer be sent."""
         while self._kept and self._kept[0].log_index <= log_index:
-            self._let_go_oldest()
+            self._free_oldest()
 
     def _keep(self, entries: list[Entry]) -> None:
         """Keep entries that a snapshot has replaced, in memory only. Frees the oldest beyond the limit in bytes."""
@@ -204,9 +204,9 @@ class RaftLog:
             self._kept.append(entry)
             self._kept_bytes += len(entry.command) + ENTRY_BYTES
         while self._kept_bytes > self._kept_bytes_max:
-            self._let_go_oldest()
+            self._free_oldest()
 
-    def _let_go_oldest(self) -> None:
+    def _free_oldest(self) -> None:
         self._kept_bytes -= len(self._kept.popleft().command) + ENTRY_BYTES
 
     # -- snapshots and the disk --------------------------------------------------------------------------------
