@@ -91,7 +91,7 @@ class RaftReplica:
         self._log = RaftLog(store, kept_bytes_max=settings.kept_log_bytes_max)
         self._state_machine = state_machine
         self._node = self._open_node(state_machine, random_source, rules, run_in_background)
-        self._proposals = Proposals(self._node.propose, self._completions.append, handed_max=settings.proposals_max)
+        self._proposals = Proposals(self._node.propose, self._completions.append, submitted_max=settings.proposals_max)
         self._changes = self._make_changes()
         self._snapshots = SnapshotRequests(self._node, self._log, self._completions.append)
         self._roster_version: tuple[object, ...] = ()

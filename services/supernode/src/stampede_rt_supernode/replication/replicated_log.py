@@ -100,7 +100,7 @@ class PySyncObjLog:
                 outcome = await answer
         except TimeoutError:
             proposal.abandoned = True
-            if proposal.handed_over:
+            if proposal.submitted:
                 raise Ambiguous(f"no answer within {timeout} s; the command may still be applied") from None
             raise LogUnavailable(f"no leader took the command within {timeout} s") from None
         except asyncio.CancelledError:

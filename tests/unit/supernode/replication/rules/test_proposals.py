@@ -10,12 +10,12 @@ from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal,
 class Library:
     """Takes commands over and answers when told to."""
 
-    def __init__(self, handed_max: int = 10) -> None:
+    def __init__(self, submitted_max: int = 10) -> None:
         self.handed: list[tuple[bytes, ProposalDone]] = []
         self.proposals = Proposals(
             lambda command, callback: self.handed.append((command, callback)),
             lambda finish: finish(),
-            handed_max=handed_max,
+            submitted_max=submitted_max,
         )
         self.outcomes: list[Outcome] = []
 
@@ -68,7 +68,7 @@ def test_a_command_whose_fate_is_unknown_is_ambiguous_and_not_tried_again() -> N
 
 
 def test_a_command_without_an_answer_is_ambiguous_at_its_deadline_and_makes_room() -> None:
-    library = Library(handed_max=1)
+    library = Library(submitted_max=1)
     library.propose()
     library.propose(b"next", deadline=20.0)
     library.advance(1.0)
@@ -80,7 +80,7 @@ def test_a_command_without_an_answer_is_ambiguous_at_its_deadline_and_makes_room
     assert len(library.outcomes) == 1
 
 
-def test_an_abandoned_command_is_never_handed_over() -> None:
+def test_an_abandoned_command_is_never_submitted() -> None:
     library = Library()
     library.propose().abandoned = True
     library.advance(1.0)
@@ -88,7 +88,7 @@ def test_an_abandoned_command_is_never_handed_over() -> None:
 
 
 def test_closing_ends_every_command_by_what_is_known_of_it() -> None:
-    library = Library(handed_max=1)
+    library = Library(submitted_max=1)
     library.propose()
     library.propose()
     library.advance(1.0)

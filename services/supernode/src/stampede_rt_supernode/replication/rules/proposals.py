@@ -15,48 +15,48 @@ Outcome = bytes | LogUnavailable | Ambiguous
 class Proposal:
     """One command. `done` is called at most once, on the tick thread. `deadline` is by the replica's clock.
 
-    The tick thread sets `handed_over` when it gives the command to the library, and `finished` when nothing more will
+    The tick thread sets `submitted` when it gives the command to the library, and `finished` when nothing more will
     be done with the proposal. The caller sets `abandoned` when the caller no longer waits. Each thread writes its own
-    field before it reads the other's. So a caller that finds `handed_over` False knows that the library will never get
+    field before it reads the other's. So a caller that finds `submitted` False knows that the library will never get
     the command.
     """
 
-    __slots__ = ("abandoned", "command", "deadline", "done", "finished", "handed_over")
+    __slots__ = ("abandoned", "command", "deadline", "done", "finished", "submitted")
 
     def __init__(self, command: bytes, deadline: float, done: Callable[[Outcome], None]) -> None:
         self.command = command
         self.deadline = deadline
         self.done = done
-        self.handed_over = False
+        self.submitted = False
         self.abandoned = False
         self.finished = False
 
 
 class Proposals:
-    """Keeps commands until there is a leader, hands them to the library, and turns its answers into outcomes.
+    """Keeps commands until there is a leader, submits them to the library, and turns its answers into outcomes.
 
     Tick thread only.
 
-    Invariant: `_handed` counts the unfinished proposals in the library, at most `handed_max`.
+    Invariant: `_submitted` counts the unfinished proposals in the library, at most `submitted_max`.
     """
 
     def __init__(
         self,
-        hand_over: Callable[[bytes, ProposalDone], None],
+        submit: Callable[[bytes, ProposalDone], None],
         finish: Callable[[Callable[[], None]], None],
         *,
-        handed_max: int,
+        submitted_max: int,
     ) -> None:
-        """`hand_over` gives a command to the library.
+        """`submit` gives a command to the library.
 
-        `finish(call)` makes the call once the changes of this step are durable. The library holds `handed_max`
+        `finish(call)` makes the call once the changes of this step are durable. The library holds `submitted_max`
         unfinished proposals at most.
         """
-        self._hand_over = hand_over
+        self._submit = submit
         self._finish_later = finish
-        self._handed_max = handed_max
+        self._submitted_max = submitted_max
         self._waiting: deque[Proposal] = deque()
-        self._handed = 0
+        self._submitted = 0
         # A heap of (deadline, number, proposal). The number decides the order of equal deadlines.
         self._deadlines: list[tuple[float, int, Proposal]] = []
         self._sequence = 0
@@ -68,40 +68,40 @@ class Proposals:
         heapq.heappush(self._deadlines, (proposal.deadline, self._sequence, proposal))
 
     def advance(self, *, leader_reachable: bool, now: float) -> None:
-        """Give up the proposals whose time is over. If the leader is reachable, hand the waiting ones over."""
+        """Give up the proposals whose time is over. If the leader is reachable, submit the waiting ones."""
         while self._deadlines and (self._deadlines[0][0] <= now or self._deadlines[0][2].finished):
             self._expire(heapq.heappop(self._deadlines)[2])
         for _ in range(len(self._waiting)):
-            if not leader_reachable or self._handed >= self._handed_max:
+            if not leader_reachable or self._submitted >= self._submitted_max:
                 return
-            self._hand_over_one(self._waiting.popleft())
+            self._submit_one(self._waiting.popleft())
 
     def _expire(self, proposal: Proposal) -> None:
         if proposal.finished:
             return
-        if proposal.handed_over:
-            self._handed -= 1
+        if proposal.submitted:
+            self._submitted -= 1
             self._finish(proposal, Ambiguous("the log did not answer in time; the command may still be applied"))
         else:
             self._finish(proposal, LogUnavailable("no leader was found in time; the command was not taken"))
 
-    def _hand_over_one(self, proposal: Proposal) -> None:
+    def _submit_one(self, proposal: Proposal) -> None:
         if proposal.finished:
             return
-        proposal.handed_over = True
+        proposal.submitted = True
         if proposal.abandoned:
             proposal.finished = True
             return
-        self._handed += 1
-        self._hand_over(proposal.command, lambda answer: self._on_answer(proposal, answer))
+        self._submitted += 1
+        self._submit(proposal.command, lambda answer: self._on_answer(proposal, answer))
 
     def _on_answer(self, proposal: Proposal, answer: bytes | Fate) -> None:
         if proposal.finished:
             return
-        self._handed -= 1
+        self._submitted -= 1
         if answer is Fate.NOT_TAKEN:
             # The command is certainly not applied. It waits for the next leader, until its own deadline.
-            proposal.handed_over = False
+            proposal.submitted = False
             self._waiting.append(proposal)
         elif answer is Fate.UNKNOWN:
             self._finish(proposal, Ambiguous("the leader changed during the command, which may still be applied"))
@@ -117,7 +117,7 @@ class Proposals:
         for _, _, proposal in self._deadlines:
             if proposal.finished:
                 continue
-            what = Ambiguous if proposal.handed_over else LogUnavailable
+            what = Ambiguous if proposal.submitted else LogUnavailable
             self._finish(proposal, what("this replica is closing"))
         self._deadlines.clear()
         self._waiting.clear()
