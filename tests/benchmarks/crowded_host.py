@@ -30,7 +30,7 @@ from stampede_rt_channel_host.channels.puts import IncomingRun
 from stampede_rt_channel_host.channels.sweep import Sweep
 from stampede_rt_channel_host.channels.waiting_gets import SourceSnapshot, WaitingGets
 from stampede_rt_channel_host.cluster.records import recorded_channel
-from stampede_rt_channel_host.core.channel import Coming, Position, Query, WakeAt
+from stampede_rt_channel_host.core.channel import Position, Query, ReachTracker, WakeAt
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
 
 COUNTS = (10, 100, 1000, 10_000)
@@ -92,7 +92,7 @@ def puts_beside_group_gets(others: int) -> list[float]:
     channel = host.open(max_items=100)
     host.put(channel, START)
     shown = Shown(channel, START + 1)
-    gets = WaitingGets(shown, Coming(channel.channel), lambda: host.now, lambda: START + 1)
+    gets = WaitingGets(shown, ReachTracker(channel.channel), lambda: host.now, lambda: START + 1)
     channel.group_observers[_Follower(gets, host)] = None
     query = Query(
         interval=parse_interval(MIN_INSTANT, MAX_INSTANT), match=Match.START, newer_than=Position(START), limit=1

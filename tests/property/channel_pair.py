@@ -13,13 +13,13 @@ from stampede_rt.values.timeline import Bound
 from stampede_rt_channel_host.core.channel import (
     AllCursor,
     ChannelCore,
-    Coming,
     NewestCursor,
     Offer,
     Pending,
     Position,
     Query,
     Reach,
+    ReachTracker,
     ReadAnswer,
     Slice,
     WakeAt,
@@ -109,7 +109,7 @@ class ChannelPair:
     def __post_init__(self) -> None:
         self.core = ChannelCore(self.policy, incarnation=INCARNATION, name="pair", lost_before=self.lost_before)
         self.oracle = OracleChannel(self.policy, self.lost_before)
-        self.coming = Coming(self.core)
+        self.tracker = ReachTracker(self.core)
 
     def put(self, offer: Offer) -> None:
         """An offer; what has to wait is kept for later."""
@@ -201,7 +201,7 @@ class ChannelPair:
 
     def poll_all(self) -> None:
         """As the owner does after every change, and when an instant comes."""
-        still, reach = [], self.coming.reach(self.clock)
+        still, reach = [], self.tracker.reach(self.clock)
         for pending, blocked in self.gets:
             reader = OracleReader(self.oracle, self.clock)
             expected = blocked.poll(reader)

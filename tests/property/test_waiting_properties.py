@@ -19,13 +19,13 @@ from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
     BEFORE_ALL,
     ChannelCore,
-    Coming,
     Needs,
     Offer,
     Pending,
     Position,
     Query,
     Reach,
+    ReachTracker,
     WakeAt,
 )
 from stampede_rt_channel_host.core.group import Horizon, VisibleChannel
@@ -49,10 +49,10 @@ class Story:
         self.channel = ChannelCore(policy, incarnation=1)
         self.grouped = grouped
         self.cut: int | None = None
-        self.coming = Coming(self.channel)
+        self.tracker = ReachTracker(self.channel)
         self.waiting: list[tuple[Pending, WakeAt]] = []
         self.policy = policy
-        self.coming.begin(self.visible_to)
+        self.tracker.begin(self.visible_to)
 
     @property
     def visible_to(self) -> int:
@@ -127,7 +127,7 @@ class Story:
     def look(self) -> None:
         """The change is known: those it does not reach are not released by it."""
         _, poll = self.view()
-        reach = self.coming.reach(self.now, self.visible_to)
+        reach = self.tracker.reach(self.now, self.visible_to)
         waiting, self.waiting = self.waiting, []
         for pending, wake in waiting:
             found = poll(pending)

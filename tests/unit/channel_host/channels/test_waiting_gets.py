@@ -27,12 +27,12 @@ from stampede_rt_channel_host.channels.waiting_gets import (
 )
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
-    Coming,
     Offer,
     Pending,
     Pieces,
     Position,
     Query,
+    ReachTracker,
     ReadAnswer,
     WakeAt,
 )
@@ -54,7 +54,7 @@ class Blocked:
     def __init__(self, max_items: int = 10) -> None:
         self.now = START
         self.channel = CountingChannel(Policy(max_items=max_items, max_future_nanos=1000 * S), incarnation=1, name="a")
-        self.gets = WaitingGets(self.channel, Coming(self.channel), lambda: self.now)
+        self.gets = WaitingGets(self.channel, ReachTracker(self.channel), lambda: self.now)
         self.released: list[int] = []
         self.outcomes: list[Outcome] = []
 
@@ -113,7 +113,7 @@ async def test_ten_thousand_gets_cost_bounded_memory_and_end_in_the_order_of_the
 async def test_gets_whose_time_ends_together_are_answered_a_few_in_a_turn_by_one_timer() -> None:
     blocked, before, many = Blocked(), timers(), 4 * LIMITS_PER_PIECE
     blocked.gets = WaitingGets(
-        blocked.channel, Coming(blocked.channel), lambda: blocked.now, begin=PieceScheduler().begin
+        blocked.channel, ReachTracker(blocked.channel), lambda: blocked.now, begin=PieceScheduler().begin
     )
     gets = [blocked.block(number, NEWEST, 1) for number in range(many)]
     assert timers() - before == 1
@@ -246,7 +246,7 @@ class InPieces:
     def __init__(self, blocked: Blocked) -> None:
         self.work: list[Pieces[None]] = []
         blocked.gets = WaitingGets(
-            blocked.channel, Coming(blocked.channel), lambda: blocked.now, begin=self.work.append
+            blocked.channel, ReachTracker(blocked.channel), lambda: blocked.now, begin=self.work.append
         )  # fmt: skip
 
     def step(self) -> bool:

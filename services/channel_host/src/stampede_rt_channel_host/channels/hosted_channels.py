@@ -17,9 +17,9 @@ from stampede_rt_channel_host.core.channel import (
     CONSUMED_RANGE_BYTES,
     CONSUMER_BYTES,
     ChannelCore,
-    Coming,
     Consumed,
     Pieces,
+    ReachTracker,
     run_to_end,
 )
 from stampede_rt_channel_host.core.records import RecordedChannel
@@ -87,7 +87,7 @@ class HostedChannel:
         """The blocked gets. Most channels have none, so the first one makes this object."""
         if self._gets is None:
             source = self.channel
-            self._gets = WaitingGets(source, Coming(source), self._now, begin=self._begin, limits=self._limits)
+            self._gets = WaitingGets(source, ReachTracker(source), self._now, begin=self._begin, limits=self._limits)
         return self._gets
 
     @property

@@ -20,11 +20,11 @@ from stampede_rt_channel_host.channels.time_limits import TimeLimit, TimeLimits
 from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
     BEFORE_ALL,
-    Coming,
     Needs,
     Pending,
     Pieces,
     Reach,
+    ReachTracker,
     ReadAnswer,
     Unfinished,
     WakeAt,
@@ -180,7 +180,7 @@ class WaitingGets:
     def __init__(
         self,
         source: Source,
-        coming: Coming,
+        tracker: ReachTracker,
         now: Callable[[], int],
         cut: Callable[[], int] = lambda: AFTER_ALL,
         begin: Callable[[Pieces[None]], None] = run_to_end,
@@ -192,7 +192,7 @@ class WaitingGets:
         """
         self.looked_at = 0
         self._source = source
-        self._coming = coming
+        self._tracker = tracker
         self._now = now
         self._cut = cut
         self._begin = begin
@@ -219,7 +219,7 @@ class WaitingGets:
         if len(self) >= WAITING_GETS_MAX:
             raise Overloaded(f"{WAITING_GETS_MAX} gets wait at the channel already, the limit; subscribe, or get later")
         if not self._waiting:
-            self._coming.begin(self._cut())
+            self._tracker.begin(self._cut())
         self._arrivals += 1
         get = WaitingGet(pending, self, self._arrivals, on_outcome)
         self._insert(get, wake)
@@ -242,7 +242,7 @@ class WaitingGets:
 
         Looks at all of them now, or, if they are many, in pieces, in the channel's present state.
         """
-        release = _Release(self._coming.reach(now, self._cut()), self._arrivals)
+        release = _Release(self._tracker.reach(now, self._cut()), self._arrivals)
         found = deque(release.take(self._by_need, GETS_PER_PIECE + 1))
         if not self._releases and len(found) <= GETS_PER_PIECE:
             self._look_at(found, self._source, now)

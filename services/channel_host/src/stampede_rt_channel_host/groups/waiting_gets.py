@@ -15,10 +15,10 @@ from stampede_rt_channel_host.channels.time_limits import TimeLimits
 from stampede_rt_channel_host.channels.waiting_gets import Outcome, WaitingGets
 from stampede_rt_channel_host.core.channel import (
     BEFORE_ALL,
-    Coming,
     Moment,
     Pending,
     Pieces,
+    ReachTracker,
     ReadAnswer,
     Unfinished,
     WakeAt,
@@ -85,7 +85,7 @@ class GroupGets:
         self._now = now
         self._check = check
         self._view = VisibleChannel(hosted.channel)
-        self.gets = WaitingGets(self, Coming(hosted.channel), now, self._visible_to, scheduler.begin, limits)
+        self.gets = WaitingGets(self, ReachTracker(hosted.channel), now, self._visible_to, scheduler.begin, limits)
 
     @classmethod
     def of(

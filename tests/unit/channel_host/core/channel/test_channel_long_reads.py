@@ -11,8 +11,8 @@ import pytest
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
-    Coming,
     Position,
+    ReachTracker,
     ReadAnswer,
     abandoning,
     emptying,
@@ -84,11 +84,11 @@ def test_how_far_a_channel_has_come_is_known_without_a_walk(looked: SliceCounter
     channel = a_channel()
     for _ in range(ITEMS):
         put(channel, CLOCK, durations=durations)
-    coming = Coming(channel)
-    coming.begin()
+    tracker = ReachTracker(channel)
+    tracker.begin()
     put(channel, CLOCK, durations=durations)
     looked.slices = 0
-    assert coming.reach(CLOCK).end == (CLOCK if durations is None else CLOCK + 5)
+    assert tracker.reach(CLOCK).end == (CLOCK if durations is None else CLOCK + 5)
     assert looked.slices <= 1
 
 

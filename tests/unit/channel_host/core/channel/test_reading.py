@@ -19,12 +19,12 @@ from stampede_rt.values.timeline import (
 )
 from stampede_rt_channel_host.core.channel import (
     ChannelCore,
-    Coming,
     Needs,
     Pending,
     Position,
     Query,
     Reach,
+    ReachTracker,
     ReadAnswer,
     WakeAt,
 )
@@ -191,25 +191,25 @@ def test_a_blocked_get_says_what_must_come_before_it_can_be_released() -> None:
 def test_a_change_reaches_as_far_as_what_came_with_it() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10)
-    coming = Coming(channel)
-    coming.begin()
+    tracker = ReachTracker(channel)
+    tracker.begin()
     channel.advance(CLOCK + 60, CLOCK)
-    assert coming.reach(CLOCK) == Reach(passed=CLOCK + 60, time=None, end=None)
+    assert tracker.reach(CLOCK) == Reach(passed=CLOCK + 60, time=None, end=None)
     put(channel, CLOCK + 60, durations=[500])
-    assert coming.reach(CLOCK) == Reach(passed=CLOCK + 60, time=CLOCK + 60, end=CLOCK + 560)
-    assert coming.reach(CLOCK) == Reach(passed=CLOCK + 60, time=None, end=None)
+    assert tracker.reach(CLOCK) == Reach(passed=CLOCK + 60, time=CLOCK + 60, end=CLOCK + 560)
+    assert tracker.reach(CLOCK) == Reach(passed=CLOCK + 60, time=None, end=None)
 
 
 def test_what_a_group_hides_reaches_nobody_until_it_is_visible() -> None:
     channel = a_channel(max_items=9)
     put(channel, 10, durations=[5])
-    coming = Coming(channel)
-    coming.begin(cut=20)
+    tracker = ReachTracker(channel)
+    tracker.begin(cut=20)
     put(channel, 30, durations=[5])
-    assert coming.reach(CLOCK, cut=20) == Reach(passed=20, time=None, end=None)
+    assert tracker.reach(CLOCK, cut=20) == Reach(passed=20, time=None, end=None)
     put(channel, 12, durations=[5])
-    assert coming.reach(CLOCK, cut=20) == Reach(passed=20, time=12, end=17)
-    assert coming.reach(CLOCK, cut=31) == Reach(passed=30, time=30, end=35)
+    assert tracker.reach(CLOCK, cut=20) == Reach(passed=20, time=12, end=17)
+    assert tracker.reach(CLOCK, cut=31) == Reach(passed=30, time=30, end=35)
 
 
 def test_a_blocking_get_for_the_future_is_looked_at_when_that_instant_comes() -> None:

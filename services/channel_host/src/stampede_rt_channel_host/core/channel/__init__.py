@@ -67,7 +67,7 @@ from stampede_rt_channel_host.core.channel.values import (
     SubscriptionBatch,
     WakeAt,
 )
-from stampede_rt_channel_host.core.channel.waiting import AFTER_ALL, BEFORE_ALL, Coming, Needs, Reach
+from stampede_rt_channel_host.core.channel.waiting import AFTER_ALL, BEFORE_ALL, Needs, Reach, ReachTracker
 
 __all__ = [
     "ABSENT",
@@ -83,7 +83,6 @@ __all__ = [
     "ChannelCore",
     "ChannelLimits",
     "ColumnRun",
-    "Coming",
     "Consumed",
     "ConsumerPlace",
     "ConsumerStanding",
@@ -101,6 +100,7 @@ __all__ = [
     "PutOutcome",
     "Query",
     "Reach",
+    "ReachTracker",
     "ReadAnswer",
     "Rejection",
     "Run",

@@ -47,7 +47,7 @@ class Reach(NamedTuple):
     end: int | None
 
 
-class Coming:
+class ReachTracker:
     """Computes the `Reach` of a channel, or of its part before a cut, for the gets that wait at the channel.
 
     Each call looks at the items that came after the last call.
