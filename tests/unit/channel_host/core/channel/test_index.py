@@ -50,7 +50,7 @@ def test_neighbouring_times_are_found_at_between_and_beyond_items() -> None:
     times = [time for time, _ in fill(index, rng, 1500, late=30)]
     for instant in range(times[0] - 1, times[0] + 800):
         assert index.next_time(instant) == min((time for time in times if time > instant), default=None)
-        assert index.floor_time(instant) == max((time for time in times if time <= instant), default=None)
+        assert index.last_time_up_to(instant) == max((time for time in times if time <= instant), default=None)
     assert index.next_time(times[-1]) is None
 
 

@@ -204,11 +204,11 @@ class HeldItems:
             self._following = time, following
         return following
 
-    def floor_time(self, time: int) -> int | None:
+    def last_time_up_to(self, time: int) -> int | None:
         """The time of the last bucket at or before `time`, or None if there is none."""
         if self.oldest is None or time < self.oldest:
             return None
-        return self.index.floor_time(time)
+        return self.index.last_time_up_to(time)
 
     def bucket_end(self, time: int, bound: int) -> int:
         """The latest span end in the bucket at `time`, if `bound` is the next bucket's time."""

@@ -109,7 +109,7 @@ class ChannelIndex:
         The caller adds the items of a run in their order. The item's seq must be above all seqs in the index.
         """
         time = run.times[at]
-        before = self._floor(time)
+        before = self._last_up_to(time)
         if before is not None and before.run is run and before.hi == at and before.last_time <= time:
             before.hi = at + 1
         else:
@@ -133,7 +133,7 @@ class ChannelIndex:
         Afterwards every entry that begins at or before `time` also ends at or before `time`, and all entries with items
         of `time` begin at `time`.
         """
-        entry = self._floor(time)
+        entry = self._last_up_to(time)
         if entry is None or isinstance(entry, OneRun):
             return
         if entry.last_time > time:
@@ -146,7 +146,7 @@ class ChannelIndex:
         entry.hi = at
         self._add(rest)
 
-    def _floor(self, time: int) -> Entry | None:
+    def _last_up_to(self, time: int) -> Entry | None:
         """The last entry that begins at or before `time`."""
         if self._by_time and self._by_time[-1].first_time <= time:
             return self._by_time[-1]  # type: ignore[no-any-return]
@@ -274,16 +274,16 @@ class ChannelIndex:
 
     def next_time(self, time: int) -> int | None:
         """The earliest item time after `time`, or None if there is none."""
-        entry = self._floor(time)
+        entry = self._last_up_to(time)
         if entry is not None and entry.last_time > time:
             times = entry.run.times
             return times[bisect_right(times, time, entry.lo, entry.hi)]
         later = self._first_later(time)
         return None if later is None else later.first_time
 
-    def floor_time(self, time: int) -> int | None:
+    def last_time_up_to(self, time: int) -> int | None:
         """The latest item time at or before `time`, or None if there is none."""
-        entry = self._floor(time)
+        entry = self._last_up_to(time)
         if entry is None or entry.last_time <= time:
             return None if entry is None else entry.last_time
         times = entry.run.times

@@ -51,7 +51,7 @@ class HeldThen:
         """The time of the next bucket after `time`, or None if there is none."""
         return self._snapshot.next_time(time, LAST_KEY)
 
-    def floor_time(self, time: int) -> int | None:
+    def last_time_up_to(self, time: int) -> int | None:
         """The time of the last bucket at or before `time`, or None if there is none."""
         last = next(self.slices_down(FIRST_KEY, (time, SEQ_END)), None)
         return None if last is None else last.last_time

@@ -145,7 +145,7 @@ class Retention:
         A later bucket never ends earlier, so the search looks at the spans of one bucket only.
         """
         oldest = self._held.oldest
-        bucket = self._held.floor_time(cutoff - self._held.overlap_nanos)
+        bucket = self._held.last_time_up_to(cutoff - self._held.overlap_nanos)
         if bucket is None:  # with overlap the oldest bucket may have begun before the cutoff and stay
             return None if oldest is None or oldest > cutoff else oldest
         following = self._held.next_time(bucket)

@@ -63,7 +63,7 @@ class Readable(Protocol):
     def next_time(self, time: int, /) -> int | None:
         """The time of the next bucket after `time`, or None if there is none."""
 
-    def floor_time(self, time: int, /) -> int | None:
+    def last_time_up_to(self, time: int, /) -> int | None:
         """The time of the last bucket at or before `time`, or None if there is none."""
 
 
@@ -206,7 +206,7 @@ def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int)
 
 def _reaching_in(held: Readable, within: ResolvedInterval, now: int) -> list[_Stretch]:
     """The items that begin at or before the lower bound, and whose spans contain an instant of the interval."""
-    bucket = held.floor_time(within.start)
+    bucket = held.last_time_up_to(within.start)
     if bucket is None:
         return []
     earlier = _reaching_over(held.overlap_nanos, within.start, bucket)
@@ -238,7 +238,7 @@ def _staying_in(held: Readable, within: ResolvedInterval, low: ItemKey, now: int
 
     Without overlap, only the spans of the last bucket in the interval can end outside it.
     """
-    bucket = held.floor_time(within.end - 1 if within.end_exclusive else within.end)
+    bucket = held.last_time_up_to(within.end - 1 if within.end_exclusive else within.end)
     if bucket is None or bucket not in within:
         return []
     following = held.next_time(bucket)

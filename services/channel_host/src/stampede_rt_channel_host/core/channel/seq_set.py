@@ -65,12 +65,12 @@ class SeqSet:
         """
         if first <= self.below and self.below > 1:
             yield 1, self.below
-        before = self._floor(first)
+        before = self._last_up_to(first)
         if before is not None and before[1] >= first:
             yield before
         yield from self._ranges.irange((first, _LAST), (end, _LAST))
 
-    def _floor(self, seq: int) -> tuple[int, int] | None:
+    def _last_up_to(self, seq: int) -> tuple[int, int] | None:
         """The last range that begins at or below `seq`, or None.
 
         Searches by value. For a search by position the sorted list would first have to count all its elements.
@@ -81,7 +81,7 @@ class SeqSet:
         """The first seq at or above `seq` that is not in the set."""
         if seq < self.below:
             return self.below
-        before = self._floor(seq)
+        before = self._last_up_to(seq)
         return seq if before is None else max(seq, before[1])
 
     def add(self, first: int, end: int) -> int:

@@ -70,7 +70,7 @@ class ReachTracker:
         held, _ = self._channel.look(now)
         before, time = self._cut, self._newly_visible(held, cut)
         self.begin(cut)
-        newest = held.newest if cut == AFTER_ALL else held.floor_time(cut - 1)
+        newest = held.newest if cut == AFTER_ALL else held.last_time_up_to(cut - 1)
         end = None
         if time is not None or cut != before:
             end = self._end(held, time, newest, min(now, cut), has_moved=cut != before)
@@ -90,7 +90,7 @@ class ReachTracker:
         for part in held.slices_by_seq(self._seen_seq, self._channel.next_seq):
             if part.first_time < cut:
                 found.append(min(part.last_time, cut - 1))
-        shown = held.floor_time(cut - 1) if cut > self._cut else None
+        shown = held.last_time_up_to(cut - 1) if cut > self._cut else None
         if shown is not None and shown >= self._cut:
             found.append(shown)
         return max(found, default=None)

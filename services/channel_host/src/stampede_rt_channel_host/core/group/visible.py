@@ -54,7 +54,7 @@ class VisibleHoldings:
         self.gone_before = held.gone_before
         self.overlap_nanos = held.overlap_nanos
         self.oldest = held.oldest if held.oldest is not None and held.oldest <= self._last else None
-        self.newest = None if self.oldest is None else held.floor_time(self._last)
+        self.newest = None if self.oldest is None else held.last_time_up_to(self._last)
 
     @property
     def collected_by(self) -> str:
@@ -79,9 +79,9 @@ class VisibleHoldings:
         following = self._held.next_time(time)
         return following if following is not None and following <= self._last else None
 
-    def floor_time(self, time: int, /) -> int | None:
+    def last_time_up_to(self, time: int, /) -> int | None:
         """The time of the last visible bucket at or before `time`, or None if there is none."""
-        return None if self.oldest is None else self._held.floor_time(min(time, self._last))
+        return None if self.oldest is None else self._held.last_time_up_to(min(time, self._last))
 
 
 class VisibleReading(Reading):
