@@ -45,8 +45,8 @@ class AgedChannel:
         self._acceptance = Acceptance(self._held, self._retention, name)
         self._reading = Reading(self._held, self._retention, incarnation, lost_before)
         self._clock: int | None = None  # the latest `now` of a call
-        self._puts_unsettled = 0  # puts since `_settle` last applied the age limit
-        self._settled: int | None = None  # the clock to which `_settle` last applied the age limit
+        self._puts_since_aging = 0  # puts since `_age_and_free` last applied the age limit
+        self._aged_at: int | None = None  # the clock to which `_age_and_free` last applied the age limit
         self._entries_to_free = 0  # entries that puts may have added since they last freed memory
 
     def collect(self, now: int, entries_max: int = 64) -> bool:
@@ -54,7 +54,7 @@ class AgedChannel:
 
         Puts and reads also free a few entries.
         """
-        self._settle(self._tick(now))
+        self._age_and_free(self._tick(now))
         knows_less = self._retention.learn_gone(entries_max // 2)  # half as many, because each of these takes longer
         self._retention.ask_on()
         return self._held.free(entries_max) or knows_less or self._retention.has_more
@@ -72,13 +72,13 @@ class AgedChannel:
 
         If memory is left to free, this is `now`. Otherwise items grow too old at this time, or a consumer's lease ends.
         """
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         due = self._retention.next_due()
         return clock if self._held.has_backlog or self._retention.has_more else due
 
     def counters(self, now: int) -> Counters:
         """The present numbers of accepted, held, collected and refused items."""
-        self._settle(self._tick(now))
+        self._age_and_free(self._tick(now))
         held = self._held
         return Counters(
             accepted=held.accepted,
@@ -91,7 +91,7 @@ class AgedChannel:
 
     def look(self, now: int) -> tuple[Holdings, Retention]:
         """The items that are not too old at `now`, and their retention. The caller must only read them."""
-        self._settle(self._tick(now))
+        self._age_and_free(self._tick(now))
         return self._held, self._retention
 
     def moment(self, now: int) -> Moment:
@@ -156,17 +156,17 @@ class AgedChannel:
 
     def _age(self) -> None:
         """Apply the age limit as of the last call, unless the last call has already done so."""
-        if self._clock is not None and (self._puts_unsettled or self._settled != self._clock):
+        if self._clock is not None and (self._puts_since_aging or self._aged_at != self._clock):
             self._retention.apply_time(self._clock)
 
-    def _settle(self, clock: int) -> int:
+    def _age_and_free(self, clock: int) -> int:
         """Outdate the items that are too old, and free a few outdated entries. Returns `clock`."""
         self._outdate(clock)
         self._held.free(FREED_ENTRIES_PER_CALL)
         return clock
 
     def _outdate(self, clock: int) -> None:
-        self._puts_unsettled, self._settled = 0, clock
+        self._puts_since_aging, self._aged_at = 0, clock
         if self._retention.consumers is None:
             self._retention.age_out(clock)
         else:

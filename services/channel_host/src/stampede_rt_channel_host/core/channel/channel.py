@@ -46,7 +46,7 @@ from stampede_rt_channel_host.core.channel.values import (
 ENTRIES_PER_ITEM_MAX = 3
 """A late item changes at most this many index entries: its own entry, and the two parts of the entry that it splits."""
 
-PUTS_PER_SETTLING = 16
+PUTS_PER_AGING = 16
 """A put into a channel that is below its other limits does not apply the age limit.
 
 The next read applies it, or the sixteenth such put. A channel that counts consumption applies it at each put.
@@ -71,12 +71,12 @@ class ChannelCore(AgedChannel):
         """
         clock, counts_consumption = self._tick(now), self._retention.consumers is not None
         if counts_consumption:
-            self._settle(clock)
+            self._age_and_free(clock)
         outcome = self._acceptance.put(offer, clock, seal)
-        self._puts_unsettled += 1
+        self._puts_since_aging += 1
         self._entries_to_free += ENTRIES_PER_ITEM_MAX * len(offer.lengths)
-        if self._puts_unsettled >= PUTS_PER_SETTLING or counts_consumption or not self._retention.has_room(0, 0):
-            self._settle_puts(clock)
+        if self._puts_since_aging >= PUTS_PER_AGING or counts_consumption or not self._retention.has_room(0, 0):
+            self._apply_limits_after_puts(clock)
         return outcome
 
     def give_up_put(self, offer: Offer) -> PutOutcome:
@@ -103,7 +103,7 @@ class ChannelCore(AgedChannel):
     def reading(self, query: Query, now: int) -> Pieces[ReadAnswer]:
         """As `read`, in pieces. The answer is as of `now`."""
         self._check_positions(query)
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         return self._reading.answer(query, self._reading.resolve(query, clock), clock)
 
     def begin(self, query: Query, now: int) -> Pending:
@@ -113,7 +113,7 @@ class ChannelCore(AgedChannel):
         an item resolves them. Raises IncarnationLost if a position comes from another incarnation.
         """
         self._check_positions(query)
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         return Pending(query, self._reading.resolve(query, clock))
 
     def poll(self, pending: Pending, now: int) -> ReadAnswer | WakeAt:
@@ -126,7 +126,7 @@ class ChannelCore(AgedChannel):
 
     def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
         """As `poll`, in pieces. The result is as of `now`."""
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         found = yield from self._reading.poll(pending, clock)
         return WakeAt(found.instant, self._reading.needs(pending)) if isinstance(found, WakeAt) else found
 
@@ -136,7 +136,7 @@ class ChannelCore(AgedChannel):
 
     def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
         """As `give_up`, in pieces. The answer is as of `now`."""
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         return self._reading.answer(pending.query, pending.interval, clock)
 
     def subscribe_all(
@@ -162,7 +162,7 @@ class ChannelCore(AgedChannel):
         """As `subscribe_all`, in pieces. The cursor is as of `now`."""
         if saved is not None:
             self._check_saved(saved)
-            self._settle(self._tick(now))
+            self._age_and_free(self._tick(now))
             return resume_all(self._held, saved)
         after_key = self._resume_key(start, after)
         low = self._start_key(start, start_exclusive, now)
@@ -174,7 +174,7 @@ class ChannelCore(AgedChannel):
         The part has about `limit_bytes`, counted as payload and ITEM_OVERHEAD_BYTES for each item, and at least one
         item if there is one. If retention collected items before the reader took them, a gap reports each of them once.
         """
-        self._settle(self._tick(now))
+        self._age_and_free(self._tick(now))
         return since(self._held, self._retention.limits, cursor, limit_bytes)
 
     def subscribe_newest(
@@ -189,7 +189,7 @@ class ChannelCore(AgedChannel):
         """
         if saved is not None:
             self._check_saved(saved)
-            self._settle(self._tick(now))
+            self._age_and_free(self._tick(now))
             return resume_newest(self._held, saved)
         after_key = self._resume_key(start, after)
         return open_newest(self._held, self._start_key(start, start_exclusive, now), after_key)
@@ -199,7 +199,7 @@ class ChannelCore(AgedChannel):
 
         Moves the cursor and counts the skipped items.
         """
-        self._settle(self._tick(now))
+        self._age_and_free(self._tick(now))
         return cursor.take(self._held)
 
     def advance(self, instant: int, now: int) -> int:
@@ -224,10 +224,10 @@ class ChannelCore(AgedChannel):
         places than consumers have taken, the channel removes the places with the earliest lease ends.
         """
         limits = ChannelLimits.of(policy)
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         self._policy = policy
         self._retention.set_limits(limits)
-        self._settle(clock)
+        self._age_and_free(clock)
         self._retention.drop_excess(clock)
 
     def consume(
@@ -243,7 +243,7 @@ class ChannelCore(AgedChannel):
         has as many places as one caller may have.
         """
         run_to_end(self.catching_up(now))
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         self.check_consumption(consumer_id, seqs, lease_nanos)
         consumers = self._retention.consumers
         assert consumers is not None, "it is checked"
@@ -257,7 +257,7 @@ class ChannelCore(AgedChannel):
             lease=lease_nanos,
             owner=owner,
         )
-        self._settle(clock)
+        self._age_and_free(clock)
         return consumed
 
     def consumption_bytes(self, consumer_id: int, seqs: Sequence[int]) -> int:
@@ -280,7 +280,7 @@ class ChannelCore(AgedChannel):
         Perform these pieces before `consume`, `consumer_places` and `restore_consumers`. Otherwise these methods do all
         this work in one step.
         """
-        self._settle(self._tick(now))
+        self._age_and_free(self._tick(now))
         while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # a report of a slice takes longer than a look
             yield
 
@@ -291,14 +291,14 @@ class ChannelCore(AgedChannel):
     def counting_consumers(self, now: int) -> Pieces[list[ConsumerStanding]]:
         """As `consumers`, in pieces. A consumer's number of waiting items is as of the piece that counted them."""
         yield from self.catching_up(now)
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else (yield from consumers.standings(clock, self.next_seq))
 
     def consumer_places(self, now: int) -> list[ConsumerPlace]:
         """The taken places as values, which can move with the channel to another owner."""
         run_to_end(self.catching_up(now))
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         consumers = self._retention.consumers
         return [] if consumers is None else consumers.places(clock, self.next_seq)
 
@@ -308,12 +308,12 @@ class ChannelCore(AgedChannel):
         Does nothing if the policy has no consumers.
         """
         run_to_end(self.catching_up(now))
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         if self._retention.consumers is not None:
             self._retention.consumers.restore(places, clock)
-            self._settle(clock)
+            self._age_and_free(clock)
 
-    def _settle_puts(self, clock: int) -> None:
+    def _apply_limits_after_puts(self, clock: int) -> None:
         """Apply the limits after puts, and free as many entries as these puts may have added.
 
         Frees more entries while the outdated items are charged with more than max_bytes.
@@ -350,6 +350,6 @@ class ChannelCore(AgedChannel):
         Returns None if the subscription has no held items: without `start`, or if `start` is a meta-time that the empty
         channel cannot resolve.
         """
-        clock = self._settle(self._tick(now))
+        clock = self._age_and_free(self._tick(now))
         time = None if start is None else self._reading.resolve_bound(start, clock)
         return None if time is None else (time, SEQ_END if exclusive else 0)

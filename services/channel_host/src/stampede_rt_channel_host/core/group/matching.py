@@ -119,7 +119,7 @@ class Matcher:
         # a list first, because each look may free entries
         for one in [*islice(_ones(held.slices(self._low)), items_max)]:
             time = one.first_time
-            if credit_bytes <= 0 or not self._is_settled(time, has_passed):
+            if credit_bytes <= 0 or not self._can_decide(time, has_passed):
                 break
             found = self._found((time, one.first_seq), has_passed, now)
             if found is None:
@@ -135,7 +135,7 @@ class Matcher:
         self.has_more = self._looks_left <= 0
         return taken
 
-    def _is_settled(self, time: int, has_passed: Callable[[bytes, int], bool]) -> bool:
+    def _can_decide(self, time: int, has_passed: Callable[[bytes, int], bool]) -> bool:
         others = all(has_passed(channel_id, clamp(time + self._tolerance)) for channel_id in self._tracks)
         return others and has_passed(OWN, time)
 
