@@ -29,7 +29,7 @@ from stampede_rt_channel_host.core.group.cut import (
     GroupDefinition,
 )
 from stampede_rt_channel_host.core.group.deciding import MAX_WAIT_NANOS_DEFAULT, Boundary, EventDecider
-from stampede_rt_channel_host.core.group.following import CutFollower, Loss, Step
+from stampede_rt_channel_host.core.group.following import CutFollower, Loss, StepPart
 from stampede_rt_channel_host.core.group.matching import OWN, FoundMatch, Matcher
 from stampede_rt_channel_host.core.group.subscribing import VisibleAll, VisibleNewest
 from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, OwnTimes, TimesBoard
@@ -57,7 +57,7 @@ __all__ = [
     "Nearest",
     "OwnTimes",
     "OwnTrack",
-    "Step",
+    "StepPart",
     "TimesBoard",
     "Track",
     "VisibleAll",

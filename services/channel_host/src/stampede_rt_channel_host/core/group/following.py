@@ -35,7 +35,7 @@ class Loss:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Step:
+class StepPart:
     """A part of a step: first the late items in `late`, then the newly visible items in `slices`.
 
     Both are in the order (time, seq). Reads could already return the late items before the step. Every later part is
@@ -125,7 +125,7 @@ class CutFollower:
         """Free the late items that a step has found, in pieces. The caller must not use the follower afterwards."""
         return self._late.emptying()
 
-    def take(self, now: int, limit_bytes: int) -> Step:
+    def take(self, now: int, limit_bytes: int) -> StepPart:
         """The next part of the step: about `limit_bytes` (payload and overhead) and a bounded number of slices.
 
         If there were many items to look at, a part may be empty although the step continues.
@@ -133,14 +133,14 @@ class CutFollower:
         assert self.under_way, "begin a step first"
         held, _ = self._channel.look(now)
         if not self._look_for_late(held):
-            return Step(is_last=False)
+            return StepPart(is_last=False)
         late, left, done = self._take_late(held, limit_bytes)
         slices: list[DeliveredSlice] = []
         if done:
             slices, left, done = self._take_range(held, left, pieces.STEPS_PER_PIECE - len(late))
         if left <= 0 or not done:
-            return Step(slices=slices, late=late, is_last=False)
-        return Step(slices=slices, late=late, is_last=True, loss=self._finish(held))
+            return StepPart(slices=slices, late=late, is_last=False)
+        return StepPart(slices=slices, late=late, is_last=True, loss=self._finish(held))
 
     def _take_range(self, held: Holdings, left: int, steps: int) -> tuple[list[DeliveredSlice], int, bool]:
         """Give newly visible items that the channel had when the step began.

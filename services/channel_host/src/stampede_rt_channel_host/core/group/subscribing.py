@@ -31,7 +31,7 @@ PARTS_PER_TAKE = 8
 class VisibleAll:
     """A subscription to all items of a channel, each once.
 
-    The items between two cuts come in the order (time, seq). Late items come with the next step (see `Step`).
+    The items between two cuts come in the order (time, seq). Late items come with the next step (see `StepPart`).
 
     With `start`, visible items from that bound on come first. With `after`, the subscription begins with all items that
     are later in time or in seq than the stated item. If producers put items out of order, it may then repeat some
