@@ -22,40 +22,40 @@ class Front(NamedTuple):
     rest: Slice | None
 
 
-Going = Callable[[Slice], int]
+CountInFront = Callable[[Slice], int]
 """Returns how many items at the beginning of a slice belong to the front. `Holdings.front` calls the function with one
 slice after the other, from the oldest on, until a slice has an item that does not belong to the front.
 """
 
 
-def before(time: int) -> Going:
-    """A `Going` that counts the items before `time`."""
+def before(time: int) -> CountInFront:
+    """A `CountInFront` that counts the items before `time`."""
 
-    def going(part: Slice) -> int:
+    def count_in_front(part: Slice) -> int:
         return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
 
-    return going
+    return count_in_front
 
 
-def oldest_items(count: int) -> Going:
-    """A `Going` that counts the first `count` items."""
+def oldest_items(count: int) -> CountInFront:
+    """A `CountInFront` that counts the first `count` items."""
 
-    def going(part: Slice) -> int:
+    def count_in_front(part: Slice) -> int:
         nonlocal count
         taken = min(part.items, count)
         count -= taken
         return taken
 
-    return going
+    return count_in_front
 
 
-def oldest_bytes(charged_bytes: int) -> Going:
-    """A `Going` that counts items until they are together charged with `charged_bytes` or more.
+def oldest_bytes(charged_bytes: int) -> CountInFront:
+    """A `CountInFront` that counts items until they are together charged with `charged_bytes` or more.
 
     An item is charged with its payload and ITEM_OVERHEAD_BYTES.
     """
 
-    def going(part: Slice) -> int:
+    def count_in_front(part: Slice) -> int:
         nonlocal charged_bytes
         lengths, lo = part.run.lengths, part.lo
         for at in range(lo, part.hi):
@@ -64,4 +64,4 @@ def oldest_bytes(charged_bytes: int) -> Going:
             charged_bytes -= lengths[at] + ITEM_OVERHEAD_BYTES
         return part.items
 
-    return going
+    return count_in_front

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from itertools import islice
 
 from stampede_rt_channel_host.core.channel import tally
-from stampede_rt_channel_host.core.channel.front import Front, Going, before, oldest_bytes, oldest_items
+from stampede_rt_channel_host.core.channel.front import CountInFront, Front, before, oldest_bytes, oldest_items
 from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION, HeldItems
 from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
@@ -154,12 +154,12 @@ class Holdings(HeldItems):
             self._newest_is_open |= duration == ABSENT
             self._newest_longest = max(self._newest_longest, duration)
 
-    def front(self, going: Going, whole: Whole = NO_BLOCKS) -> Front:
-        """The oldest held items: those of the blocks `whole`, and the items that `going` counts after these blocks."""
+    def front(self, count: CountInFront, whole: Whole = NO_BLOCKS) -> Front:
+        """The oldest held items: those of the blocks `whole`, and the items that `count` counts after these blocks."""
         items, payload_bytes = whole.items, whole.payload_bytes
         last: Slice | None = None
         for part in self.slices(whole.end) if items else self.index.slices_from(self.floor):
-            taken = going(part)
+            taken = count(part)
             if taken:
                 last = part if taken == part.items else Slice(part.run, part.lo, part.lo + taken)
                 items += taken

@@ -12,7 +12,7 @@ by the clock alone. So a producer whose clock is ahead does not shorten the othe
 from __future__ import annotations
 
 from stampede_rt_channel_host.core.channel.consumption import Consumers
-from stampede_rt_channel_host.core.channel.front import Going, before
+from stampede_rt_channel_host.core.channel.front import CountInFront, before
 from stampede_rt_channel_host.core.channel.held_items import AGE, BYTES, CONSUMPTION, COUNT
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
@@ -243,9 +243,9 @@ class Retention:
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
             return False
-        going = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else before(held.newest), consumers)
-        front = held.front(going)
-        self._has_more_used_up = going.held_back
+        bounded = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else before(held.newest), consumers)
+        front = held.front(bounded)
+        self._has_more_used_up = bounded.held_back
         if front.items:
             held.outdate(front, CONSUMPTION, clock)
             held.free(SLICES_USED_UP_MAX)
@@ -348,15 +348,15 @@ class Retention:
 
 
 class _AtMost:
-    """Counts like `going`, but stops after `slices` slices, or after about CONSUMERS_ASKED_MAX looks at consumers.
+    """Counts like `count`, but stops after `slices` slices, or after about CONSUMERS_ASKED_MAX looks at consumers.
 
     `held_back`: the count stopped at one of these limits.
     """
 
-    __slots__ = ("_asked_to", "_consumers", "_going", "_left", "held_back")
+    __slots__ = ("_asked_to", "_consumers", "_count", "_left", "held_back")
 
-    def __init__(self, slices: int, going: Going, consumers: Consumers) -> None:
-        self._going = going
+    def __init__(self, slices: int, count: CountInFront, consumers: Consumers) -> None:
+        self._count = count
         self._left = slices
         self._consumers = consumers
         self._asked_to = consumers.looked_at + CONSUMERS_ASKED_MAX
@@ -365,4 +365,4 @@ class _AtMost:
     def __call__(self, part: Slice) -> int:
         self._left -= 1
         self.held_back = self._left < 0 or self._consumers.looked_at >= self._asked_to
-        return 0 if self.held_back else self._going(part)
+        return 0 if self.held_back else self._count(part)
