@@ -202,7 +202,7 @@ class HostedQueue:
                 yield
         if not self._is_forgotten:
             yield  # by now the interrupted streams have let go of the queue
-            self.queue.go_on(self._now())
+            self.queue.resume(self._now())
             self._follow_up()
 
     def leaving(self, error: StampedeError) -> Pieces[None]:

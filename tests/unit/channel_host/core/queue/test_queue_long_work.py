@@ -152,7 +152,7 @@ def test_while_a_queue_is_paused_or_may_not_serve_nobody_is_dealt_anything() -> 
     core.queue.pause()
     core.queue.tick(core.now)
     assert core.queue.take_dealt() == []
-    core.queue.go_on(core.now)
+    core.queue.resume(core.now)
     assert core.dealt() == {1: [1, 2]}
 
 

@@ -317,5 +317,5 @@ class Holdings(HeldItems):
             return
         self._kept_body_bytes -= len(run.body)
         for part, body in zip(parts, bodies, strict=True):
-            part.go_on_in(run.part(part.lo, part.hi, body))
+            part.refer_to(run.part(part.lo, part.hi, body))
             self._kept_body_bytes += len(body)

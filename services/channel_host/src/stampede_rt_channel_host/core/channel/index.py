@@ -57,7 +57,7 @@ class IndexPart:
         """The last item's time."""
         return self.run.times[self.hi - 1]
 
-    def go_on_in(self, run: Run) -> None:
+    def refer_to(self, run: Run) -> None:
         """Refer to `run` instead of the present run. `run` must hold exactly the items of this entry."""
         self.run, self.lo, self.hi = run, 0, len(run)
 

@@ -107,7 +107,7 @@ class QueueCore:
         self._follow_up(clock)
 
     def pause(self) -> None:
-        """Give takers no messages until `go_on`, because the host does not serve the queue at present."""
+        """Give takers no messages until `resume`, because the host does not serve the queue at present."""
         self._is_paused = self._dispatcher.is_paused = True
 
     def end_line(self, error: StampedeError, now: int) -> bool:
@@ -117,7 +117,7 @@ class QueueCore:
         """
         return self._enqueuing.end_line(error, self._tick(now), ENDED_PER_CALL_MAX)
 
-    def go_on(self, now: int) -> None:
+    def resume(self, now: int) -> None:
         """Serve takers and waiting runs again, after `pause` or `end_line`."""
         clock = self._tick(now)
         self._is_paused = False
