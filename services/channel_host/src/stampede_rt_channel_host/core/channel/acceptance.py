@@ -278,5 +278,5 @@ class _ItemByItem:
         run.durations = None if run.durations is None else pack(run.durations)
         all_kept = len(self._kept) == len(self._times)
         run.body = seal(run.first_seq, None if all_kept else self._kept, stamp)
-        self._held.sealed(run)
+        self._held.count_body(run)
         return run

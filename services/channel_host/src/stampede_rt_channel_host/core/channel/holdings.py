@@ -62,7 +62,7 @@ class Holdings(HeldItems):
             for time, duration in zip(run.times, run.durations, strict=True):
                 self._meet(time, duration)
 
-    def sealed(self, run: ColumnRun) -> None:
+    def count_body(self, run: ColumnRun) -> None:
         """Count the body of a run whose items were stored one by one."""
         if run.kept:
             self._kept_body_bytes += len(run.body)

@@ -292,7 +292,7 @@ class Enqueuing:
     def _seal(self, run: Enqueue, taken: QueuedRun, positions: list[int], now: int) -> None:
         stamped = run.judging.stamped_time if run.judging.accepted_any else now if run.is_stamped else None
         run.judging.accept(positions[0], taken.first_seq, len(positions), stamped)
-        self._queue_items.seal(taken, run.seal(taken.first_seq, positions, stamped))
+        self._queue_items.set_body(taken, run.seal(taken.first_seq, positions, stamped))
 
     def _resolve(self, run: Enqueue, now: int) -> None:
         run.outcome = self._remember(run, now)

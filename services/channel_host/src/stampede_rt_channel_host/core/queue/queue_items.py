@@ -74,7 +74,7 @@ class QueueItems:
 
     def add(self, run: QueuedRun, length: int) -> None:
         """Add a new message to a run. The run must be the latest one, and must have no body yet."""
-        run.lengths.append(length)  # type: ignore[attr-defined]  # a list until it is sealed
+        run.lengths.append(length)  # type: ignore[attr-defined]  # a list until `set_body`
         run.held += 1
         if not self._fresh or self._fresh[-1] is not run:
             if not self._fresh:
@@ -110,7 +110,7 @@ class QueueItems:
         if not self._fresh or self._fresh[-1] is not run:
             self._fresh.append(run)
 
-    def seal(self, run: QueuedRun, body: bytes) -> None:
+    def set_body(self, run: QueuedRun, body: bytes) -> None:
         """Store the run's body: the run gets no more messages."""
         run.lengths = tuple(run.lengths)
         run.body = body
