@@ -44,7 +44,7 @@ class Acceptance:
         if times is None:
             stamp = self.stamp(clock)
             times = (stamp,) * len(offer.lengths)
-        if self._fits_at_a_stroke(times, offer.lengths, clock):
+        if self._fits_in_one_step(times, offer.lengths, clock):
             return self._take_whole(offer, times, stamp, clock, seal)
         return _ItemByItem(self, self._held, self._retention, offer, times, clock).run(stamp, seal)
 
@@ -53,12 +53,12 @@ class Acceptance:
         now = clock if self._held.newest is None else max(clock, self._held.newest)
         return max(now, self._least_time())
 
-    def _fits_at_a_stroke(self, times: Sequence[int], lengths: Sequence[int], clock: int) -> bool:
+    def _fits_in_one_step(self, times: Sequence[int], lengths: Sequence[int], clock: int) -> bool:
         """Whether the channel accepts every item, and retention after the last item has the same result as retention
         after each item.
 
         If all items are later than the cutoff of max_age, none of them is outdated, and none of them moves a bucket's
-        end to or below the cutoff. `_sheds_alike` tests the other limits.
+        end to or below the cutoff. `_drops_the_same` tests the other limits.
         """
         held, limits = self._held, self._retention.limits
         low, high = min(times), max(times)
@@ -75,8 +75,8 @@ class Acceptance:
         self._retention.apply_time(clock)
         if self._retention.has_room(len(times), payload_bytes):
             return True
-        sheds = limits.drops_oldest and held.items > 0 and self._retention.consumers is None
-        return sheds and self._sheds_alike(len(times), payload_bytes, low)
+        drops = limits.drops_oldest and held.items > 0 and self._retention.consumers is None
+        return drops and self._drops_the_same(len(times), payload_bytes, low)
 
     def _least_time(self) -> int:
         """The least time that an accepted item may have."""
@@ -84,7 +84,7 @@ class Acceptance:
         least = -MAX_INSTANT - 1 if collected is None else collected
         return least if advance is None else max(least, advance)
 
-    def _sheds_alike(self, items: int, payload_bytes: int, low: int) -> bool:
+    def _drops_the_same(self, items: int, payload_bytes: int, low: int) -> bool:
         """Whether one step for the whole run drops the same items, with the same span ends, as a step for each item.
 
         This needs two things. Only one of max_items and max_bytes drops items. And the bucket after the dropped items
