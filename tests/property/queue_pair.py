@@ -180,7 +180,7 @@ class QueuePair:
         """Who got what, which runs are through, and every number."""
         dealt, self.oracle.dealt = self.oracle.dealt, []
         other_of = {id(mine): other for mine, other in self.takers}
-        found = [(other_of[id(taker)], _flat(batch), batch.expires) for taker, batch in self.core.take_dealt()]
+        found = [(other_of[id(taker)], _flat(batch), batch.expires) for taker, batch in self.core.take_batches()]
         assert found == dealt
         self.deliveries += [(taker.taker_id, one[1]) for taker, given, _ in dealt for one in given]
         silent, self.oracle.silent = self.oracle.silent, []

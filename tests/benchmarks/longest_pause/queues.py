@@ -23,7 +23,7 @@ async def batches(rig: Rig, items: int) -> tuple[str, Work]:
             await asyncio.sleep(0)
         taken = 0
         while taken < items:
-            for taker, batch in queue.take_dealt():
+            for taker, batch in queue.take_batches():
                 queue.sending(taker)
                 take_response(batch, (), rig.now())
                 taken += sum(one.hi - one.lo for one in batch.slices)
@@ -32,4 +32,4 @@ async def batches(rig: Rig, items: int) -> tuple[str, Work]:
             queue.tick(rig.now())
             await asyncio.sleep(0)
 
-    return f"{items:,} single queued items are dealt to 100 takers", work
+    return f"{items:,} single queued items are given to 100 takers", work

@@ -38,10 +38,10 @@ class Core:
         self.queue.grant(taker, credit, self.now)
         return taker
 
-    def dealt(self) -> dict[int, list[int]]:
-        """Return the seqs of all newly dealt messages by taker id. They then count as sent."""
+    def dispatched(self) -> dict[int, list[int]]:
+        """Return the seqs of all messages in new batches by taker id. They then count as sent."""
         found: dict[int, list[int]] = {}
-        while batches := self.queue.take_dealt():
+        while batches := self.queue.take_batches():
             for taker, batch in batches:
                 self.queue.sending(taker)
                 found.setdefault(taker.taker_id, []).extend(

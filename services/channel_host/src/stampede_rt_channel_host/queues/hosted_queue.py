@@ -37,7 +37,7 @@ class TakerStream(Protocol):
     """A taker's stream, as its queue sees it."""
 
     def deliver(self, batch: Batch) -> None:
-        """Send a batch that was dealt to the taker."""
+        """Send a batch to the taker."""
 
     def probe(self) -> None:
         """Ask the taker, which was silent, whether it lives."""
@@ -187,7 +187,7 @@ class HostedQueue:
     def ending(self, error: StampedeError) -> Pieces[None]:
         """Refuse all waiting runs and end all takers' streams with `error`, in pieces.
 
-        The queue accepts and deals nothing meanwhile.
+        Meanwhile the queue accepts nothing, and gives takers no messages.
         """
         self.queue.pause()
         streams = list(self._streams.items())
@@ -218,7 +218,7 @@ class HostedQueue:
 
     def _follow_up(self) -> None:
         """Pass on the results of a call of the core, and set the next deadline."""
-        for taker, batch in self.queue.take_dealt():
+        for taker, batch in self.queue.take_batches():
             self._streams[taker].deliver(batch)
         for taker in self.queue.take_silent():
             self._streams[taker].probe()

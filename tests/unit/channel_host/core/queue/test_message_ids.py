@@ -40,7 +40,7 @@ def test_of_two_waiting_runs_with_the_same_message_id_one_comes_in() -> None:
     core.put(1)
     first, second = core.put(1, message_id="one"), core.put(1, message_id="one")
     core.taker(1, credit=1)
-    core.dealt()
+    core.dispatched()
     core.ack(1, 1)
     assert core.queue.take_finished() == [first, second]
     assert (first.is_duplicate, second.is_duplicate) == (False, True)

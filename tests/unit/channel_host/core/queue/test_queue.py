@@ -75,13 +75,13 @@ def test_a_given_back_item_holds_up_no_other_while_it_is_delayed() -> None:
     core = Core()
     core.put(1, 1)
     core.taker(1, credit=1)
-    assert core.dealt() == {1: [1]}
+    assert core.dispatched() == {1: [1]}
     core.nack(1, 1, delay_nanos=50)
     core.taker(2, credit=5)
-    assert core.dealt() == {2: [2]}
+    assert core.dispatched() == {2: [2]}
     core.now += 50
     core.queue.tick(core.now)
-    assert core.dealt() == {2: [1]}
+    assert core.dispatched() == {2: [1]}
 
 
 def test_each_item_goes_to_as_many_distinct_takers_as_there_are_copies() -> None:
@@ -89,7 +89,7 @@ def test_each_item_goes_to_as_many_distinct_takers_as_there_are_copies() -> None
     core.put(1, 1)
     for taker_id in (1, 1, 2, 3):
         core.taker(taker_id, credit=10)
-    assert core.dealt() == {1: [1, 2], 2: [1, 2]}
+    assert core.dispatched() == {1: [1, 2], 2: [1, 2]}
     core.ack(1, 1, 2)
     assert core.counted("held", "consumed") == (2, 0)
     core.ack(2, 3)
@@ -102,24 +102,24 @@ def test_a_copy_that_comes_back_goes_to_a_taker_that_passed_it_by() -> None:
     core.taker(1, credit=10)
     leaving = core.taker(2, credit=10)
     core.taker(3, credit=10)
-    assert core.dealt() == {1: [1, 2], 2: [1, 2]}
+    assert core.dispatched() == {1: [1, 2], 2: [1, 2]}
     core.queue.leave(leaving, core.now)
     core.put(1)
-    assert core.dealt() == {1: [3], 3: [3]}
+    assert core.dispatched() == {1: [3], 3: [3]}
     core.nack(2, 3)
-    assert core.dealt() == {3: [1]}
+    assert core.dispatched() == {3: [1]}
 
 
 def test_takers_that_wait_share_what_comes_and_are_served_in_turn() -> None:
     core = Core()
     takers = [core.taker(number, credit=10) for number in (1, 2, 3)]
     core.put(*[1] * 6)
-    assert core.dealt() == {1: [1, 2], 2: [3, 4], 3: [5, 6]}
+    assert core.dispatched() == {1: [1, 2], 2: [3, 4], 3: [5, 6]}
     core.put(1)
     core.put(1)
-    assert core.dealt() == {1: [7], 2: [8]}
+    assert core.dispatched() == {1: [7], 2: [8]}
     core.put(1)
-    assert core.dealt() == {3: [9]}
+    assert core.dispatched() == {3: [9]}
     assert core.queue.waiting_takers == len(takers)
 
 
@@ -127,51 +127,51 @@ def test_credit_bounds_what_a_taker_is_given_and_drain_voids_it() -> None:
     core = Core()
     taker = core.taker(1, credit=2)
     core.put(*[1] * 5)
-    assert core.dealt() == {1: [1, 2]}
+    assert core.dispatched() == {1: [1, 2]}
     core.queue.grant(taker, 1, core.now)
-    assert core.dealt() == {1: [3]}
+    assert core.dispatched() == {1: [3]}
     core.queue.grant(taker, 0, core.now)
     core.queue.drain(taker)
     core.put(1)
-    assert core.dealt() == {}
+    assert core.dispatched() == {}
 
 
-def test_what_was_dealt_and_never_sent_goes_back_as_if_it_had_not_been_dealt() -> None:
+def test_what_was_dispatched_and_never_sent_goes_back_as_if_it_had_not_been_dispatched() -> None:
     core = Core(max_deliveries=1)
     core.put(1, 1)
     taker = core.taker(1, credit=2)
-    core.queue.take_dealt()
+    core.queue.take_batches()
     core.queue.leave(taker, core.now)
     assert core.counted("leased", "delivered", "expelled", "held") == (0, 0, 0, 2)
     core.taker(2, credit=2)
-    assert core.dealt() == {2: [1, 2]}
+    assert core.dispatched() == {2: [1, 2]}
 
 
 def test_what_a_taker_was_sent_stays_leased_when_it_leaves() -> None:
     core = Core()
     core.put(1)
     taker = core.taker(1, credit=1)
-    core.dealt()
+    core.dispatched()
     core.queue.leave(taker, core.now)
     assert core.counted("leased") == (1,)
     assert core.ack(1, 1) == [""]
 
 
-def test_a_taker_that_leaves_as_a_lease_ends_is_neither_dealt_the_item_nor_asked_whether_it_lives() -> None:
+def test_a_taker_that_leaves_as_a_lease_ends_neither_gets_the_item_nor_is_asked_whether_it_lives() -> None:
     core = Core(lease_nanos=100)
     core.put(1)
     silent, waiting, leaving = core.taker(1, credit=2), core.taker(2), core.taker(3)
-    core.dealt()
+    core.dispatched()
     core.queue.grant(leaving, 1, core.now)
     core.now += 200  # the first taker's lease ends, and the item is the leaving one's turn
     core.queue.leave(leaving, core.now)
-    assert core.dealt() == {}
+    assert core.dispatched() == {}
     core.queue.grant(waiting, 1, core.now)
-    assert core.dealt() == {2: [1]}
+    assert core.dispatched() == {2: [1]}
     assert core.queue.take_silent() == [silent]
     core.queue.grant(silent, 1, core.now)
     core.put(1)
-    core.dealt()
+    core.dispatched()
     core.now += 200
     core.queue.leave(silent, core.now)
     assert silent not in core.queue.take_silent()
@@ -183,7 +183,7 @@ def test_a_batch_of_several_items_keeps_the_limit_of_a_message_and_a_large_item_
         core.put(length)
     taker = core.taker(1, credit=10)
     sizes = []
-    while batches := core.queue.take_dealt():
+    while batches := core.queue.take_batches():
         sizes += [batch.items for _, batch in batches]
         core.queue.sent(taker, core.now)
     assert sizes == [2, 1, 1, 1]
@@ -194,7 +194,7 @@ def test_a_full_queue_lets_runs_wait_in_the_order_of_their_coming() -> None:
     core.put(1, 1)
     first, second = core.put(1, 1), core.put(1)
     core.taker(1, credit=10)
-    core.dealt()
+    core.dispatched()
     core.ack(1, 1)
     assert (first.judging.first_seq, first.is_through, second.judging.first_seq) == (3, False, None)
     core.ack(1, 2)
@@ -222,9 +222,9 @@ def test_a_retry_of_a_run_that_was_cut_short_goes_on_where_it_was() -> None:
     core.now += 5
     again = core.put(1, 1, 1, producer_id=5, first_number=1)
     core.taker(1, credit=3)
-    core.dealt()
+    core.dispatched()
     core.ack(1, 1)
-    core.dealt()
+    core.dispatched()
     core.ack(1, 2)
     assert core.queue.take_finished() == [again]
     assert again.outcome is not None
@@ -241,7 +241,7 @@ def test_seqs_that_others_got_meanwhile_are_not_told_as_those_of_a_run_that_went
     again = core.put(1, 1, producer_id=5, first_number=1)
     core.taker(1, credit=3)
     for delivery_id in (1, 2):
-        core.dealt()
+        core.dispatched()
         core.ack(1, delivery_id)
     assert core.queue.take_finished() == [other, again]
     assert again.outcome is not None
@@ -277,7 +277,7 @@ def test_a_run_that_waits_twice_since_it_was_retried_comes_in_once() -> None:
     first = core.put(1, producer_id=5, first_number=1)
     retried = core.put(1, producer_id=5, first_number=1)
     core.taker(1, credit=1)
-    core.dealt()
+    core.dispatched()
     core.ack(1, 1)
     assert core.queue.take_finished() == [first, retried]
     assert first.outcome == retried.outcome
@@ -298,11 +298,11 @@ def test_the_oldest_items_that_nobody_has_make_room() -> None:
     core = Core(max_items=3, on_full=DROP_OLDEST)
     core.put(1, 1, 1)
     core.taker(1, credit=1)
-    core.dealt()
+    core.dispatched()
     core.put(1, 1)
     assert core.counted("dropped", "held") == (2, 3)
     core.taker(2, credit=5)
-    assert core.dealt() == {2: [4, 5]}
+    assert core.dispatched() == {2: [4, 5]}
     run = core.put(1)
     assert run.outcome is not None
     assert [one.error.reason for one in run.outcome.refusals] == ["QUEUE_FULL"]
@@ -313,7 +313,7 @@ def test_an_item_that_was_delivered_too_often_is_expelled_with_its_other_leases(
     core.put(1)
     core.taker(1, credit=1)
     core.taker(2, credit=1)
-    core.dealt()
+    core.dispatched()
     core.nack(1, 1)
     assert core.ack(2, 2) == ["LEASE_EXPIRED"]
     assert core.counted("expelled", "held", "leased") == (1, 0, 0)
@@ -323,7 +323,7 @@ def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> No
     core = Core(max_deliveries=1, dead_letters=True, max_items=1)
     core.put(1)
     core.taker(1, credit=5)
-    core.dealt()
+    core.dispatched()
     core.nack(1, 1)
     assert [one.seq for one in core.queue.departing(10)] == [1]
     assert core.counted("held", "dead_lettered") == (1, 0)
@@ -332,39 +332,39 @@ def test_an_item_for_the_dead_letter_queue_is_held_until_it_has_departed() -> No
     core.queue.departed(1, core.now)
     assert core.counted("dead_lettered", "held", "accepted") == (1, 1, 2)
     assert core.queue.take_finished() == [waiting]
-    assert core.dealt() == {1: [2]}
+    assert core.dispatched() == {1: [2]}
 
 
 def test_a_lowered_number_of_deliveries_holds_at_once_for_items_that_were_delivered_more_often() -> None:
     core = Core(max_deliveries=9, dead_letters=True)
     core.put(1, 1, 1)
     core.taker(1, credit=5)
-    core.dealt()
+    core.dispatched()
     for delivery_id in (1, 2, 4, 5, 3):  # the first and the second item twice, the third once
         core.nack(1, delivery_id)
-        core.dealt()
+        core.dispatched()
     core.queue.configure(QueueLimits(max_deliveries=2, dead_letters=True), core.now)
     assert [one.seq for one in core.queue.departing(10)] == [1, 2]
     core.taker(2, credit=1)
-    assert core.dealt() == {2: [3]}
+    assert core.dispatched() == {2: [3]}
     core.nack(2, 6)
     assert [one.seq for one in core.queue.departing(10)] == [1, 2, 3]
 
 
-def test_after_other_limits_some_items_are_looked_at_in_one_go_and_none_is_dealt_before_all_were(
+def test_after_other_limits_some_items_are_looked_at_in_one_go_and_none_is_given_out_before_all_were(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(queue_module, "CHECKED_PER_CALL_MAX", 4)
     core = Core()
     core.put(*[1] * 10)
     giver = core.taker(1, credit=10)
-    core.dealt()
+    core.dispatched()
     for delivery_id in range(1, 11):
         core.nack(1, delivery_id)
     core.queue.drain(giver)
     core.queue.configure(QueueLimits(max_deliveries=1), core.now)
     core.taker(2, credit=10)
-    assert core.dealt() == {}
+    assert core.dispatched() == {}
     assert core.queue.next_deadline() == core.now
     while core.queue.next_deadline() is not None:
         core.queue.tick(core.now)
@@ -376,7 +376,7 @@ def test_a_terminated_item_leaves_with_its_other_leases_and_its_last_delivery_is
     core.put(1)
     core.taker(1, credit=1)
     core.taker(2, credit=1)
-    core.dealt()
+    core.dispatched()
     assert core.term(2, 2, "broken") == [""]
     assert core.ack(1, 1) == ["LEASE_EXPIRED"]
     (departure,) = core.queue.departing(10)
@@ -403,7 +403,7 @@ def test_one_call_looks_after_a_bounded_number_of_ended_leases_and_the_rest_is_d
     for _ in range(8):
         core.put(*[1] * 256)
     core.taker(1, credit=2048)
-    core.dealt()
+    core.dispatched()
     core.now += 10
     core.queue.tick(core.now)
     assert core.queue.next_deadline() is not None
@@ -438,24 +438,24 @@ def test_a_taker_finds_every_copy_that_came_back_however_few_it_looks_at_in_one_
     core.taker(1, credit=50)
     leaving = core.taker(2, credit=50)
     late = core.taker(3, credit=0)
-    core.dealt()
+    core.dispatched()
     core.queue.leave(leaving, core.now)
     core.queue.grant(late, 1, core.now)
     for delivery_id in range(100, 50, -1):
         core.nack(2, delivery_id)
     core.queue.grant(late, 100, core.now)
-    assert sorted(core.dealt()[3]) == list(range(1, 51))
+    assert sorted(core.dispatched()[3]) == list(range(1, 51))
 
 
 def test_a_queue_that_changed_hosts_goes_on_where_it_was() -> None:
     core = Core(copies=2, lease_nanos=100)
     core.put(1, 2, 3, producer_id=5, first_number=1)
     core.taker(1, credit=2)
-    core.dealt()
+    core.dispatched()
     core.ack(1, 1)
     core.nack(1, 2, delay_nanos=40)
     core.taker(2, credit=1)
-    core.dealt()
+    core.dispatched()
     state = core.queue.export(core.now + 10)
     assert [(one.seq, one.deliveries, one.acknowledged, one.delay_nanos) for one in state.items] == [
         (1, [1], (1,), 0),
@@ -469,10 +469,10 @@ def test_a_queue_that_changed_hosts_goes_on_where_it_was() -> None:
     assert again.outcome is not None
     assert again.outcome.first_seq == 1, "recognised: nothing new came in"
     core.taker(3, credit=5)
-    assert core.dealt() == {3: [3]}
+    assert core.dispatched() == {3: [3]}
     core.now += 30
     core.queue.tick(core.now)
-    assert core.dealt() == {3: [2]}
+    assert core.dispatched() == {3: [2]}
     last = core.put(1)
     assert last.outcome is not None
     assert last.outcome.first_seq == 4

@@ -8,7 +8,7 @@ from stampede_rt_channel_host.channels.memory import MemoryBudget
 from stampede_rt_channel_host.cluster.records import recorded_queue
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.queue import Batch, Enqueue, QueueCore, QueueLimits, TakerState
-from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DEALT_MAX
+from stampede_rt_channel_host.core.queue.dispatcher import ITEMS_DISPATCHED_MAX
 from stampede_rt_channel_host.core.queue.enqueuing import DROPPED_PER_RUN_MAX, OFFERED_PER_CALL_MAX
 from stampede_rt_channel_host.core.queue.queue import EMPTIED_PER_PIECE, ENDED_PER_CALL_MAX
 from stampede_rt_channel_host.queues.hosted_queue import STREAMS_PER_PIECE, HostedQueue
@@ -20,11 +20,11 @@ def test_a_batch_holds_a_bounded_number_of_items_however_small_they_are() -> Non
     for _ in range(2000):
         core.put(1)
     core.taker(1, 2000)
-    ((taker, batch),) = core.queue.take_dealt()
-    assert len(batch.slices) == ITEMS_DEALT_MAX
+    ((taker, batch),) = core.queue.take_batches()
+    assert len(batch.slices) == ITEMS_DISPATCHED_MAX
     core.queue.sending(taker)
     core.queue.sent(taker, core.now)
-    assert core.dealt() == {1: [*range(ITEMS_DEALT_MAX + 1, 2001)]}
+    assert core.dispatched() == {1: [*range(ITEMS_DISPATCHED_MAX + 1, 2001)]}
 
 
 def test_many_takers_that_wait_are_served_some_by_each_call_and_all_alike() -> None:
@@ -33,9 +33,9 @@ def test_many_takers_that_wait_are_served_some_by_each_call_and_all_alike() -> N
         core.taker(taker_id, 100)
     core.put(*[1] * 10_000)
     served: dict[int, list[int]] = {}
-    while dealt := core.queue.take_dealt():
-        assert sum(one.hi - one.lo for _, batch in dealt for one in batch.slices) < 2 * ITEMS_DEALT_MAX
-        served |= {taker.taker_id: [one.hi - one.lo for one in batch.slices] for taker, batch in dealt}
+    while batches := core.queue.take_batches():
+        assert sum(one.hi - one.lo for _, batch in batches for one in batch.slices) < 2 * ITEMS_DISPATCHED_MAX
+        served |= {taker.taker_id: [one.hi - one.lo for one in batch.slices] for taker, batch in batches}
         if len(served) < 100:
             assert core.queue.next_deadline() == core.now
         core.queue.tick(core.now)
@@ -47,18 +47,18 @@ def test_no_call_gives_out_more_items_than_one_call_may() -> None:
     for taker_id in range(1, 21):
         core.taker(taker_id, 1000)
     core.put(*[1] * 20_000)
-    busy, given = [*core.queue.take_dealt()], 0
+    busy, given = [*core.queue.take_batches()], 0
     while busy:
         taker, batch = busy.pop(0)
         given += batch.items
         core.queue.sending(taker)
         core.queue.sent(taker, core.now)
-        dealt = core.queue.take_dealt()
-        assert sum(batch.items for _, batch in dealt) <= ITEMS_DEALT_MAX
-        busy += dealt
+        batches = core.queue.take_batches()
+        assert sum(batch.items for _, batch in batches) <= ITEMS_DISPATCHED_MAX
+        busy += batches
         if not busy:
             core.queue.tick(core.now)
-            busy += core.queue.take_dealt()
+            busy += core.queue.take_batches()
     assert given == 20_000
 
 
@@ -67,9 +67,9 @@ def test_a_taker_that_comes_while_others_are_still_to_be_served_waits_behind_the
     for taker_id in range(1, 21):
         core.taker(taker_id, 100)
     core.put(*[1] * 2000)
-    before = {taker.taker_id for taker, _ in core.queue.take_dealt()}
+    before = {taker.taker_id for taker, _ in core.queue.take_batches()}
     core.taker(100, 100)
-    assert 100 not in {taker.taker_id for taker, _ in core.queue.take_dealt()}
+    assert 100 not in {taker.taker_id for taker, _ in core.queue.take_batches()}
     assert before == {*range(1, len(before) + 1)}
 
 
@@ -107,7 +107,7 @@ def test_a_queue_that_goes_lets_go_of_its_items_in_pieces() -> None:
     for _ in range(20):
         core.put(*[1] * 500)
     core.taker(1, 2000)
-    core.dealt()
+    core.dispatched()
     held = 10_000
     for _ in core.queue.emptying():
         (now_held,) = core.counted("held")
@@ -138,7 +138,7 @@ def test_runs_that_wait_are_refused_by_many_calls_in_their_order_and_none_slips_
     assert core.put(1, producer_id=5, first_number=2).outcome is not None
 
 
-def test_while_a_queue_is_paused_or_may_not_serve_nobody_is_dealt_anything() -> None:
+def test_while_a_queue_is_paused_or_may_not_serve_no_taker_gets_anything() -> None:
     core, serves = Core(max_items=10), True
     core.queue = QueueCore(QueueLimits(max_items=1), incarnation=1, may_serve=lambda: serves)
     core.put(1)
@@ -147,13 +147,13 @@ def test_while_a_queue_is_paused_or_may_not_serve_nobody_is_dealt_anything() -> 
     core.taker(1, 10)
     core.queue.configure(QueueLimits(max_items=10), core.now)
     core.queue.tick(core.now)
-    assert (core.queue.take_dealt(), waits.is_through) == ([], False)
+    assert (core.queue.take_batches(), waits.is_through) == ([], False)
     serves = True
     core.queue.pause()
     core.queue.tick(core.now)
-    assert core.queue.take_dealt() == []
+    assert core.queue.take_batches() == []
     core.queue.resume(core.now)
-    assert core.dealt() == {1: [1, 2]}
+    assert core.dispatched() == {1: [1, 2]}
 
 
 async def test_the_streams_of_takers_are_ended_in_pieces() -> None:

@@ -156,8 +156,8 @@ class VisibleNewest:
     @property
     def saved(self) -> SavedCursor | None:
         """See `VisibleAll`."""
-        dealt = self._all.saved
-        return None if dealt is None else replace(dealt, low=(self._last[0], self._last[1] + 1))
+        kept = self._all.saved
+        return None if kept is None else replace(kept, low=(self._last[0], self._last[1] + 1))
 
     def lowest_owed_seq(self, now: int) -> int:
         """See `VisibleAll`."""

@@ -17,7 +17,7 @@ BATCH_BYTES_MAX = 2**20 - 2**16
 
 With its other fields the batch fits in 1 MiB.
 """
-ITEMS_DEALT_MAX = 128
+ITEMS_DISPATCHED_MAX = 128
 """The most messages that one call of the queue gives to takers, in one batch or in several.
 
 After such a call the host serves other callers.
@@ -107,10 +107,10 @@ class _Draft:
 
 
 class Dispatcher:
-    """The line of waiting takers. `dealt` collects the new batches until the caller takes them.
+    """The line of waiting takers. `batches` collects the new batches until the caller takes them.
 
     While the dispatcher `is_paused`, no taker gets messages: all takers wait in line. `has_more`: a call of the queue
-    has reached its limit, so call `deal` again without a wait for a change.
+    has reached its limit, so call `dispatch` again without a wait for a change.
     """
 
     def __init__(self, queue_items: QueueItems, leasing: Leasing) -> None:
@@ -118,9 +118,9 @@ class Dispatcher:
         self._leasing = leasing
         self._line: OrderedDict[TakerState, None] = OrderedDict()
         self._views: OrderedDict[int, View] = OrderedDict()  # taker id -> view, the least recently used first
-        self.dealt: list[tuple[TakerState, Batch]] = []
+        self.batches: list[tuple[TakerState, Batch]] = []
         self.is_paused = self.has_more = False
-        self._left = ITEMS_DEALT_MAX  # the number of messages that this call of the queue may still give to takers
+        self._left = ITEMS_DISPATCHED_MAX  # how many messages this call of the queue may still give to takers
 
     def __len__(self) -> int:
         """The number of waiting takers."""
@@ -137,14 +137,14 @@ class Dispatcher:
             self._line[taker] = None
 
     def begin_call(self) -> None:
-        """Begin a call of the queue, which may give ITEMS_DEALT_MAX messages to takers."""
-        self._left = ITEMS_DEALT_MAX
+        """Begin a call of the queue, which may give ITEMS_DISPATCHED_MAX messages to takers."""
+        self._left = ITEMS_DISPATCHED_MAX
 
     def leave(self, taker: TakerState) -> None:
         """Take a taker out of the line. Idempotent."""
         self._line.pop(taker, None)
 
-    def deal(self, now: int) -> None:
+    def dispatch(self, now: int) -> None:
         """Serve the takers in line, because there may be new messages."""
         served = []
         self.has_more = False
@@ -161,7 +161,7 @@ class Dispatcher:
     def _serve(self, taker: TakerState, takers: int, now: int) -> bool:
         """Give a taker its share of the messages, as one of `takers` takers. Returns False if it gets nothing."""
         there = self._queue_items.available_items * self._queue_items.limits.copies
-        share = min(-(-there // takers), taker.credit, ITEMS_DEALT_MAX)
+        share = min(-(-there // takers), taker.credit, ITEMS_DISPATCHED_MAX)
         if share > self._left:  # the taker waits for the next call, so that it gets its whole share
             self.has_more = True
             return False
@@ -175,7 +175,7 @@ class Dispatcher:
         taker.credit -= draft.items
         taker.is_busy = True
         taker.unsent = Batch(draft.slices, now + lease_nanos)
-        self.dealt.append((taker, taker.unsent))
+        self.batches.append((taker, taker.unsent))
         return True
 
     def _give_next(self, taker: TakerState, draft: _Draft, now: int, expires: int) -> bool:

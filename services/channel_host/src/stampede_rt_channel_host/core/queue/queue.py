@@ -39,7 +39,7 @@ class QueueCore:
     """The messages of one queue, in memory. Not thread-safe. Each call is atomic and never waits.
 
     The caller is the shell of queues. It passes `now`, the host's clock, to the calls. A `now` before the latest one
-    counts as the latest. After each call the caller takes the results: `take_dealt` gives the batches for takers, and
+    counts as the latest. After each call the caller takes the results: `take_batches` gives batches for takers, and
     `take_finished` the runs that waited and are done. The caller calls `tick` at `next_deadline`.
 
     Each incarnation gets a `first_delivery_id` far from the ids of earlier incarnations. A taker may still name a
@@ -98,7 +98,7 @@ class QueueCore:
         """
         clock = self._tick(now)
         self._enqueuing.enqueue(run, clock)
-        self._dispatcher.deal(clock)
+        self._dispatcher.dispatch(clock)
 
     def withdraw(self, run: Enqueue, now: int) -> None:
         """Take a run out of the line, because its producer does not wait for it any more. Idempotent."""
@@ -169,7 +169,7 @@ class QueueCore:
         """
         clock = self._tick(now)
         self.drain(taker)
-        self._dispatcher.dealt = [dealt for dealt in self._dispatcher.dealt if dealt[0] is not taker]
+        self._dispatcher.batches = [one for one in self._dispatcher.batches if one[0] is not taker]
         self._leasing.silent = [silent for silent in self._leasing.silent if silent is not taker]
         if taker.unsent is not None:
             self._leasing.recall(taker.unsent.slices)
@@ -252,13 +252,13 @@ class QueueCore:
         """The time at which `expire` next has work, or None if no producer is known."""
         return self._enqueuing.retries.next_expiry()
 
-    def take_dealt(self) -> list[tuple[TakerState, Batch]]:
+    def take_batches(self) -> list[tuple[TakerState, Batch]]:
         """The new batches since the last call, with their takers.
 
         The caller sends each batch. It calls `sending` when it begins to send a batch, and `sent` when it has sent it.
         """
-        dealt, self._dispatcher.dealt = self._dispatcher.dealt, []
-        return dealt
+        batches, self._dispatcher.batches = self._dispatcher.batches, []
+        return batches
 
     def take_silent(self) -> list[TakerState]:
         """The takers that became silent since the last call. The caller asks them for a sign of life.
@@ -369,4 +369,4 @@ class QueueCore:
         """Serve the waiting runs and the waiting takers, because messages left the queue or came back."""
         if self._may_serve():
             self._enqueuing.offer_line(clock)
-        self._dispatcher.deal(clock)
+        self._dispatcher.dispatch(clock)
