@@ -9,7 +9,7 @@ import pytest
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces, seq_set
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, RANGES_PER_LOOK_MAX, Consumers
-from stampede_rt_channel_host.core.channel.retention import CONSUMERS_ASKED_MAX, SLICES_USED_UP_MAX
+from stampede_rt_channel_host.core.channel.retention import CONSUMERS_CHECKED_MAX, SLICES_CONSUMED_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 from tests.support.channel_host.large_channels import ITEMS, SliceCounter, backwards, count_slices, filled, shuffled
@@ -38,7 +38,7 @@ def test_what_very_many_consumers_have_consumed_out_of_order_goes_after_a_bounde
         more = channel.collect(CLOCK)
         most = max(most, counted.looked_at - before)
     assert channel.look(CLOCK)[0].items == 1
-    assert most <= 2 * (CONSUMERS_ASKED_MAX + consumers)
+    assert most <= 2 * (CONSUMERS_CHECKED_MAX + consumers)
 
 
 def test_the_first_consumers_of_a_full_channel_cost_its_set_up_nothing(looked: SliceCounter) -> None:
@@ -174,10 +174,10 @@ def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypat
     for look in (channel.counters, channel.next_deadline, channel.collect):
         told = 0
         look(CLOCK)
-        assert told <= 2 * SLICES_USED_UP_MAX
+        assert told <= 2 * SLICES_CONSUMED_MAX
         assert channel.oldest is not None
         assert channel.frontier is None
-        assert told <= 2 * SLICES_USED_UP_MAX, "a look at the same moment takes nothing more"
+        assert told <= 2 * SLICES_CONSUMED_MAX, "a look at the same moment takes nothing more"
     while channel.collect(CLOCK):
         pass
     assert channel.counters(CLOCK).held == 1

@@ -55,8 +55,8 @@ class AgedChannel:
         Puts and reads also free a few entries.
         """
         self._age_and_free(self._tick(now))
-        knows_less = self._retention.learn_gone(entries_max // 2)  # half as many, because each of these takes longer
-        self._retention.ask_on()
+        knows_less = self._retention.report_collected(entries_max // 2)  # half as many: a report takes longer
+        self._retention.continue_owed_check()
         return self._held.free(entries_max) or knows_less or self._retention.has_more
 
     def emptying(self) -> Pieces[None]:

@@ -281,7 +281,7 @@ class ChannelCore(AgedChannel):
         this work in one step.
         """
         self._age_and_free(self._tick(now))
-        while self._retention.learn_gone(pieces.STEPS_PER_PIECE // 4):  # a report of a slice takes longer than a look
+        while self._retention.report_collected(pieces.STEPS_PER_PIECE // 4):  # a report takes longer than a look
             yield
 
     def consumers(self, now: int) -> list[ConsumerStanding]:

@@ -19,15 +19,15 @@ from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
-SLICES_USED_UP_MAX = 64
+SLICES_CONSUMED_MAX = 64
 """The most slices that one call collects by consumption, so that a consumer that catches up delays no other caller."""
 ENTRIES_PER_LOOK = 8
-"""The most index entries or ranges of seqs that one step of `learn_gone` looks at."""
+"""The most index entries or ranges of seqs that one step of `report_collected` looks at."""
 SLICES_AGED_MAX = 256
 """The most slices that one call checks for items that a consumer has still to consume. Only `max_age_unconsumed` needs
 this check.
 """
-CONSUMERS_ASKED_MAX = 512
+CONSUMERS_CHECKED_MAX = 512
 """After this number of looks at single consumers, a call checks no further slice."""
 
 
@@ -35,13 +35,13 @@ class Retention:
     """Applies limits to holdings. `consumers` is None if the limits have no consumer places."""
 
     __slots__ = (
-        "_consumed_to", "_has_more_to_age", "_has_more_to_ask", "_has_more_used_up", "_held", "_unknown_from",
+        "_consumed_to", "_has_more_consumed", "_has_more_to_age", "_held", "_owed_check_goes_on", "_unknown_from",
         "_unknown_to", "consumers", "limits",
     )  # fmt: skip
 
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
-        self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
+        self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
         # A key, and `Consumers.arrivals` when the key was noted. All consumers with a place at that moment have
         # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
@@ -53,8 +53,8 @@ class Retention:
     def set_limits(self, limits: ChannelLimits) -> None:
         """Set other limits.
 
-        If the new limits have consumer places and the present limits have none, the next calls of `learn_gone` walk the
-        index once.
+        If the new limits have consumer places and the present limits have none, the next calls of `report_collected`
+        walk the index once.
         """
         self.limits = limits
         self._held.overlap_nanos = limits.overlap_nanos
@@ -62,7 +62,7 @@ class Retention:
         if not places:
             self.consumers = None
             self._held.tell(None)
-            self._has_more_to_age = self._has_more_to_ask = self._has_more_used_up = False
+            self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
         elif self.consumers is None:
             self.consumers = Consumers(places)
             self._consumed_to = FIRST_KEY, 0
@@ -71,7 +71,7 @@ class Retention:
         else:
             self.consumers.resize(places)
 
-    def learn_gone(self, slices_max: int) -> bool:
+    def report_collected(self, slices_max: int) -> bool:
         """Tell the consumers of about `slices_max` collected slices. Returns True if more are left."""
         consumers, held = self.consumers, self._held
         if consumers is None:
@@ -92,7 +92,7 @@ class Retention:
     @property
     def has_more(self) -> bool:
         """Whether an earlier call stopped at a bound of its work, so that more items may be ready for collection."""
-        return self._has_more_to_age or self._has_more_to_ask or self._has_more_used_up
+        return self._has_more_to_age or self._owed_check_goes_on or self._has_more_consumed
 
     def apply_time(self, clock: int) -> None:
         """Apply the passing of time: end leases, and collect buckets that are too old or consumed."""
@@ -101,7 +101,7 @@ class Retention:
             return
         self.consumers.expire(clock)
         self.age_out(clock)
-        while self.use_up(clock) and self.age_out(clock):
+        while self.collect_consumed(clock) and self.age_out(clock):
             pass  # without the consumed items, the oldest bucket may end sooner, and so may now be too old
 
     def cutoff(self, clock: int) -> int | None:
@@ -171,7 +171,7 @@ class Retention:
         """
         consumers = self.consumers
         assert consumers is not None, "limits that ask for it count consumption"
-        self._has_more_to_ask = False
+        self._owed_check_goes_on = False
         if not consumers.live:
             return None
         bucket, asked_before = self._bucket_from(start), consumers.looked_at
@@ -179,8 +179,8 @@ class Retention:
         is_known = known[0] == bucket and arrivals == consumers.arrivals
         for at, part in enumerate(self._held.slices(known if is_known else (bucket, 0), (end, 0))):
             asked = consumers.looked_at - asked_before
-            if at >= SLICES_AGED_MAX or asked >= CONSUMERS_ASKED_MAX:
-                return self._asked_as_far_as(part.first_time, bucket)
+            if at >= SLICES_AGED_MAX or asked >= CONSUMERS_CHECKED_MAX:
+                return self._stop_owed_check(part.first_time, bucket)
             done = consumers.done_with(part)
             if part.run.times[part.lo + max(0, done - 1)] == bucket:
                 self._consumed_to = (bucket, part.first_seq + done), consumers.arrivals
@@ -194,24 +194,24 @@ class Retention:
         assert oldest is not None, "the caller has checked that the channel holds items"
         return oldest if start is None else max(start, oldest)
 
-    def _asked_as_far_as(self, time: int, first: int) -> int:
+    def _stop_owed_check(self, time: int, first: int) -> int:
         """Note that the check stopped at `time`, and return `time`. `first` is the time of the first checked bucket.
 
         The channel collects whole buckets only, so it collects nothing while the first bucket is only partly checked.
         """
         self._has_more_to_age = time > first
-        self._has_more_to_ask = time == first
+        self._owed_check_goes_on = time == first
         return time
 
-    def ask_on(self) -> None:
+    def continue_owed_check(self) -> None:
         """Continue a check of a very large oldest bucket: have all consumers consumed its items?"""
-        if self._has_more_to_ask:
+        if self._owed_check_goes_on:
             self._age_of_oldest()
 
     def _age_of_oldest(self) -> int | None:
         """The limit of age that holds for the oldest bucket at present: max_age or max_age_unconsumed."""
         longest, oldest = self.limits.max_age_unconsumed_nanos, self._held.oldest
-        self._has_more_to_ask = False
+        self._owed_check_goes_on = False
         if longest is None or oldest is None or self._first_owed(oldest, oldest + 1) is None:
             return self.limits.max_age_nanos
         return longest
@@ -232,23 +232,24 @@ class Retention:
         end = self._lease_end()
         return instant if end is None else min(instant, end)
 
-    def use_up(self, clock: int) -> bool:
-        """Collect and free the oldest items that all consumers have consumed, at most SLICES_USED_UP_MAX slices.
+    def collect_consumed(self, clock: int) -> bool:
+        """Collect and free the oldest items that all consumers have consumed, at most SLICES_CONSUMED_MAX slices.
 
         Returns True if an item was collected. Looks at the items to collect and one slice more. So the cost of each
         item is the same, however many are collected together. If all leases have ended, collects all items except the
         newest bucket, because a new consumer begins with the newest item.
         """
-        self._has_more_used_up = False
+        self._has_more_consumed = False
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
             return False
-        bounded = _AtMost(SLICES_USED_UP_MAX, consumers.done_with if consumers.live else before(held.newest), consumers)
+        count = consumers.done_with if consumers.live else before(held.newest)
+        bounded = _AtMost(SLICES_CONSUMED_MAX, count, consumers)
         front = held.front(bounded)
-        self._has_more_used_up = bounded.held_back
+        self._has_more_consumed = bounded.held_back
         if front.items:
             held.outdate(front, CONSUMPTION, clock)
-            held.free(SLICES_USED_UP_MAX)
+            held.free(SLICES_CONSUMED_MAX)
         return front.items > 0
 
     @property
@@ -348,7 +349,7 @@ class Retention:
 
 
 class _AtMost:
-    """Counts like `count`, but stops after `slices` slices, or after about CONSUMERS_ASKED_MAX looks at consumers.
+    """Counts like `count`, but stops after `slices` slices or about CONSUMERS_CHECKED_MAX looks at consumers.
 
     `held_back`: the count stopped at one of these limits.
     """
@@ -359,7 +360,7 @@ class _AtMost:
         self._count = count
         self._left = slices
         self._consumers = consumers
-        self._asked_to = consumers.looked_at + CONSUMERS_ASKED_MAX
+        self._asked_to = consumers.looked_at + CONSUMERS_CHECKED_MAX
         self.held_back = False
 
     def __call__(self, part: Slice) -> int:
