@@ -129,7 +129,10 @@ class Answered:
         self.forget_some(FORGOTTEN_BY_MARK)
 
     def forget_some(self, answers_max: int = FORGOTTEN_AT_ONCE) -> None:
-        """Forget a few of the answers that are too old. Called with each command, so that no call takes long."""
+        """Forget a few of the answers that are too old.
+
+        The directory calls this for each command, so that no call takes long.
+        """
         oldest = islice(self._answers.values(), answers_max)
         for answer in [answer for answer in oldest if answer.index <= self.known_since]:
             del self._answers[answer.op_id]

@@ -50,11 +50,10 @@ def host_by_name(tables: Tables, name: str) -> HostRecord:
 
 
 def check_host_agrees(kind: str, name: str, host: HostRecord, asked_host_name: str) -> None:
-    """Check that the owner, `host`, is the host that the caller names. Raises CHANNEL_EXISTS or QUEUE_EXISTS if it is
-    not.
+    """Check that the owner, `host`, is the host that the caller names.
 
-    `kind` is "channel" or "queue". An empty `asked_host_name` passes. An owner that is not alive passes, too, because
-    the named host replaces it.
+    Raises CHANNEL_EXISTS or QUEUE_EXISTS if it is another host. `kind` is "channel" or "queue". An empty
+    `asked_host_name` passes. An owner that is not alive passes, too, because the named host replaces it.
     """
     if host.alive and asked_host_name not in ("", host.name):
         raise StampedeError(
@@ -71,7 +70,7 @@ def no_such_channel(name: str) -> ChannelNotFound:
 
 
 def group_by_id(tables: Tables, group_id: bytes) -> GroupRecord:
-    """The group of that id. Raises InvalidArgument, or the error of `no_such_group`."""
+    """The group of that id. Raises InvalidArgument or GROUP_NOT_FOUND."""
     check_id(group_id, "group_id")
     group = tables.groups.by_id.get(group_id)
     if group is None:
@@ -82,7 +81,7 @@ def group_by_id(tables: Tables, group_id: bytes) -> GroupRecord:
 
 
 def group_by_name(tables: Tables, name: str) -> GroupRecord:
-    """The group of that name. Raises InvalidName, or the error of `no_such_group`."""
+    """The group of that name. Raises InvalidName or GROUP_NOT_FOUND."""
     check_name(name, "group")
     group = tables.groups.named(name)
     if group is None:

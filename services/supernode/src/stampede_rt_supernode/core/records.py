@@ -133,8 +133,7 @@ class ReplicaKind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReplicaRecord:
-    """A copy of a channel at `host_id`. The copy ends when that host gets another boot incarnation (paper, section
-    4.1).
+    """A copy of a channel at `host_id`. The copy ends with that host's registration (paper, section 4.1).
 
     `source_host_id`: the host that feeds the copy. `in_sync`: the copy holds all acknowledged items, so its host may
     become the owner; only warm replicas can be in sync. `acknowledged`: puts wait for the copy while it is in sync.

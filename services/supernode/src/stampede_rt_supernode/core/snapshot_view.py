@@ -33,11 +33,11 @@ class SnapshotView:
 
 
 def snapshot_view(directory: Directory, since_position: int | None = None) -> SnapshotView:
-    """A view of the present directory. `since_position`: the `position` of the view of the last snapshot; None for the
-    first.
+    """A view of the present directory.
 
-    The view has the changes since that position, in O(changes). Without a position, or if the directory has dropped
-    some of these changes, the view has all channels, in O(channels).
+    `since_position`: the `position` of the view of the last snapshot; None for the first. The view has the changes
+    since that position, in O(changes). Without a position, or if the directory has dropped some of these changes, the
+    view has all channels, in O(channels).
     """
     ring = directory.tables.changes
     page = None if since_position is None else ring.read(since_position, CHANGES_MAX)

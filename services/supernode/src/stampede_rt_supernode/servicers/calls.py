@@ -73,10 +73,10 @@ class DirectoryCalls:
         self._submission = submission
 
     async def read(self, context: Context, question: Callable[[Directory], T], *, stale_ok: bool = False) -> T:
-        """The result of `question`, called with the directory. Raises Unavailable with reason NO_QUORUM or
-        SHUTTING_DOWN.
+        """The result of `question`, called with the directory.
 
-        `stale_ok`: do not wait for a majority; the state may then lack the latest updates.
+        `stale_ok`: do not wait for a majority; the state may then lack the latest updates. Raises Unavailable with
+        reason NO_QUORUM or SHUTTING_DOWN.
         """
         self._submission.check_state()
         if not stale_ok:
@@ -91,8 +91,7 @@ class DirectoryCalls:
         op_id: bytes,
         as_of_index: int | None = None,
     ) -> S:
-        """The result of `operation`. Raises the errors of `check_operation` and `check_age`, and of
-        `Submission.submit`.
+        """The result of `operation`. Raises the errors of `check_operation`, `check_age` and `Submission.submit`.
 
         `as_of_index`: the result of `applied_index` when the request came; None if the request came just now.
         """

@@ -95,8 +95,9 @@ class LeaseKeeper:
             await asyncio.sleep(TICK_SECONDS)
 
     async def tick(self) -> None:
-        """Take over the leases if this supernode has begun to lead, drop them if it has ceased to lead, or end the due
-        leases.
+        """As the leader, take over the leases at first, then end the due leases.
+
+        Drop all leases if another supernode leads.
 
         The next tick repeats failed work.
         """

@@ -44,10 +44,10 @@ class Submission:
     ) -> R:
         """Replicate `operation`, and return its result, a `kind`. The directory performs it only once for each `op_id`.
 
-        Waits for at most `seconds`. `as_of_index`: see Command. Raises the error of the directory's refusal. Raises
-        VersionMismatch if the command needs a higher feature level than the cluster's. Raises Unavailable with reason
-        AMBIGUOUS if nobody knows whether the operation is done. If it is certainly not done, the reason is NO_QUORUM,
-        or SHUTTING_DOWN if this supernode stops or its state has diverged.
+        `as_of_index`: see Command. Raises the error of the directory's refusal. Raises VersionMismatch if the command
+        needs a higher feature level than the cluster's. Raises Unavailable with reason AMBIGUOUS if the log did not say
+        whether the operation is done. If it is certainly not done, the reason is NO_QUORUM, or SHUTTING_DOWN if this
+        supernode stops or its state has diverged.
         """
         now = self._time_unix_nano()
         encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))
@@ -81,8 +81,7 @@ class Submission:
         return result
 
     async def confirm(self, *, seconds: float) -> int:
-        """Wait, for at most `seconds`, until the local state includes every update that was acknowledged before the
-        call.
+        """Wait until the local state includes every update that was acknowledged before the call.
 
         Raises Unavailable with reason NO_QUORUM or SHUTTING_DOWN.
         """

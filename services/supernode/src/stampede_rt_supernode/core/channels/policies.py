@@ -104,7 +104,9 @@ def _invalid(channel: str, field: str, text: str) -> InvalidArgument:
 
 
 def agree(channel: str, held: Policy, asked: Policy) -> Policy:
-    """The policy of `channel` after an open with the policy `asked`. Raises ChannelExists with the contradicting field.
+    """The policy of `channel` after an open with the policy `asked`.
+
+    Raises ChannelExists, which names the field in conflict.
 
     A field that was stated before may only be repeated or left out. A field that was never stated is taken over from
     `asked` while the channel is provisional (`is_provisional`). Later it must equal the value in effect, because

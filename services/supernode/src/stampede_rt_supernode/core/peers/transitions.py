@@ -119,10 +119,9 @@ def _new_mailbox(operation: RegisterPeer, spec: QueueSpec, host_id: bytes) -> Qu
 
 
 def _clear_away(tables: Tables, before: PeerRecord, peer_id: bytes, *, kept: QueueRecord | None) -> None:
-    """Remove the mailbox of the replaced peer `before`, unless it is `kept`, and its record, unless it has the new
-    peer's id.
+    """Remove the mailbox and the record of a replaced peer.
 
-    `peer_id`: the id of the new peer.
+    The mailbox stays if it is `kept`, and the record if it has `peer_id`, the id of the new peer.
     """
     mailbox = _mailbox_of(tables, before)
     if mailbox is not None and (kept is None or mailbox.queue_id != kept.queue_id):

@@ -32,9 +32,8 @@ class QueuePage:
 def queue_page(tables: Tables, glob: str, after: Position, queues_max: int, *, mailboxes: bool) -> QueuePage:
     """Up to `queues_max` (0: PAGE_SIZE_MAX) queues after `after` whose names match `glob`.
 
-    `mailboxes`: adds the mailboxes, by the names of their peers.
-
-    A page may be short, even empty, and yet not be the last. Raises InvalidArgument for an invalid pattern.
+    `mailboxes`: adds the mailboxes, by the names of their peers. A page may be short, even empty, and yet not be the
+    last. Raises InvalidArgument for an invalid pattern.
     """
     matches, limit = matcher(glob), min(queues_max or queries.PAGE_SIZE_MAX, queries.PAGE_SIZE_MAX)
     found: list[QueueRecord] = []

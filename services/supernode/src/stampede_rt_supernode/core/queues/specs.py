@@ -73,7 +73,9 @@ def merge(held: QueueSpec, changes: QueueSpec) -> QueueSpec:
 
 
 def agree(queue: str, held: QueueSpec, asked: QueueSpec) -> QueueSpec:
-    """The policy of `queue` after an open with the policy `asked`. Raises QUEUE_EXISTS with the contradicting field.
+    """The policy of `queue` after an open with the policy `asked`.
+
+    Raises QUEUE_EXISTS, which names the field in conflict.
 
     A field that was stated before may only be repeated or left out. A field that was never stated is taken over from
     `asked` while no limit (LIMITS) was stated. Later it must equal the value in effect, because another value would
