@@ -44,9 +44,9 @@ MUTANTS = (
         file=f"{REPLICATION}/raft_replica.py",
         edits=(
             (
-                "        self._log.sync()\n        self._take_in()\n",
+                "        self._log.sync()\n        self._accept_requests()\n",
                 "        self._network.release(self._node.transport.take_outbox())\n"
-                "        self._log.sync()\n        self._take_in()\n",
+                "        self._log.sync()\n        self._accept_requests()\n",
             ),
         ),
         noticed_by="log",

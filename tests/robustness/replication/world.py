@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 from stampede_rt.v1 import raft_service_pb2 as pb
 from stampede_rt_supernode.replication.interface import TOO_OLD, Ambiguous, LogUnavailable, Member
-from stampede_rt_supernode.replication.network.hello import introduction, newly_met
+from stampede_rt_supernode.replication.network.hello import introduced_member, introduction
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
@@ -199,8 +199,8 @@ class World:
                 roster=sender.roster,
                 highest_level=sender.highest_level,
             )
-            if (met := newly_met(hello, self.members[ends[1]].settings)) is not None:
-                receiver.deliver(Introduced(met.member_id, met))
+            if (member := introduced_member(hello, self.members[ends[1]].settings)) is not None:
+                receiver.deliver(Introduced(member.member_id, member))
             self._plan_connect(ends)
             return
         wire.up = True

@@ -41,7 +41,7 @@ class Arrivals:
     def add_event(self, event: NetworkEvent) -> None:
         """Queue a network event. Raises InboxFull if too many messages of that member wait. Other events always fit."""
         if isinstance(event, Received):
-            self._inbox.come(event)
+            self._inbox.count_received(event)
         self.events.append(event)
 
     def add_proposal(self, proposal: Proposal) -> None:
@@ -74,7 +74,7 @@ class Arrivals:
         """The waiting events, in order. Events that come during the call wait for the next call."""
         for event in taken_from(self.events):
             if isinstance(event, Received):
-                self._inbox.take(event)
+                self._inbox.count_taken(event)
             yield event
 
 
@@ -96,15 +96,15 @@ class _InboxShares:
         self._came: dict[str, tuple[int, int]] = {}
         self._taken: dict[str, tuple[int, int]] = {}
 
-    def come(self, event: Received) -> None:
-        """Count a message that came. Raises InboxFull."""
+    def count_received(self, event: Received) -> None:
+        """Count a message that came. Raises InboxFull if the member has too many waiting messages."""
         items, size = self._came.get(event.member_id, (0, 0))
         items_out, size_out = self._taken.get(event.member_id, (0, 0))
         if items - items_out >= self._items_max or size - size_out >= self._bytes_max:
             raise InboxFull(f"{items - items_out} messages of {event.member_id} wait for the log's thread")
         self._came[event.member_id] = items + 1, size + event.size_bytes
 
-    def take(self, event: Received) -> None:
+    def count_taken(self, event: Received) -> None:
         """Count a message that was taken."""
         items, size = self._taken.get(event.member_id, (0, 0))
         self._taken[event.member_id] = items + 1, size + event.size_bytes

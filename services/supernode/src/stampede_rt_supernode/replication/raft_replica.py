@@ -192,9 +192,9 @@ class RaftReplica:
 
         Returns True if another step is due at once. After any exception the replica must not go on.
         """
-        self._hear()
+        self._receive_events()
         self._log.sync()
-        self._take_in()
+        self._accept_requests()
         self._node.keeper.begin_step()
         self._drop_if_at_fault(self._node.install_opened)
         self._node.step_down_if_diverged()
@@ -213,7 +213,7 @@ class RaftReplica:
         self._release()
         return bool(self._arrivals.events) or self._commits_alone()
 
-    def _hear(self) -> None:
+    def _receive_events(self) -> None:
         for event in self._arrivals.take_events():
             self._drop_if_at_fault(lambda event=event: self._node.transport.deliver(event))  # type: ignore[misc]
 
@@ -248,7 +248,7 @@ class RaftReplica:
         else:
             self._completions.append(lambda: change.done(LogUnavailable("this replica is closing")))
 
-    def _take_in(self) -> None:
+    def _accept_requests(self) -> None:
         for proposal in taken_from(self._arrivals.proposals):
             self._proposals.add(proposal)
         for read in taken_from(self._arrivals.reads):

@@ -80,11 +80,11 @@ class PySyncObjLog:
                 highest_level=replica.highest_level,
             )
 
-        def see() -> tuple[set[str], str | None]:
+        def others_and_leader() -> tuple[set[str], str | None]:
             others = {member.member_id for member in replica.roster.members} - {settings.self_member.member_id}
             return others, replica.status().leader_id
 
-        self._links.see, self._links.on_refusal_confirmed = see, stores.refuse_own
+        self._links.others_and_leader, self._links.on_refusal_confirmed = others_and_leader, stores.refuse_own
         self._links.on_fault = self._servicer.expel
         self._links.start(replica.deliver, replica.roster.peers, introduce)
         self._thread.start(replica)

@@ -43,7 +43,7 @@ class Links3(PeerLinks):
         settings = ReplicationSettings(self_member=OTHER, initial_members=[SELF, OTHER])
         super().__init__(settings, lambda address: pytest.fail("nobody is called"), None, lambda error: None)  # type: ignore[arg-type]
         self.done: list[object] = []
-        self.see = lambda: ({"s1", "s3"}, leader_id)
+        self.others_and_leader = lambda: ({"s1", "s3"}, leader_id)
         self.on_refusal_confirmed = self.done.append
 
     def hear(self, member_id: str, refusal: HelloRefusal | None) -> None:

@@ -115,7 +115,7 @@ def other_protocol(member_id: str, version: int) -> str:
     )
 
 
-def newly_met(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:
+def introduced_member(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:
     """The member that an unknown caller says it is; None if it names no address, or the cluster has no id.
 
     A member that was away while the others were replaced knows none of them, but must accept the leader's messages

@@ -74,7 +74,7 @@ class PeerLinks:
         # The members that say that this release does not know the cluster's feature level.
         self.outdated = Refusals()
         # Returns the ids of the other members according to the log, and the id of the leader that this member follows.
-        self.see: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
+        self.others_and_leader: Callable[[], tuple[Collection[str], str | None]] = lambda: ((), None)
         # Called once, with the reason, if others refuse this member for good. The call blocks: it writes a small file.
         self.on_refusal_confirmed: Callable[[str], None] = lambda why: None
         # Called with the id of a member that breaks the protocol, and the text of the fault.
@@ -141,7 +141,7 @@ class PeerLinks:
         `what_follows`: the beginning of a sentence for the log, such as OUTDATED_FOLLOWS.
         """
         is_new, was_confirmed = member_id not in refusals.by, refusals.confirmed is not None
-        others, leader_id = self.see()
+        others, leader_id = self.others_and_leader()
         is_confirmed = refusals.refused(member_id, why, others=others, leader_id=leader_id)
         if is_new and not is_confirmed:
             logger.warning(

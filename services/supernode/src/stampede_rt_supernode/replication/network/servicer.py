@@ -25,7 +25,7 @@ from stampede_rt_supernode.replication.network.hello import (
     OLDER_STORE,
     OTHER_CLUSTER,
     HelloRefusal,
-    newly_met,
+    introduced_member,
     refusal_of,
 )
 from stampede_rt_supernode.replication.network.peer_link import REQUEST_MESSAGES_MAX
@@ -164,8 +164,8 @@ class RaftServicer:
         if refusal is None:
             return
         if refusal.sends_members:
-            if (met := newly_met(hello, self._settings)) is not None:
-                self._replica.deliver(Introduced(met.member_id, met))
+            if (member := introduced_member(hello, self._settings)) is not None:
+                self._replica.deliver(Introduced(member.member_id, member))
             # The caller may not know the members that already know the caller.
             await context.write(self._greeting(knows_caller=False))
         await context.abort(refusal.code, refusal.why)
