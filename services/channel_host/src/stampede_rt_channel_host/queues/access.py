@@ -10,7 +10,10 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 
 
 def check_queue_access(verb: AccessVerb, queue: RecordedQueue) -> None:
-    """Check that the caller may do `verb` with the queue. Raises PermissionDenied, Unavailable."""
+    """Check that the caller may do `verb` with the queue.
+
+    Raises PermissionDenied if not, Unavailable if this host does not know the rules yet.
+    """
     if not queue.is_mailbox:
         check_access(verb, AccessKind.QUEUE, queue.name)
     elif not _is_owned(queue) or verb is not AccessVerb.TAKE:
@@ -18,7 +21,7 @@ def check_queue_access(verb: AccessVerb, queue: RecordedQueue) -> None:
 
 
 def check_queue_known(queue: RecordedQueue) -> None:
-    """Check that the caller may see the queue's status. Raises PermissionDenied, Unavailable."""
+    """Check that the caller may see the queue's status. Raises the errors of `check_queue_access`."""
     if not queue.is_mailbox:
         check_known(AccessKind.QUEUE, queue.name)
     elif not _is_owned(queue):

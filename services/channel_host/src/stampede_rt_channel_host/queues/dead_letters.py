@@ -1,9 +1,9 @@
 """Moves messages that failed too often, or that a taker gave up, to the dead-letter queue (paper, section 3.5).
 
-A message stays in its queue until the dead-letter queue has acknowledged it. The move is an enqueue like any other. The
-producer id of the move follows from the queue, and its number from the message's seq. So the dead-letter queue stores
-the message only once, even if another host repeats the move. After a refusal the next move of the message has another
-number, so that no former answer applies to that move.
+A message stays in its queue until the dead-letter queue has acknowledged it. A move is an enqueue like any other. Its
+producer id is computed from the queue, and its number from the message's seq. So the dead-letter queue stores the
+message only once, even if another host repeats the move. After a refusal, the next move of the message has another
+number. Without this, the dead-letter queue would repeat the refusal.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ _ENQUEUE = "/stampede_rt.v1.QueueService/Enqueue"
 
 
 class DeadLetterMover:
-    """Runs one task for each queue with messages to move. The task tries until all are moved, with longer and
-    longer pauses after failures.
+    """Runs one task for each queue that has messages to move. The task tries until all these messages are moved. Its
+    pauses after failures grow.
 
-    `may_move` says whether the queue still belongs to this host. `on_defect` gets the error of a task that dies.
+    `may_move` says whether the queue still belongs to this host. `on_defect` gets the error of a task that fails.
     """
 
     def __init__(
@@ -100,9 +100,10 @@ class DeadLetterMover:
                 pause_s = min(2 * pause_s, _PAUSE_SECONDS_MAX)
 
     async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
-        """Move some messages. Raises an error if some of them could not be moved.
+        """Move some messages. Raises the last error if some of them could not be moved.
 
-        `refusals` counts the rejections of each message, by seq. An error of a whole run does not count.
+        `refusals` counts, by seq, how often the dead-letter queue has refused each message. It does not count errors
+        that concern the whole run.
         """
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:
@@ -122,7 +123,7 @@ class DeadLetterMover:
 
 
 def producer_id_of(record: RecordedQueue) -> int:
-    """The producer id under which a queue puts into others: the same at every host, never 0."""
+    """The producer id of the moves from a queue: the same at every host, never 0."""
     about = record.queue_id + record.incarnation.to_bytes(8, "little")
     return int.from_bytes(hashlib.blake2b(about, digest_size=8).digest(), "little") | 1
 
@@ -130,7 +131,7 @@ def producer_id_of(record: RecordedQueue) -> int:
 def _requests(
     source: RecordedQueue, target: RecordedQueue, items: Sequence[Departure], refusals: Counter[int]
 ) -> list[bytes]:
-    """One request for each message, because several together might exceed the limit of a request."""
+    """One encoded request for each message, because several messages might exceed the limit of one request."""
     requests = []
     for item in items:
         run = raw_run_pb2.RawEnqueueRun(
@@ -188,7 +189,10 @@ def _conclude(
     acks: Sequence[channel_service_pb2.PutAck],
     refusals: Counter[int],
 ) -> None:
-    """Remove the accepted messages. Refused messages go behind the others. Raises the last refusal."""
+    """Remove the accepted messages from their queue. The next attempts move the refused messages after all others.
+
+    Raises the last refusal, if there is one.
+    """
     failure: StampedeError | None = None
     for item, ack in zip(items, acks, strict=True):
         if ack.HasField("first_seq"):

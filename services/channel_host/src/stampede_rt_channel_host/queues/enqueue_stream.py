@@ -39,7 +39,7 @@ from stampede_rt_runtime.rpc import Context
 ACKS_QUEUED_MAX = 256
 REQUEST_BYTES_MAX = 4 * 2**20  # the runs of a request with several runs
 _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
-_ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # refusals that end the stream, as an invalid request does
+_ENDING = ("OVERLOADED", "SHUTTING_DOWN")  # if the queue cannot be used for these reasons, the stream ends
 
 
 class EnqueueStream:
@@ -121,9 +121,9 @@ class EnqueueStream:
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
     async def _failure_to_find(self) -> StampedeError | None:
-        """The reason why the queue cannot be used; None if it can.
+        """The error why the queue cannot be used; None if it can.
 
-        Asks the directory once for a request, not for each run.
+        May ask the directory. So the stream calls this once for each request, not for each run.
         """
         try:
             await self._store.use(self._queue_id, self._epoch)
@@ -158,7 +158,11 @@ class EnqueueStream:
 
     @contextmanager
     def _waiting(self, run: Enqueue, behind: deque[EnqueueRun]) -> Iterator[None]:
-        """A context in which a run waits for room. Sends the earlier acks, and reads on. Raises Overloaded."""
+        """A context in which a run waits for room. Sends the earlier acks, and reads further requests ahead.
+
+        `behind`: the later runs of the same request. Raises Overloaded if the caller has too many waiting calls or
+        bytes.
+        """
         self._news.set()
         kept_bytes = sum(len(one.run) for one in behind)
         with self._account.waiting(run.charged_bytes), self._requests.keeping(kept_bytes):

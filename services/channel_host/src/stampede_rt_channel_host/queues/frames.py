@@ -1,4 +1,4 @@
-"""Encodes TakeResponse by hand. Stored runs are copied once, into the message. A whole run is never parsed."""
+"""Encodes TakeResponse by hand. The host copies a stored run once, into the message, and does not parse a whole run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ def take_response(
     incarnation: int = 0,
     drained: bool = False,
 ) -> bytes:
-    """An encoded TakeResponse. Its fields need no order, because protobuf accepts any order on the wire."""
+    """An encoded TakeResponse. `now` serves to compute the rest of each lease. `drained`: the host answers `drain`.
+
+    The fields need no order, because protobuf accepts any order on the wire.
+    """
     parts = [pb.TakeResponse(results=results, incarnation=incarnation, drained=drained).SerializeToString()]
     if batch is not None:
         for one in batch.slices:

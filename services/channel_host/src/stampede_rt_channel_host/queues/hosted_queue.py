@@ -34,13 +34,13 @@ _TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: t
 
 
 class TakerStream(Protocol):
-    """A taker's stream, as its queue sees it."""
+    """The methods of a taker's stream that its queue calls."""
 
     def deliver(self, batch: Batch) -> None:
-        """Send a batch to the taker."""
+        """Send a batch that the queue has leased to the taker."""
 
     def probe(self) -> None:
-        """Ask the taker, which was silent, whether it lives."""
+        """Send a sign of life to the taker, which was silent for long. A live taker answers it."""
 
     def end(self, error: StampedeError) -> None:
         """The host does not serve the queue any more."""
@@ -51,7 +51,7 @@ class HostedQueue:
 
     `record` is the latest record from the directory. The core has the incarnation of the record. Requests must name
     `epoch`: that of the record, or 0 if the store must ask the directory before it serves the queue again.
-    `on_departures` is called while messages wait for their move to the dead-letter queue.
+    The queue calls `on_departures` at each change for as long as messages wait for their move to the dead-letter queue.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class HostedQueue:
         """
         self.record = record
         self.epoch: int = record.epoch
-        self.registration = 0  # the host's last registration when the store last took over a record of the directory
+        self.registration = 0  # the number of the host's last registration when the store took `record` over
         self.queue = QueueCore(
             QueueLimits.of(record.policy),
             incarnation=record.incarnation,
@@ -98,7 +98,8 @@ class HostedQueue:
         self._follow_up()
 
     async def enqueue(self, run: Enqueue, waiting: Callable[[], AbstractContextManager[None]]) -> None:
-        """Put a run. While the run waits for room, this call waits in the context that `waiting` makes.
+        """Put a run, and return when it is accepted or refused. If the run has to wait for room, this call waits inside
+        the context that `waiting` makes.
 
         A cancellation withdraws the run. Raises InvalidArgument if the run's numbers overlap another run's, Overloaded
         if memory is used up or too many runs wait.
@@ -113,7 +114,7 @@ class HostedQueue:
             self._count_overloaded(run, error)
             raise
         finally:
-            self._follow_up()  # the call may have handled due things, even if the run is refused
+            self._follow_up()  # the core may also have ended leases, even if it has refused the run
         if done is None:
             return
         try:
@@ -139,13 +140,13 @@ class HostedQueue:
             self.queue.reject_malformed()
 
     def attach(self, taker: TakerState, stream: TakerStream) -> None:
-        """Enter a stream that begins to take. `leave` must follow. Raises Overloaded beyond TAKERS_MAX streams."""
+        """Add the stream of a taker. Call `leave` at its end. Raises Overloaded if there are TAKERS_MAX streams."""
         if len(self._streams) >= TAKERS_MAX:
             raise Overloaded(f"queue {display_name(self.record)} has {TAKERS_MAX} takers, the limit; close some")
         self._streams[taker] = stream
 
     def grant(self, taker: TakerState, credit: int) -> None:
-        """Allow the taker `credit` more messages; 0 is only a sign of life."""
+        """Add `credit` messages to the credit of the taker. 0 only notes a sign of life."""
         self.queue.grant(taker, credit, self._now())
         self._follow_up()
 
@@ -155,7 +156,7 @@ class HostedQueue:
         self._follow_up()
 
     def leave(self, taker: TakerState) -> None:
-        """Forget a stream that has ended. Sent messages stay leased; messages that were not sent go back."""
+        """Remove the stream of a taker, which has ended. Its sent messages stay leased; the others go back."""
         del self._streams[taker]
         self.queue.leave(taker, self._now())
         self._follow_up()
@@ -167,13 +168,13 @@ class HostedQueue:
         return results
 
     def pending(self, after_delivery_id: int, limit: int) -> list[PendingDelivery]:
-        """The leased deliveries and their takers: at most `limit`, after the delivery `after_delivery_id`."""
+        """The first `limit` leased deliveries whose ids follow `after_delivery_id`, with their takers."""
         found = self.queue.pending(after_delivery_id, limit, self._now())
         self._follow_up()
         return found
 
     def departed(self, seq: int) -> None:
-        """Note that the dead-letter queue has the message."""
+        """Note that the dead-letter queue has acknowledged the message."""
         self.queue.departed(seq, self._now())
         self._follow_up()
 
@@ -187,7 +188,7 @@ class HostedQueue:
     def ending(self, error: StampedeError) -> Pieces[None]:
         """Refuse all waiting runs and end all takers' streams with `error`, in pieces.
 
-        Meanwhile the queue accepts nothing, and gives takers no messages.
+        Meanwhile the queue accepts no messages, and gives takers none.
         """
         self.queue.pause()
         streams = list(self._streams.items())
@@ -206,7 +207,7 @@ class HostedQueue:
             self._follow_up()
 
     def leaving(self, error: StampedeError) -> Pieces[None]:
-        """As `ending`, but for good: the host gives the queue up. Frees its messages, in pieces."""
+        """As `ending`, and then free the messages, because the host gives the queue up. Its memory counts no more."""
         self._is_forgotten = True
         if self._timer is not None:
             self._timer.cancel()
@@ -217,7 +218,7 @@ class HostedQueue:
         yield from self.queue.emptying()
 
     def _follow_up(self) -> None:
-        """Pass on the results of a call of the core, and set the next deadline."""
+        """Pass the results of a call of the core on to streams and waiting runs, and set the next deadline."""
         for taker, batch in self.queue.take_batches():
             self._streams[taker].deliver(batch)
         for taker in self.queue.take_silent():
@@ -234,12 +235,12 @@ class HostedQueue:
         due = self.queue.next_deadline()
         self._arm(due)
         due = self.queue.next_expiry() if due is None else due
-        # an earlier deadline stays, because a look too early does no harm
+        # an earlier deadline stays: the sweep may look at a queue too early
         if due is not None and (self.due is None or due < self.due):
             self._deadlines.arm(self, due)
 
     def _arm(self, due: int | None) -> None:
-        """Set the timer, but only for an earlier time: a timer that fires too early only looks again."""
+        """Set the timer to `due`, unless it fires earlier already. A timer that fires too early does no harm."""
         if due is None or (self._timer_due is not None and self._timer_due <= due):
             return
         if self._timer is not None:

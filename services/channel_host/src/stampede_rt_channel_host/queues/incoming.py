@@ -1,4 +1,4 @@
-"""Turns a producer's run into the core's form, and the core's outcome into an ack."""
+"""Turns a producer's run into an `Enqueue` of the core, and the outcome of the `Enqueue` into an ack."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class EnqueueRun(NamedTuple):
 
 
 def enqueue_of(message: EnqueueRun, producer_id: int, received_s: float, owner: str = "") -> Enqueue:
-    """The run as it came, not judged yet. `received_s`: the monotonic time at which its request came.
+    """The run as a value of the core, which has still to accept or refuse it.
 
-    `owner`: see `RetryWindow.record`. Raises MalformedRun, or ItemTooLarge for a message larger than any
-    queue can hold.
+    `received_s`: the monotonic time at which the request came. `owner`: see `RetryWindow.record`. Raises MalformedRun,
+    or ItemTooLarge for a message larger than any queue can hold.
     """
     encoded = message.run
     columns = parse_run(encoded)
@@ -87,15 +87,15 @@ def _origin_of(message: EnqueueRun, items: int) -> bytes:
     if items != 1 or len(message.origin) > ORIGIN_BYTES_MAX:
         raise MalformedRun(
             f"the run has {items} messages and an origin of {len(message.origin)} bytes; a dead letter is a run of one "
-            f"message, its origin has {ORIGIN_BYTES_MAX} bytes at most"
+            f"message, and its origin has at most {ORIGIN_BYTES_MAX} bytes"
         )
     return origin_field(message.origin)
 
 
 def check_forwards(caller: Identity | None) -> None:
-    """Raises PermissionDenied for a caller that is no host.
+    """Raises PermissionDenied if `caller` is no host, because hosts alone may set the origin of a run.
 
-    `caller` None: the caller has no certificate, as in a cluster without certificates. It may set an origin.
+    `caller` None: the caller has no certificate, as in a cluster without certificates. Then this check allows the call.
     """
     if caller is not None and caller.role is not Role.HOST:
         raise PermissionDenied(
@@ -113,7 +113,7 @@ def check_number(producer_id: int, first_number: int) -> None:
 
 
 def answer(run: Enqueue, now: int, incarnation: int) -> pb.PutAck:
-    """The ack of a run that is done."""
+    """The ack of a run that the core has accepted or refused."""
     if run.error is not None:
         return refused(run.first_number, len(run.lengths), run.error, now, incarnation)
     assert run.outcome is not None, "a run that is done has an outcome or an error"

@@ -33,14 +33,14 @@ SERVICE = "stampede_rt.v1.QueueService"
 
 
 class QueueServicer:
-    """Each method finds the queue and passes the request on. Errors rise to the caller."""
+    """Each method passes its request to the object that performs it. No method catches errors: they become statuses."""
 
     def __init__(self, store: QueueStore, streams: OpenStreams) -> None:
         self._store = store
         self._streams = streams
 
     def add_to(self, server: grpc.aio.Server) -> None:
-        """Serve on `server`."""
+        """Add the methods of QueueService to `server`."""
         handlers = {
             "Enqueue": grpc.stream_stream_rpc_method_handler(self.enqueue),
             "Take": grpc.stream_stream_rpc_method_handler(self.take),

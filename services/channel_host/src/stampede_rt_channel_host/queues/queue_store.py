@@ -38,11 +38,12 @@ LOOKUPS_MAX = 3
 
 
 class QueueStore:
-    """Requests get the queue by `use`, which may ask the directory. Each run of an enqueue request gets it by `find`.
+    """Requests get their queue by `use`, which may ask the directory. Each run of an enqueue request gets the queue by
+    `find`, which does not.
 
     Implements `Watched`. `lease_held` says whether the host may serve at this moment. `now` is the host's clock.
-    `scheduler` does long work in pieces. `on_departures` is called with queues that have messages for their dead-letter
-    queue.
+    `scheduler` does long work in pieces. `on_departures` is called with each queue that has messages to move to its
+    dead-letter queue. `takers` remembers which caller uses which taker id.
     """
 
     def __init__(
@@ -82,7 +83,8 @@ class QueueStore:
         return hosted
 
     async def use(self, queue_id: bytes, epoch: int | None) -> HostedQueue:
-        """The queue under that epoch (None: any). Asks the directory if the queue or its epoch is new here.
+        """The queue under `epoch` (None: any). Asks the directory first if this host does not know the queue, or knows
+        only a lower epoch.
 
         Raises StaleBinding (NOT_HERE, WRONG_EPOCH, MOVED), QueueNotFound, Overloaded, Unavailable.
         """
@@ -95,11 +97,11 @@ class QueueStore:
         return self.find(queue_id, held.epoch if epoch is None and held else epoch or 0)
 
     def registering(self, records: Iterable[RecordedQueue], *, is_complete: bool) -> Pieces[None]:
-        """Take in the directory's list of this host's queues at a registration, in pieces. The host serves nothing
-        meanwhile.
+        """Take in `records`, the queues that the directory names in its answer to a registration, in pieces.
 
-        If the list is complete (`is_complete`), the store drops the queues that are not in it. Else it serves such a
-        queue only after the next `use` of that queue.
+        Meanwhile the host does not hold the lease. If the answer names all queues of the host (`is_complete`), the
+        store drops the queues that it does not name. Else the store serves an unnamed queue again only after its next
+        `use`.
         """
         self._registrations += 1
         registration = self._registrations
@@ -114,16 +116,16 @@ class QueueStore:
                 hosted = self._queues.get(queue_id)
                 if hosted is not None and hosted.registration < registration:  # else a newer record has come meanwhile
                     self._compare(hosted, listed.get(queue_id), left, is_complete=is_complete)
-            self._scheduler.begin(one_after_another(left))  # one work for all: each has a task
+            self._scheduler.begin(one_after_another(left))  # together, because each `begin` may start a task
             yield
 
     def _compare(
         self, hosted: HostedQueue, record: RecordedQueue | None, left: list[Pieces[None]], *, is_complete: bool
     ) -> None:
-        """Adopt the directory's record of a queue that has not changed since the registration.
+        """Adopt `record`, the directory's record of a queue that has not changed here since the registration.
 
-        None: the list has no record of the queue. Then the store drops the queue, and adds the work that is left to
-        `left`. If the list was not complete, the store asks the directory at the next `use` instead.
+        `record` None: the directory's answer does not name the queue. Then the store drops the queue, and adds the rest
+        of that work to `left`. If the answer was not complete, the store asks the directory at the next `use` instead.
         """
         if record is not None:
             self._adopt(record)
@@ -135,7 +137,7 @@ class QueueStore:
             hosted.epoch = 0  # no request can name it: the next use asks the directory
 
     def changed(self, record: RecordedQueue, *, removed: bool) -> None:
-        """Take in a change that the directory reports. Ignores queues that nobody used here."""
+        """Take in a change of a queue that the directory reports. Ignores queues that this host does not know."""
         hosted = self._queues.get(record.queue_id)
         if hosted is None:
             return
@@ -147,7 +149,7 @@ class QueueStore:
             self._forget(record.queue_id, refusals.moved(record))
 
     async def missed(self) -> None:
-        """See `Watched`: ask about every queue that this host has."""
+        """See `Watched`. Asks the directory about every queue that this host knows."""
         for ids in batched_keys(self._queues, QUEUES_PER_PIECE):
             for queue_id in ids:
                 try:
@@ -161,11 +163,11 @@ class QueueStore:
             self.changed(change.queue, removed=change.removed)
 
     def fence(self) -> None:
-        """End all streams, because the lease ran out: takers and producers must look for the queues elsewhere."""
+        """End all streams, because the lease has ended. Takers and producers must look for the queues elsewhere."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def close(self) -> None:
-        """Refuse all requests from now on, as without a lease, because the host shuts down."""
+        """Refuse all requests from now on with SHUTTING_DOWN."""
         self._closing = refusals.SHUTTING_DOWN
 
     def end_all(self, error: StampedeError) -> None:
@@ -183,7 +185,7 @@ class QueueStore:
             yield
 
     def all(self) -> list[HostedQueue]:
-        """All queues that callers have used here."""
+        """All queues that this host knows."""
         return list(self._queues.values())
 
     def holds(self, hosted: HostedQueue) -> bool:
@@ -200,7 +202,10 @@ class QueueStore:
             raise refusals.fenced(self._identity.name)
 
     def _knows(self, queue_id: bytes, epoch: int | None) -> bool:
-        """Whether the store can answer without the directory. An epoch below the known one is wrong in any case."""
+        """Whether the store can answer without the directory.
+
+        It can also do so for an epoch below the known one: the request is refused in any case.
+        """
         hosted = self._queues.get(queue_id)
         return hosted is not None and hosted.epoch > 0 and (epoch or 0) <= hosted.epoch
 
@@ -219,10 +224,11 @@ class QueueStore:
         self._adopt(record)
 
     async def _resolve(self, queue_id: bytes) -> RecordedQueue:
-        """The directory's record of the queue, asked for after the host's last registration.
+        """Ask the directory for the record of the queue. Asks again if the host registers before the answer comes.
 
-        An answer to an earlier question may be out of date, because the lease ended in between. Raises the error that
-        the directory answers, or StaleBinding if the host cannot keep a lease.
+        Such an answer may be out of date: the lease ended before the host registered again, and the queue may have got
+        a new owner meanwhile. Raises the error that the directory answers. Raises StaleBinding if the host registered
+        during each of LOOKUPS_MAX questions.
         """
         for _ in range(LOOKUPS_MAX):
             registrations = self._registrations
@@ -254,6 +260,6 @@ class QueueStore:
         self._scheduler.begin(one_after_another(self._drop(queue_id, error)))
 
     def _drop(self, queue_id: bytes, error: StampedeError) -> list[Pieces[None]]:
-        """Drop the queue, and end its first callers with `error`. Returns the work that is left."""
+        """Drop the queue, and end the calls of some of its callers with `error`. Returns the rest of this work."""
         hosted = self._queues.pop(queue_id, None)
         return [] if hosted is None else rest_of(hosted.leaving(error))

@@ -16,7 +16,7 @@ def display_name(record: RecordedQueue) -> str:
 
 
 def fenced(host: str) -> StampedeError:
-    """The host did not renew its lease in time: another host may own the queues by now."""
+    """The error of a host that did not renew its lease in time. Another host may own the queues by now."""
     return error_for(
         "NOT_HERE",
         f"host {host} could not renew its lease in time and serves nothing until the lease is renewed; resolve the "
@@ -26,25 +26,25 @@ def fenced(host: str) -> StampedeError:
 
 
 def not_here(host: str, queue_id: bytes) -> StampedeError:
-    """Another host owns the queue now, or nobody has used the queue here since the last registration."""
+    """The error for a queue that this host does not know, or that another host owns now."""
     text = f"queue {queue_id.hex()} is not at host {host}; resolve it at the directory, and call its host"
     return error_for("NOT_HERE", text, {"queue_id": queue_id.hex(), "host": host})
 
 
 def moved(record: RecordedQueue) -> StampedeError:
-    """The directory names another owner."""
+    """The error for a queue for which the directory names another owner."""
     host_id = record.host_id.hex()
     text = f"queue {display_name(record)} is at host {host_id} now; resolve it again"
     return error_for("MOVED", text, {"queue": display_name(record), "host_id": host_id})
 
 
 def wrong_epoch(record: RecordedQueue, stated: int) -> StampedeError:
-    """The request names another epoch than the queue's."""
+    """The error for a request that names another epoch than the queue's."""
     name, epoch = display_name(record), record.epoch
     text = f"queue {name} is at epoch {epoch} and the request names {stated}; resolve the queue again"
     return error_for("WRONG_EPOCH", text, {"queue": name, "epoch": str(epoch)})
 
 
 def deleted(record: RecordedQueue) -> StampedeError:
-    """Somebody deleted the queue while a call or a stream used it."""
+    """The error for a call or a stream whose queue was deleted meanwhile."""
     return QueueNotFound(f"queue {display_name(record)} was deleted", metadata={"queue": display_name(record)})

@@ -21,7 +21,7 @@ from stampede_rt_channel_host.core.queue import (
     Terminate,
 )
 
-CREDIT_MAX = 1024  # messages that a taker may allow ahead
+CREDIT_MAX = 1024  # the most credit of a taker, in messages
 SETTLEMENTS_MAX = 1024
 TAKER_NAME_BYTES_MAX = 128
 REASON_BYTES_MAX = 1024
@@ -53,7 +53,7 @@ def taker_of(opened: pb.TakeOpen) -> TakerState:
 
 
 def settlements_of(messages: Iterable[queue_pb2.Settlement]) -> list[Settlement]:
-    """The settlements of a request. Raises InvalidArgument if one is invalid, or if there are too many."""
+    """The settlements of a request. Raises InvalidArgument if a settlement is invalid, or if there are too many."""
     settlements = [_settlement_of(message) for message in messages]
     if len(settlements) > SETTLEMENTS_MAX:
         raise InvalidArgument(
@@ -83,7 +83,7 @@ def pending_message(one: PendingDelivery) -> queue_pb2.PendingDelivery:
 
 
 def result_message(result: SettlementResult) -> queue_pb2.SettlementResult:
-    """The message of one result."""
+    """The message of the result of one settlement."""
     return queue_pb2.SettlementResult(
         delivery_id=result.delivery_id,
         error=to_error_message(result.error) if result.error else None,

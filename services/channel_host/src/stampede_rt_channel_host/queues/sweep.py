@@ -1,4 +1,4 @@
-"""Handles due things in queues that nobody uses at the moment, such as the ends of leases."""
+"""Handles what is due in queues without calls, such as the ends of leases."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ QUEUES_PER_STEP_MAX = 64
 async def sweep_queues_forever(store: QueueStore) -> NoReturn:
     """Twice a second, handle all queues in which something is due, a bounded number at a time.
 
-    Each queue has a timer of its own. But if the host's clock is faster than the loop's, the timer fires too late. And
-    no timer is set for the time at which the queue may forget silent producers.
+    Each queue also has a timer of its own. But the timer fires too late if the host's clock is faster than the event
+    loop's. And a queue sets no timer for the time at which it may forget silent producers.
     """
-    while True:  # paced
+    while True:  # paced by the sleep
         await asyncio.sleep(ROUND_SECONDS)
         while sweep_queues(store):
             await _give_way()
 
 
 def sweep_queues(store: QueueStore) -> int:
-    """Handle a bounded number of due queues. Returns how many were due."""
+    """Handle up to QUEUES_PER_STEP_MAX due queues. Returns their number; 0 if no queue is due."""
     for at in range(QUEUES_PER_STEP_MAX):
         hosted = store.deadlines.pop(store.now())
         if hosted is None:

@@ -34,10 +34,10 @@ WRITE_SECONDS_MAX = 30.0  # if the taker reads nothing for this time during a wr
 
 
 class TakeStream:
-    """Serves one stream, as a `TakerStream` of its queue. All of it runs on the event loop.
+    """Serves one stream, as a `TakerStream` of its queue. Call all methods on the event loop.
 
-    After the caller has closed its side, the stream goes on until its credit is used up. So a caller
-    can take a fixed number of messages: it gives that credit, closes its side, and reads to the end.
+    After the caller has closed its side, the stream stays open until the taker's credit is used up. So a caller can
+    take a fixed number of messages: it grants that credit, closes its side, and reads to the end.
     """
 
     def __init__(self, store: QueueStore, context: Context, stream: OpenStream) -> None:
@@ -46,8 +46,10 @@ class TakeStream:
         self._stream = stream
         self._batch: Batch | None = None
         self._results: list[queue_pb2.SettlementResult] = []
-        # the answer to `drain` is due; the taker drains; the caller has closed its side; `probe` was called
-        self._owes_drained = self._drains = self._closed = self._probes = False
+        self._owes_drained = False  # the answer to the request's `drain` is due
+        self._drains = False  # the taker wants no more messages
+        self._closed = False  # the caller has closed its side
+        self._probes = False  # `probe` was called, and its sign of life is due
         self._news = asyncio.Event()  # there is something to write, or the caller has closed its side
         self._silent_at_s = 0.0  # loop time at which a sign of life is due; only a write postpones it
         self._room = asyncio.Event()  # the writer has taken the results
@@ -59,7 +61,7 @@ class TakeStream:
         self._news.set()
 
     def probe(self) -> None:
-        """Ask the taker whether it lives."""
+        """See `TakerStream`."""
         self._probes = True
         self._news.set()
 
@@ -120,16 +122,19 @@ class TakeStream:
             await self._room.wait()
 
     def _grant(self, hosted: HostedQueue, taker: TakerState, credit: int) -> None:
-        """Give the taker credit. A request without credit is a sign of life. A draining taker gets no credit."""
+        """Add the credit that the taker grants. A request without credit is a sign of life.
+
+        Ignores the credit of a taker that drains. Raises InvalidArgument if the taker has more than CREDIT_MAX then.
+        """
         credit = 0 if self._drains else credit
         if taker.credit + credit > CREDIT_MAX:
             raise InvalidArgument(
-                f"the taker has {taker.credit} credit and gives {credit} more; at most {CREDIT_MAX} may be open"
+                f"the taker has a credit of {taker.credit} messages and grants {credit} more; the limit is {CREDIT_MAX}"
             )
         hosted.grant(taker, credit)
 
     async def _write_all(self, hosted: HostedQueue, taker: TakerState) -> None:
-        """Send batches, results and signs of life. Results that came during the last write go out together."""
+        """Send batches, results and signs of life. Results that came during one write go out in the next message."""
         await self._write(hosted, take_response(None, (), 0, incarnation=hosted.queue.incarnation))
         while not self._is_over(taker):
             if await self._wait_for_news():
