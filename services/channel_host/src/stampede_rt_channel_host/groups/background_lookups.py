@@ -11,14 +11,14 @@ from stampede_rt.errors import StampedeError
 
 logger = logging.getLogger(__name__)
 
-LOOKUPS_MAX = 1_000  # under way together
+LOOKUPS_MAX = 1_000  # the most questions at the same time
 PAUSE_SECONDS = 0.2  # between two questions about the same thing
 
 
 class BackgroundLookups:
-    """Background questions. A failed question is only logged. A question beyond the limit is dropped.
+    """The questions to the directory that are under way. If a question fails, the host only logs the failure.
 
-    The caller must remember what it wants to know, and ask again until it has the answer.
+    Drops a question beyond LOOKUPS_MAX. So the caller must remember its question, and ask again until the answer comes.
     """
 
     def __init__(self) -> None:
@@ -26,9 +26,10 @@ class BackgroundLookups:
         self._closed = False
 
     def ask(self, about: bytes | None, work: Coroutine[Any, Any, None]) -> None:
-        """Do `work`, unless a question about this thing is under way or ended less than PAUSE_SECONDS ago.
+        """Run `work`, the question about the thing `about`, in a task. Does not wait.
 
-        `about`: an id; None: a question that is not about one id.
+        Does nothing if a question about this thing is under way, or ended less than PAUSE_SECONDS ago. `about` None:
+        the question is not about one thing.
         """
         if self._closed or about in self._asked or len(self._asked) >= LOOKUPS_MAX:
             work.close()

@@ -1,7 +1,7 @@
 """One subscription to cut events at one host (paper, section 3.3, Figure 7; decision 0011).
 
-The deciding host ends each event with a boundary. The reader passes the boundary to the other hosts. Each of
-them waits until its own cut has reached the boundary, and answers with the items of its own channels.
+One host decides when an event is due. It ends each event with a boundary. The reader passes the boundary to the other
+hosts. Each of them waits until its own cut has reached the boundary, and answers with the items of its own channels.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from stampede_rt_runtime.access.control import check_access
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context
 
-BOUNDARIES_MAX = 256  # that the host has received and not answered yet
+BOUNDARIES_MAX = 256  # the most boundaries that the host has received and not answered yet
 _TIMER_SECONDS_MIN = 0.0001
 
 
 class _Followed:
-    """One of this host's members: the channel, and the subscription's place in it."""
+    """A member at this host: the channel, and the subscription's place in the channel."""
 
     def __init__(self, hosted: HostedChannel, follower: CutFollower) -> None:
         self.hosted = hosted
@@ -62,16 +62,16 @@ class CutEvents:
         # the reader's cursors of channels that this host does not follow yet
         self._kept: dict[bytes, pb.ChannelCursor] = {}
         self._boundaries: deque[Boundary] = deque()  # received and not answered yet
-        self._credit = Credit(self._waiter.wake)  # for events, if this host decides
+        self._credit = Credit(self._waiter.wake)  # in events; not used if another host decides
         self._room = asyncio.Event()  # there is room for another boundary
         self._cut: int | None = None  # of the last event
 
     async def run(self) -> None:
         """Serve until the stream ends, or until the reader has closed its side and has got all that it asked for.
 
-        Raises InvalidArgument, GROUP_NOT_FOUND, IncarnationLost if the group began anew, Unavailable if the cut does
-        not come or other members are in the group, StaleBinding if a member has left the host, and Overloaded if the
-        reader is too slow.
+        Raises InvalidArgument, GROUP_NOT_FOUND, IncarnationLost if the group began anew, Unavailable if this host does
+        not learn the cut in time or if the group has other members now, StaleBinding if a member has left the host, and
+        Overloaded if the reader is too slow.
         """
         request = await self._context.read()
         if not isinstance(request, pb.SubscribeCutsRequest) or not request.HasField("open"):
@@ -208,7 +208,7 @@ class CutEvents:
         return self._credit.is_final and not self._boundaries and (decider is None or self._credit.left <= 0)
 
     def _decided(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
-        """The due event, if the reader has credit. Cuts that come while it has none become one event."""
+        """The boundary of the event that is due. None without credit: the cuts that come meanwhile make one event."""
         now = self._groups.channels.now()
         decider.note(group.cut.cut, now)
         if decider.wake_at() is None or self._credit.left <= 0:
@@ -216,7 +216,7 @@ class CutEvents:
         return decider.due(group.members(), now)
 
     def _handed(self, group: HostedGroup) -> Boundary | None:
-        """The next boundary, once this host's cut has reached it. A boundary from the reader does not raise the cut."""
+        """The next boundary from the reader, once this host's cut has reached it. The boundary itself raises no cut."""
         if not self._boundaries or not group.has_reached(self._boundaries[0].cut):
             return None
         self._room.set()
@@ -260,7 +260,7 @@ class CutEvents:
 
 
 def loss_message(loss: Loss) -> pb.CutLoss:
-    """The loss as the reader gets it. Its end is the last possible time if an overlap puts it later."""
+    """The message of a loss. Its `before` is at most the greatest instant, even if an overlap puts it later."""
     return pb.CutLoss(
         before_unix_nano=clamp(loss.before),
         items=loss.items if loss.is_exact else None,

@@ -59,7 +59,7 @@ class Exchange:
         self._waiting_floors: Counter[bytes] = Counter()  # the number of floors in `_floors` of each host
 
     def share(self, group_id: bytes) -> None:
-        """Tell the links about which channels this host wants to hear, after a change of a group or of its owners.
+        """Tell the links which channels this host wants to hear about, after a change of the group or its owners.
 
         The duration of this call grows with the hosts and channels of this group, not with the number of groups.
         """
@@ -82,7 +82,7 @@ class Exchange:
                 self._names.pop(host_id, None)
 
     def look(self, group: HostedGroup) -> None:
-        """Confirm the group's cut if all hosts have reported their cuts. Then refresh the group in any case."""
+        """Refresh the group. If all its hosts have reported their cuts now, confirm the group's cut first."""
         group.unheard = {one for one in group.unheard if one not in self._fully_heard or not self.peers.is_linked(one)}
         if not group.unheard and not group.cut.is_confirmed:
             group.cut.confirm()
@@ -90,7 +90,7 @@ class Exchange:
         group.changed()
 
     def take_floors(self, group_id: bytes) -> dict[bytes, CutFloor]:
-        """Take out the floors of a group that other hosts have reported and that waited for the directory's answer."""
+        """Return the floors of a group that this host has kept until the directory's answer, by host. Forget them."""
         floors = self._floors.pop(group_id, {})
         self._waiting_floors -= Counter(floors.keys())
         return floors
@@ -156,7 +156,8 @@ class Exchange:
     def _merge(self, host_id: bytes, floor: CutFloor) -> bool:
         """Take in another host's floor. Returns True if this raised the cut.
 
-        Asks the directory about the group if it, or its version, is new here.
+        Asks the directory about the group if this host does not know the group in the incarnation or version of the
+        floor.
         """
         group = self._table.groups.get(floor.group_id)
         if group is None or group.record.incarnation != floor.incarnation:

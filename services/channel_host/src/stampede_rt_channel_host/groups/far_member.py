@@ -38,8 +38,8 @@ class FarMember:
         self.incarnation = 0
         self.is_followed = False
         self._since = since
-        self._cursor: channel_service_pb2.SubscriptionCursor | None = None
-        self._times = ChannelTimes(0, 0)
+        self._cursor: channel_service_pb2.SubscriptionCursor | None = None  # the last one received; None: none yet
+        self._times = ChannelTimes(0, 0)  # the newest item and the advance, by the messages of this subscription
 
     def has_passed(self, instant: int, lateness_nanos: int) -> bool:
         """Whether the member has passed the instant, judged only by the messages of this subscription.
@@ -76,7 +76,7 @@ class FarMember:
     def _request(self) -> channel_service_pb2.SubscribeRequest:
         """The request that opens the subscription: from `since` on, or after the items that came already.
 
-        It grants the greatest credit, so that credit never holds the items back.
+        The request grants so much credit that the host never has to wait for more.
         """
         opening = channel_service_pb2.SubscribeOpen(channel_id=self.channel_id, epoch=self.epoch, without_payloads=True)
         if self._cursor is None:
@@ -86,7 +86,10 @@ class FarMember:
         return channel_service_pb2.SubscribeRequest(open=opening, credit_bytes=CREDIT_MAX)
 
     def _begin_anew(self) -> None:
-        """Go on by time: the member's host was lost with its items, so the seqs from before mean nothing."""
+        """Forget all seqs and keys, and follow the member again from the time of its newest item.
+
+        The member's host was lost with its items, so the seqs of the former incarnation are not valid any more.
+        """
         self.track.forget_before(MAX_INSTANT)
         self._cursor = None
         self._since = self._since if self._times.newest is None else self._times.newest

@@ -1,7 +1,7 @@
 """Encodes the messages of GroupService that carry runs. Does not parse the stored bytes of a whole run.
 
-A protobuf message is the sequence of its fields, in any order. So encoded fields and hand-made fields together are a
-message.
+An encoded protobuf message is the sequence of its encoded fields, in any order. So this module joins fields that
+protobuf has encoded, and fields that it encodes itself, to one message.
 """
 
 from __future__ import annotations

@@ -12,9 +12,9 @@ CALL_SECONDS_MAX = 4.0
 
 
 class GroupDirectory:
-    """Each method waits for CALL_SECONDS_MAX at most.
+    """Asks the directory about groups.
 
-    It raises the error that the directory answers, or Unavailable.
+    Each method waits for CALL_SECONDS_MAX at most. It raises the error that the directory answers, or Unavailable.
     """
 
     def __init__(self, supernodes: Supernodes) -> None:

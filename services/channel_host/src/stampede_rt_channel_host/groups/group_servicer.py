@@ -23,7 +23,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
 SERVICE = "stampede_rt.v1.GroupService"
-# GetGroupStatus waits this long at most for silent hosts. Then it answers all the same, and names their members.
+# GetGroupStatus waits at most this long for silent hosts. Then it answers without them, and names their members.
 SETTLE_SECONDS = 1.0
 
 
@@ -39,7 +39,7 @@ class GroupServicer:
         self._streams = streams
 
     def add_to(self, server: grpc.aio.Server) -> None:
-        """Serve on `server`."""
+        """Add the methods of GroupService to `server`."""
         handlers: dict[str, grpc.RpcMethodHandler[Any, Any]] = {
             "ExchangeTimes": grpc.stream_stream_rpc_method_handler(
                 self.exchange_times,

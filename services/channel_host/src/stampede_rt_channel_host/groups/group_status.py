@@ -11,7 +11,7 @@ from stampede_rt_channel_host.groups.store import GroupStore
 
 
 def group_status(group: HostedGroup, groups: GroupStore) -> group_pb2.GroupStatus:
-    """The cut, the members that hold it back, and the times of each member."""
+    """The cut, the members that hold the cut back, and the times of each member."""
     now = groups.channels.now()
     return group_pb2.GroupStatus(
         record=group_message(group.record),

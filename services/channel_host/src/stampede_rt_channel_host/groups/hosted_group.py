@@ -96,7 +96,7 @@ class HostedGroup:
     def check_incarnation(self, incarnation: int) -> None:
         """Raises IncarnationLost if the group has begun anew since `incarnation`.
 
-        Readers check it, because the group ends many readers in pieces, some of them a moment after it began anew.
+        Readers call this before each read: a group that begins anew ends some of its readers only a moment later.
         """
         if self.record.incarnation != incarnation:
             raise began_anew(self.record)
@@ -104,8 +104,9 @@ class HostedGroup:
     def merge_floor(self, host_id: bytes, floor: CutFloor) -> bool:
         """Take in another host's floor, if it is plausible. Returns True if this raised the cut.
 
-        A floor is plausible if the host owns a member and items can have that time by now. A member accepts items and
-        advances up to its `max_future` ahead of its host's clock. A cut lies at most `max_lead` after them.
+        A floor is plausible if the host owns a member, and if the floor is not too far ahead of this host's clock. A
+        member accepts items and advances up to its `max_future` ahead of the clock. A cut lies at most `max_lead` after
+        them.
         """
         if host_id not in self._owner_ids or floor.incarnation != self.record.incarnation:
             return False
@@ -114,7 +115,7 @@ class HostedGroup:
         return self.cut.merge_floor(floor.cut)
 
     def horizon(self, cut: int | None = None) -> Horizon:
-        """The present horizon of the group, or the one at an earlier `cut`."""
+        """The present horizon of the group, or its horizon at an earlier `cut`."""
         if cut == NOTHING_VISIBLE:
             return Horizon(None, self.held_by)
         return Horizon(self.cut.cut if cut is None else cut, self.held_by)
@@ -128,12 +129,12 @@ class HostedGroup:
         return f"held back by {', '.join(names)}" if names else "because its members have not registered again yet"
 
     def waiting_on(self) -> list[bytes]:
-        """The members that hold the cut back. While hosts have not reported their cuts, the members at those hosts."""
+        """The members that hold the cut back. If hosts have not reported their cuts yet: the members at those hosts."""
         unreported = sorted(channel_id for channel_id, host_id in self.owners.items() if host_id in self.unheard)
         return unreported if unreported and not self.cut.is_confirmed else self.cut.waiting_on(self._now())
 
     def ownerless(self) -> list[bytes]:
-        """The members whose host has lost its lease. Nobody can put into them until they have another host."""
+        """The members whose host has lost its lease. Producers can put into them only after they get another host."""
         return [channel_id for channel_id, host_id in self.owners.items() if host_id not in self.targets]
 
     def name_of(self, channel_id: bytes) -> str:
@@ -145,7 +146,7 @@ class HostedGroup:
         return list(self.cut.members(self._now()))
 
     def changed(self) -> None:
-        """Refresh the cut after a change of a member or of its times, and wake the observers concerned."""
+        """Compute the cut again after a change of a member or of its times, and wake the observers concerned."""
         if self.cut.refresh(self._now()):
             self._on_moved(self.record.group_id)
         shown = self.cut.cut, self.cut.is_confirmed, self.generation
@@ -264,7 +265,7 @@ def began_anew(record: RecordedGroup) -> StampedeError:
 
 
 def other_incarnation(record: RecordedGroup) -> StampedeError:
-    """The error for a subscription that starts at a position of another incarnation of the group."""
+    """The error for a subscription that would start at a position of another incarnation of the group."""
     text = f"the position comes from another incarnation of group {record.name}, which began anew: {_WHY_ANEW}"
     return error_for("INCARNATION_LOST", f"{text}; subscribe from now on", {"group": record.name})
 

@@ -23,8 +23,8 @@ from stampede_rt_runtime.version import PROTOCOL_VERSION
 PACE_SECONDS = 0.005
 LINK_SIGN_OF_LIFE_SECONDS = 1.0  # a link without changes sends a sign of life this often
 BROKEN_AFTER_SECONDS = 5.0  # a link on which the other host is silent for so long ends
-ENTRIES_MAX = 1024  # channels, and also groups, of one message
-INTEREST_MAX = 4096  # channels that one host may want to hear of
+ENTRIES_MAX = 1024  # the most channels, and the most groups, in one message
+INTEREST_MAX = 4096  # the most channels of which one host may want to hear
 
 
 class LinkHandler(Protocol):
@@ -112,13 +112,13 @@ class HostLink:
         self._news.set()
 
     def report_times(self, channel_id: bytes) -> None:
-        """Tell the other host soon that a channel of this host has changed."""
+        """Send the times of a channel of this host soon, if the other host wants to hear of the channel."""
         if channel_id in self._wanted:
             self._times[channel_id] = None
             self._news.set()
 
     def report_floor(self, group_id: bytes) -> None:
-        """Tell the other host soon that a cut has moved here, in a group that both hosts have members of."""
+        """Send this host's cut of a group soon. Both hosts have members in the group."""
         self._floors[group_id] = None
         self._news.set()
 

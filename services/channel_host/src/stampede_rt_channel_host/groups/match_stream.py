@@ -126,7 +126,10 @@ class MatchStream:
             await self._send(about, found, group, hosted, without_payloads=request.without_payloads)
 
     def _tracks_of(self, group: HostedGroup, hosted: HostedChannel, since: int) -> dict[bytes, Track]:
-        """The tracks of all members but the matched channel: in this host's memory, or followed at their hosts."""
+        """Follow the present members of the group. Returns the tracks of all members but the matched channel.
+
+        A member at this host is read in memory. A member at another host is followed by a subscription (`FarMember`).
+        """
         members, matched = group.cut.definition.members, hosted.record.channel_id
         owned = {channel_id: self._groups.own(channel_id) for channel_id in members}
         near = {channel_id: own.hosted for channel_id, own in owned.items() if own is not None} | {matched: hosted}
@@ -152,7 +155,7 @@ class MatchStream:
         return far
 
     def _take(self, matcher: Matcher, group: HostedGroup, request: pb.SubscribeMatchesOpen) -> list[FoundMatch]:
-        """Take decided matches for about one message, within the credit."""
+        """Take the next decided matches: about one message, and about as many bytes as the credit allows."""
         now, credit = self._groups.channels.now(), min(self._credit.left, MESSAGE_BYTES_MAX)
 
         def has_passed(channel_id: bytes, instant: int) -> bool:

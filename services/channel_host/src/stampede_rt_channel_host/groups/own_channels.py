@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.group import OwnTimes, TimesBoard
 class OwnChannel:
     """Follows one channel as a `ChannelObserver`, and enters its times on the board.
 
-    Calls `on_change` after every put and advance, and `on_end` once, when the host serves the channel no more.
+    Calls `on_change` after every change of the channel, and `on_end` once, when the host serves the channel no more.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class OwnChannel:
         hosted.group_observers[self] = None
 
     def wake(self) -> None:
-        """Enter the new times after a put or an advance."""
+        """Enter the present times on the board after a change of the channel."""
         self._own.observe(self._now())
         self.enter_times()
         self._on_change(self.channel_id)

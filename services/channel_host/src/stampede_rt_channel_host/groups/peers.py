@@ -1,7 +1,7 @@
 """The other hosts that share groups with this one, and the links to them (paper, section 4.1).
 
-Of each pair, the host with the lower id opens the stream. While there is no stream, the host with the higher id knocks:
-it calls GetCut of a shared group at the other host. The other host then learns of the group and opens the stream.
+Of each pair, the host with the lower id opens the stream. While there is no stream, the host with the higher id calls
+GetCut of a shared group at the other host. The other host then learns of the group and opens the stream.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class PeerHost:
 
 
 class PeerHosts:
-    """Keeps a link to each other host. `lease_held` says whether this host may speak for its channels.
+    """Keeps a link to each host that shares a group with this one. `lease_held` says whether this host may serve.
 
     The links get the facts that they send from `handler`, and pass the facts that they receive to it.
     """
@@ -97,13 +97,13 @@ class PeerHosts:
         return peer.wanted if peer is not None else frozenset()
 
     def report_times(self, channel_id: bytes) -> None:
-        """Tell of a change of a channel of this host. Only hosts that want to hear about that channel get it."""
+        """Send the times of a channel of this host to the other hosts that want to hear about the channel."""
         for peer in self._peers.values():
             if peer.link is not None:
                 peer.link.report_times(channel_id)
 
     def report_floor(self, group_id: bytes) -> None:
-        """Tell the hosts that share the group that its cut has advanced."""
+        """Send this host's cut of a group to the other hosts that share the group."""
         for peer in self._peers.values():
             if peer.link is not None and group_id in peer.groups:
                 peer.link.report_floor(group_id)
@@ -146,10 +146,11 @@ class PeerHosts:
         await asyncio.gather(*tasks, return_exceptions=True)
 
     def _drop(self, peer: PeerHost) -> None:
-        """Stop keeping a link to a host that shares no group with this one any more.
+        """Keep the link to a host no longer, because it shares no group with this one any more.
 
-        If the other host opened the stream, that host decides how long the stream stays. Meanwhile this host remembers
-        the link. If it forgot the link and both shared a group again, neither host would open a stream.
+        If the other host opened the stream, that host decides how long the stream stays. Until then this host remembers
+        the link. Otherwise, if both shared a group again, this host would wait for a new stream, and the other host
+        would not open one.
         """
         peer.groups = set()
         self._want(peer, frozenset())
@@ -177,7 +178,7 @@ class PeerHosts:
                 del self._peers[link.host_id]
 
     async def _keep(self, peer: PeerHost) -> None:
-        """Keep a stream to the peer for as long as both share a group: open it, or knock so that the peer opens it."""
+        """Keep a stream to the peer for as long as both share a group: open the stream, or ask the peer to open it."""
         pause_s = PAUSE_SECONDS_MIN
         while True:  # paced; ends when the peer is dropped
             if peer.link is None and peer.target and self._lease_held():
@@ -212,6 +213,7 @@ class PeerHosts:
             await channel.close(None)
 
     async def _ask_for_link(self, peer: PeerHost) -> None:
+        """Call GetCut of a shared group, so that the peer learns of the group and opens the stream."""
         group_id = min(peer.groups, default=None)
         if group_id is None:
             return

@@ -35,7 +35,7 @@ from stampede_rt_channel_host.groups.waiting_gets import GroupGets, PendingAt
 from stampede_rt_runtime.access.control import check_access
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 
-STALL_SECONDS_MAX = 1.0  # the longest wait for the cut of a get that may not wait, or not so long
+STALL_SECONDS_MAX = 1.0  # a get may wait this long for the cut, even if its own limit is shorter
 SETTLE_SECONDS_MAX = 5.0  # the longest wait for the cut at the beginning of a subscription
 
 
@@ -80,7 +80,7 @@ class GroupReads:
     async def _get(
         self, group: HostedGroup, hosted: HostedChannel, at: int | None, query: Query, deadline_s: float | None
     ) -> GroupAnswer:
-        """Answer, or wait until the get is released."""
+        """Look for the answer. Without an answer, wait until the get is released or `deadline_s` has come."""
         if len(hosted.group_gets) >= WAITING_GETS_MAX:
             raise Overloaded(f"{WAITING_GETS_MAX} gets wait at the channel already, the limit; subscribe, or get later")
         channels, view = self._groups.channels, VisibleChannel(hosted.channel)
@@ -109,7 +109,7 @@ class GroupReads:
     async def subscribe(
         self, opening: pb.SubscribeOpen, hosted: HostedChannel, observer: ChangeObserver
     ) -> AsyncIterator[Cursor]:
-        """See `GroupAccess`. Raises Unavailable if other hosts do not tell their cuts."""
+        """See `GroupAccess`. Raises Unavailable if this host does not learn the cut in time."""
         group = await self._groups.find(opening.group_id)
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         member_of(group, hosted)
@@ -127,7 +127,7 @@ class GroupReads:
             self._groups.channels.scheduler.begin(cursor.emptying())
 
     def _check_served(self, hosted: HostedChannel) -> None:
-        """Check after a wait that the channel is still here. Raises StaleBinding."""
+        """Check after a wait that this host still serves the channel. Raises StaleBinding or Unavailable if not."""
         found = self._groups.channels.find(hosted.record.channel_id, hosted.epoch)
         if found is not hosted:
             raise refusals.wrong_epoch(hosted.record.name, hosted.epoch, found.epoch)
@@ -193,7 +193,7 @@ def _cursor(group: HostedGroup, hosted: HostedChannel, opening: pb.SubscribeOpen
 
 
 def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
-    """The channel, if it is a member of the group. Raises InvalidArgument."""
+    """Return the channel. Raises InvalidArgument if the channel is no member of the group."""
     if hosted.record.channel_id not in group.cut.definition.members:
         raise InvalidArgument(
             f"channel {hosted.record.name} is no member of group {group.record.name}; add it, or leave group_id out"
@@ -202,7 +202,7 @@ def member_of(group: HostedGroup, hosted: HostedChannel) -> HostedChannel:
 
 
 def _state(group: HostedGroup, hosted: HostedChannel) -> object:
-    """The state on which the answers to gets depend."""
+    """The facts on which the answers to gets depend. Equal values mean that a look gives the same answer as before."""
     return hosted.channel.next_seq, hosted.channel.advanced_to, group.cut.cut, group.generation
 
 

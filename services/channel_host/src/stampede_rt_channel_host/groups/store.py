@@ -62,14 +62,14 @@ class GroupStore:
         self.in_use = asyncio.Event()  # set once this host has learned a group
 
     def known(self, group_id: bytes) -> HostedGroup | None:
-        """The group, if this host has learned it."""
+        """The group, if this host knows it; else None. Notes that a request has named the group."""
         group = self._table.groups.get(group_id)
         if group is not None:
             group.named_s = _now_s()
         return group
 
     async def find(self, group_id: bytes, spec_version: int = 0) -> HostedGroup:
-        """The group. Asks the directory if the group or its version is new here.
+        """The group. Asks the directory if this host does not know the group, or knows a version below `spec_version`.
 
         Raises GROUP_NOT_FOUND, Overloaded, Unavailable.
         """
@@ -90,9 +90,9 @@ class GroupStore:
     async def keep(self) -> NoReturn:
         """Look up the groups in use from time to time.
 
-        Looks up changed groups, and groups with a silent host, sooner.
+        Looks up a group sooner if the group may have changed, or if one of its hosts is silent.
         """
-        while True:  # paced by the sleep in it
+        while True:  # paced by the sleep
             await asyncio.sleep(ROUND_SECONDS)
             self._learn_of(set())
             for part in batched(list(self._table.groups.items()), GROUPS_PER_LOOK):
@@ -145,15 +145,15 @@ class GroupStore:
                     self._stale(group.record.group_id)
 
     def _stale(self, group_id: bytes) -> None:
-        """Look up a group soon: in the next round at the latest, if the host knows it."""
+        """Look up a group in the background. If that fails and this host knows the group, `keep` looks it up again."""
         group = self._table.groups.get(group_id)
         if group is not None:
             group.is_stale = True
         self._lookups.ask(group_id, self._look_up(group_id, only_new=False))
 
     def _learn_of(self, channel_ids: set[bytes]) -> None:
-        """Look up groups of these channels: other hosts know groups, or versions of groups, that this host may not
-        know.
+        """Look up the groups of these channels in the background, because other hosts may know groups, or versions of
+        groups, that this host does not know.
         """
         self._to_learn |= channel_ids - self._table.own.keys()
         if self._to_learn:
@@ -180,7 +180,7 @@ class GroupStore:
         return since_s >= LOOK_UP_SECONDS or self._misses_a_host(group)
 
     def _misses_a_host(self, group: HostedGroup) -> bool:
-        """Whether a host is silent: it may be gone, and another host may own its channels."""
+        """Whether another host of the group is silent. That host may be gone, and its channels may have new owners."""
         others = {host_id for host_id in group.owners.values() if host_id != self._identity.host_id}
         return bool(group.unheard) or not all(self.exchange.peers.is_linked(one) for one in others)
 

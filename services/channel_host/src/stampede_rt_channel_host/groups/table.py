@@ -21,10 +21,10 @@ class HostedGroups:
         self.groups: dict[bytes, HostedGroup] = {}
         self.own: dict[bytes, OwnChannel] = {}
         self.idling: set[bytes] = set()
-        self._groups_of: dict[bytes, set[bytes]] = {}
+        self._groups_of: dict[bytes, set[bytes]] = {}  # by channel id: the ids of the channel's groups
 
     def ids_of(self, channel_id: bytes) -> set[bytes]:
-        """The ids of the groups that the channel is a member of, as far as is known here."""
+        """The ids of the groups that the channel is a member of, as far as this host knows."""
         return self._groups_of.get(channel_id, set())
 
     def groups_of(self, channel_id: bytes) -> Iterator[HostedGroup]:

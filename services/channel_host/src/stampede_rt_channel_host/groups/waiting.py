@@ -26,7 +26,10 @@ class Waiter(ChangeObserver):
         self._news.set()
 
     async def wait(self, timeout_s: float | None) -> bool:
-        """Wait for news. Returns True and forgets them, or False after `timeout_s`. Raises the error of `end`."""
+        """Wait until `wake` is called, or return True if that has happened since the last wait.
+
+        Returns False after `timeout_s`; None: no limit. Raises the error that `end` got.
+        """
         try:
             async with asyncio.timeout(timeout_s):
                 await self._news.wait()

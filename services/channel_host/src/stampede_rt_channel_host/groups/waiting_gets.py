@@ -32,7 +32,7 @@ Released = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer]
 class PendingAt(Pending):
     """A blocking get through a group.
 
-    `at`: the cut at which it reads, None: the present cut. `cut`: the cut at the last look for its answer.
+    `at`: the cut at which the get reads; None: the present cut. `cut`: the cut at the last look for its answer.
     """
 
     __slots__ = ("at", "cut")
@@ -66,8 +66,8 @@ class _GroupSnapshot:
 class GroupGets:
     """Observes the group and the channel while gets wait, as a `ChannelObserver`. Answers the gets, as a `Source`.
 
-    `check` raises if the channel is no member any more. `scheduler` does long work in pieces. `limits` ends the waits
-    of all gets of the host.
+    `check` raises InvalidArgument if the channel is no member any more. `scheduler` does long work in pieces. `limits`
+    ends the waits of all gets of the host.
     """
 
     def __init__(
@@ -102,10 +102,11 @@ class GroupGets:
         return waiting if isinstance(waiting, cls) else cls(group, hosted, now, check, scheduler, limits)
 
     async def wait(self, pending: PendingAt, wake: WakeAt, wait_nanos: int) -> tuple[Released, int | None]:
-        """Wait until the get, which was just polled, is released or its time is over.
+        """Wait until the get, which was just polled, is released or `wait_nanos` are over; below 0: without limit.
 
-        `wait_nanos` below 0: without limit. Returns the answer, or its beginning, and the cut at which it reads. Raises
-        Overloaded, the error that ends the group or the channel, and an error if the channel is no member any more.
+        `wake`: the result of that poll. Returns the answer, or the rest of the work on a long answer, and the cut at
+        which the get reads. Raises Overloaded if too many gets wait, the error that ends the group or the channel, and
+        the error of `check`.
         """
         released: asyncio.Future[tuple[Released, int | None]] = asyncio.get_running_loop().create_future()
 

@@ -14,7 +14,7 @@ SIGN_OF_LIFE_SECONDS = 4.0  # of silence before a sign of life; the contract pro
 
 
 class EventWriter:
-    """Writes one stream. `what` says in error texts what the reader gets, such as "match"."""
+    """Writes the messages of one stream. `what` is the word for an event in error texts, such as "match"."""
 
     def __init__(self, context: Context, what: str) -> None:
         self._context = context
@@ -28,7 +28,7 @@ class EventWriter:
         return self._written_s + SIGN_OF_LIFE_SECONDS - _now_s()
 
     async def turn(self) -> None:
-        """Return when it is the caller's turn. Call this before the work for the next message."""
+        """Wait until the caller has its turn on the event loop. Call this before the work for the next message."""
         if self._work.must_wait:
             await self._work.turn()
 
