@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import stampede_rt as st
+from stampede_rt.pacing.crediting import WINDOW_BYTES_MAX
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.surfaces import Surface, connected, take
 
@@ -69,7 +70,7 @@ async def test_what_is_under_way_to_a_reader_that_stops_is_bounded(surface: Surf
             found += await take(items, 1)
         before_gap = [item.payload[0] for item in found[:-4]]
         assert before_gap == list(range(len(before_gap)))
-        assert len(before_gap) * size <= 2**20
+        assert len(before_gap) * size <= WINDOW_BYTES_MAX
         assert items.dropped == ITEMS - len(found)
 
 

@@ -30,7 +30,7 @@ class Subscription(BoundToProcess):
     """An iterator over items (see `Channel.subscribe`), and a context manager.
 
     Each step blocks until the next item. In mode "newest" the host sends one item for each step, the newest at that
-    moment. In mode "all" it sends ahead as much as the reader takes in a tenth of a second, and at most 1 MiB.
+    moment. In mode "all" it sends ahead as much as the reader takes in a tenth of a second, and at most 2 MiB.
 
     `skipped` counts items that mode "newest" left out. `dropped` counts items that retention collected before a slow
     reader took them. Any thread may call `close`, which ends the iteration. A step raises ChannelNotFound once the

@@ -5,7 +5,7 @@ from __future__ import annotations
 ITEM_OVERHEAD_BYTES = 64
 """The bytes that a client counts for each item besides its payload."""
 
-WINDOW_BYTES_MAX = 2**20
+WINDOW_BYTES_MAX = 2**21  # while the reader takes one message of 1 MiB, the host can send the next one
 WINDOW_AGE_S = 0.1
 ONE_ITEM = 1
 """The window of one byte. With it the host may send one item of any size."""

@@ -1,4 +1,4 @@
-"""Fills item runs and messages on the producer's side. Pure except for the encoding of a finished run."""
+"""Fills item runs and requests on the producer's side. Pure except for the encoding of a finished run."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from stampede_rt.pacing.crediting import ITEM_OVERHEAD_BYTES
 from stampede_rt.values.model import ABSENT
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
-from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
+from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 from stampede_rt.wire.runs import RUN_BYTES_MAX, run_parts
 
-_FRAMING_BYTES = 32  # of a run in a message, at most
-MESSAGE_RUNS_MAX = 16  # the host judges the runs of a message in one step, in about a millisecond
+_FRAMING_BYTES = 32  # of a run in a request, at most
+REQUEST_RUNS_MAX = 16  # the host judges the runs of a request in one step, in about a millisecond
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +29,8 @@ class NumberedRun:
     encoded: Sequence[bytes]
 
     @property
-    def message_bytes(self) -> int:
-        """The bytes of the run in a message, at most."""
+    def request_bytes(self) -> int:
+        """The bytes of the run in a request, at most."""
         return sum(map(len, self.encoded)) + _FRAMING_BYTES
 
 
@@ -101,7 +101,7 @@ class RunBuilder:
 class UnackedRuns:
     """The finished runs of a producer that the host has not acknowledged: first the sent ones, then the gathered ones.
 
-    While sent runs wait for their acks, the next ones gather, up to a full message. `length_bytes` counts payloads, and
+    While sent runs wait for their acks, the next ones gather, up to a full request. `length_bytes` counts payloads, and
     64 bytes for each item.
     """
 
@@ -119,11 +119,11 @@ class UnackedRuns:
         return not self._sent
 
     def add(self, run: NumberedRun) -> list[list[NumberedRun]]:
-        """Add a run. Returns the messages to send now: full ones, and all if no sent run waits for its ack."""
+        """Add a run. Returns the requests to send now: full ones, and all if no sent run waits for its ack."""
         self.length_bytes += run.length_bytes + run.items * ITEM_OVERHEAD_BYTES
-        *full, self._gathered = in_messages((*self._gathered, run))
-        self._sent.extend(one for message in full for one in message)
-        if self.is_idle or len(self._gathered) == MESSAGE_RUNS_MAX:
+        *full, self._gathered = in_requests((*self._gathered, run))
+        self._sent.extend(one for request in full for one in request)
+        if self.is_idle or len(self._gathered) == REQUEST_RUNS_MAX:
             full.append(self.take_gathered())
         return full
 
@@ -134,9 +134,9 @@ class UnackedRuns:
         return runs
 
     def resend(self) -> Iterable[list[NumberedRun]]:
-        """Return all runs in messages, for a new stream. They count as sent."""
+        """Return all runs in requests, for a new stream. They count as sent."""
         self.take_gathered()
-        return in_messages(self._sent)
+        return in_requests(self._sent)
 
     def acknowledge(self) -> NumberedRun:
         """Remove and return the run that was sent first."""
@@ -145,13 +145,13 @@ class UnackedRuns:
         return run
 
 
-def in_messages(runs: Iterable[NumberedRun]) -> Iterator[list[NumberedRun]]:
-    """Yield the runs in their order, grouped so that each group fits into one message. A large run is alone."""
+def in_requests(runs: Iterable[NumberedRun]) -> Iterator[list[NumberedRun]]:
+    """Yield the runs in their order, grouped so that each group fits into one request. A large run is alone."""
     group: list[NumberedRun] = []
     group_bytes = 0
     for run in runs:
-        run_bytes = run.message_bytes
-        if group and (len(group) == MESSAGE_RUNS_MAX or group_bytes + run_bytes > MESSAGE_BYTES_MAX):
+        run_bytes = run.request_bytes
+        if group and (len(group) == REQUEST_RUNS_MAX or group_bytes + run_bytes > JOINED_BYTES_MAX):
             yield group
             group, group_bytes = [], 0
         group.append(run)

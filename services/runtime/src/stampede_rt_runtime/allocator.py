@@ -9,14 +9,21 @@ import threading
 from pathlib import Path
 
 # malloc.h
+_M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
 _M_ARENA_MAX = -8
 
-OWN_MAPPING_BYTES = 2**20
+OWN_MAPPING_BYTES = 2**21
 """A block of this size or more has a mapping of its own, which ends with the block.
 
 By default the threshold rises to 32 MiB when the first large blocks are freed. From then on large blocks lie among
-small ones, and freed memory stays in the process.
+small ones, and freed memory stays in the process. Usual messages have about 1 MiB at most, so they get no
+mapping. It would cost a page fault for each 4 KiB.
+"""
+KEPT_BYTES_MAX = 2**24
+"""The free memory at the end of an arena that stays in the process.
+
+With the usual 128 KiB each large message takes memory from the system and returns it, with a page fault for each 4 KiB.
 """
 ARENAS_MAX = 2
 """The most arenas of malloc. By default each allocating thread gets an arena of its own, which keeps its freed memory.
@@ -36,6 +43,7 @@ def give_back_memory() -> None:
         library = ctypes.CDLL(None)
         library.mallinfo2.restype = _Mallinfo2
         library.mallopt(_M_MMAP_THRESHOLD, OWN_MAPPING_BYTES)
+        library.mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES_MAX)
         library.mallopt(_M_ARENA_MAX, ARENAS_MAX)
         threading.Thread(target=_trim_now_and_then, args=(library,), name="allocator", daemon=True).start()
 

@@ -6,13 +6,14 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
-from stampede_rt_channel_host.channels.request_room import RequestRoom
+from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX, REQUEST_BYTES_MAX
+from stampede_rt_channel_host.channels.request_room import INCOMPLETE_BYTES_MAX, RequestRoom, RequestRooms
 
 
 class Uploads:
     """Requests that take room until they are told to end; `under_way` are those that got some, in order."""
 
-    def __init__(self, room: RequestRoom) -> None:
+    def __init__(self, room: RequestRoom | RequestRooms) -> None:
         self.room = room
         self.under_way: list[str] = []
         self._tasks: dict[str, asyncio.Task[None]] = {}
@@ -41,9 +42,9 @@ async def turns() -> None:
 
 
 @asynccontextmanager
-async def uploads() -> AsyncIterator[Uploads]:
-    """Into room for 100 bytes, of which one caller gets 50."""
-    found = Uploads(RequestRoom(100, 50))
+async def uploads(room: RequestRoom | RequestRooms | None = None) -> AsyncIterator[Uploads]:
+    """Into room for 100 bytes, of which one caller gets 50, if no other room is given."""
+    found = Uploads(room or RequestRoom(100, 50))
     try:
         yield found
     finally:
@@ -90,3 +91,14 @@ async def test_a_request_that_goes_in_the_moment_in_which_it_gets_room_gives_it_
         await some.end("second")
         assert some.room.used_bytes == 0
         some._tasks.pop("first")
+
+
+async def test_large_requests_that_nobody_finishes_leave_room_for_those_in_which_producers_join_items() -> None:
+    async with uploads(RequestRooms()) as some:
+        for number in range(12):
+            await some.begin(f"large {number}", f"hostile {number % 3}", REQUEST_BYTES_MAX)
+        assert len(some.under_way) == 3, "as many as fit into one half"
+        for number in range(40):
+            await some.begin(f"joined {number}", "good", JOINED_BYTES_MAX)
+        assert len(some.under_way) == 3 + 32, "one caller gets half of the other half"
+        assert some.room.used_bytes <= INCOMPLETE_BYTES_MAX

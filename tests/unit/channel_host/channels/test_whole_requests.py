@@ -14,15 +14,15 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX, messages_of
 from stampede_rt_channel_host.channels import whole_requests
-from stampede_rt_channel_host.channels.request_room import RequestRoom
+from stampede_rt_channel_host.channels.request_room import RequestRooms
 from stampede_rt_channel_host.channels.whole_requests import WholeRequests
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota
 from tests.support.channel_host.rig import run_of, running_host
 
 
-def stream_of(messages: Iterable[bytes], account: Account | None = None) -> tuple[WholeRequests, RequestRoom]:
-    left, room = iter(messages), RequestRoom()
+def stream_of(messages: Iterable[bytes], account: Account | None = None) -> tuple[WholeRequests, RequestRooms]:
+    left, room = iter(messages), RequestRooms()
 
     async def read() -> Any:
         return next(left, EOF)
@@ -75,7 +75,7 @@ async def test_a_request_counts_as_bytes_in_flight_of_its_caller_and_more_than_i
 
 async def test_a_request_that_does_not_go_on_is_refused_and_frees_its_room(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(whole_requests, "JOIN_SECONDS_MIN", 0.05)
-    room, began = RequestRoom(), [piece(b"x", 100)]
+    room, began = RequestRooms(), [piece(b"x", 100)]
 
     async def read() -> Any:
         if began:

@@ -15,8 +15,8 @@ from stampede_rt.cluster.binding import Binding, BindingCache
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.model import ChannelInfo, Policy
-from stampede_rt.wire.batching import MESSAGE_RUNS_MAX
-from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
+from stampede_rt.wire.batching import REQUEST_RUNS_MAX
+from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, RunPart
 
@@ -257,49 +257,50 @@ def test_the_host_recognises_all_that_a_producer_may_send_again() -> None:
 async def test_runs_that_gather_while_one_waits_for_its_ack_go_out_together() -> None:
     place = Place()
     producer = producer_at(place)
-    for number in range(50):
+    for number in range(60):
         await producer.put(bytes(18_000), attributes={"n": str(number)})  # each is a run of its own
     sizes = [len(request.puts) for request in place.streams[0].sent[1:]]
     assert sizes[0] == 1, "the first item did not wait"
-    assert set(sizes[1:]) == {14}, "a message of 256 KiB has room for 14 items of 18 KB"
-    assert all(request.ByteSize() <= MESSAGE_BYTES_MAX for request in place.streams[0].sent)
+    assert set(sizes[1:]) == {REQUEST_RUNS_MAX}
+    assert all(request.ByteSize() <= JOINED_BYTES_MAX for request in place.streams[0].sent)
     sent = place.streams[0].numbers
     await place.streams[0].on_response(pb.PutResponse(acks=[accepted(number) for number in sent]))
     runs, items = [len(request.puts) for request in place.streams[0].sent], place.streams[0].items
     assert runs[-1] > 1, "the rest went out together once nothing was under way"
-    assert items == 50
+    assert items == 60
 
 
-async def test_large_items_are_gathered_up_to_the_size_of_a_message_and_larger_ones_go_alone() -> None:
+async def test_large_items_are_joined_up_to_a_mebibyte_and_larger_ones_go_alone() -> None:
     place = Place()
     producer = producer_at(place)
-    for size in [120_000] * 6 + [3 * MESSAGE_BYTES_MAX, 5]:
+    for size in [300_000] * 7 + [JOINED_BYTES_MAX, 5]:
         await producer.put(bytes(size))
     await producer._send_all()
-    assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, 2, 2, 1, 1, 1]
-    assert place.streams[0].items == 8
+    assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, 3, 3, 1, 1]
+    assert place.streams[0].items == 9
 
 
-async def test_medium_items_fill_a_run_which_fills_a_message() -> None:
+async def test_medium_items_fill_runs_which_fill_a_request() -> None:
     place = Place()
     producer = producer_at(place)
-    for _ in range(60):
+    for _ in range(180):
         await producer.put(bytes(18_000))
-    full = [request.puts[0].run for request in place.streams[0].sent[2:]]
-    assert {len(run.payload_length_bytes) for run in full} == {12}
-    assert all(request.ByteSize() <= MESSAGE_BYTES_MAX for request in place.streams[0].sent)
+    full = place.streams[0].sent[2:]
+    assert {len(request.puts) for request in full} == {4}
+    assert {len(put.run.payload_length_bytes) for request in full for put in request.puts} == {12}
+    assert all(request.ByteSize() <= JOINED_BYTES_MAX for request in full)
 
 
-async def test_a_message_has_a_bounded_number_of_runs() -> None:
+async def test_a_request_has_a_bounded_number_of_runs() -> None:
     place = Place()
     producer = producer_at(place)
     for number in range(60):
         await producer.put(b"x", attributes={"n": str(number)})
     await producer._send_all()
-    assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, *[MESSAGE_RUNS_MAX] * 3, 11]
+    assert [len(request.puts) for request in place.streams[0].sent[1:]] == [1, *[REQUEST_RUNS_MAX] * 3, 11]
 
 
-async def test_after_a_break_sent_and_gathered_runs_go_out_in_full_messages_in_their_order() -> None:
+async def test_after_a_break_sent_and_gathered_runs_go_out_in_full_requests_in_their_order() -> None:
     place = Place()
     producer = producer_at(place)
     for number in range(50):
@@ -307,6 +308,6 @@ async def test_after_a_break_sent_and_gathered_runs_go_out_in_full_messages_in_t
     await place.streams[0].on_end(st.Unavailable("broken"))
     await producer._send_all()
     runs = [len(request.puts) for request in place.streams[1].sent[1:]]
-    assert runs[:3] == [14, 14, 14]
+    assert runs[:3] == [REQUEST_RUNS_MAX] * 3
     assert place.streams[1].numbers == sorted(place.streams[1].numbers)
     assert place.streams[1].items == 50

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_channel_host.channels.request_room import RequestRoom
+from stampede_rt_channel_host.channels.request_room import RequestRooms
 from stampede_rt_runtime.overload import Overload
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import Quota
@@ -39,7 +39,7 @@ class MemoryBudget:
         self.used_bytes = 0
         self.bytes_max = bytes_max
         self.overload = Overload()
-        self.requests = RequestRoom()
+        self.requests = RequestRooms()
         self._reclaim = reclaim
         self._steady_nanos = steady_nanos
 

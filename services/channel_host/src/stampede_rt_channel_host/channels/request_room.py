@@ -5,11 +5,34 @@ from __future__ import annotations
 import asyncio
 from collections import Counter, deque
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import NamedTuple
+
+from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 
 INCOMPLETE_BYTES_MAX = 128 * 2**20
 CALLER_BYTES_MAX = INCOMPLETE_BYTES_MAX // 2
+
+
+class RequestRooms:
+    """The memory of a host for all incomplete requests. One caller gets at most half of it.
+
+    Requests up to JOINED_BYTES_MAX have one half, and larger ones have the other half. So producers that join small
+    items in a request do not wait behind large requests that nobody finishes.
+    """
+
+    def __init__(self) -> None:
+        self._joined, self._large = (RequestRoom(INCOMPLETE_BYTES_MAX // 2, CALLER_BYTES_MAX // 2) for _ in range(2))
+
+    @property
+    def used_bytes(self) -> int:
+        """The memory of the requests that have room."""
+        return self._joined.used_bytes + self._large.used_bytes
+
+    def taken(self, caller: str, wanted_bytes: int) -> AbstractAsyncContextManager[None]:
+        """Wait until there is room for one request, and keep it for the duration of the block."""
+        room = self._joined if wanted_bytes <= JOINED_BYTES_MAX else self._large
+        return room.taken(caller, wanted_bytes)
 
 
 class _WaitingRequest(NamedTuple):
@@ -21,13 +44,13 @@ class _WaitingRequest(NamedTuple):
 
 
 class RequestRoom:
-    """The memory of a host for requests that are not yet complete. One caller gets at most half of it.
+    """Memory for requests that are not yet complete. One caller gets at most `caller_bytes_max`.
 
-    Requests get room in the order in which they came. Only a request whose caller has used up its half waits longer,
+    Requests get room in the order in which they came. Only a request whose caller has used up its part waits longer,
     while later requests of other callers get room.
     """
 
-    def __init__(self, bytes_max: int = INCOMPLETE_BYTES_MAX, caller_bytes_max: int = CALLER_BYTES_MAX) -> None:
+    def __init__(self, bytes_max: int, caller_bytes_max: int) -> None:
         self.used_bytes = 0
         self._bytes_max, self._caller_bytes_max = bytes_max, caller_bytes_max
         self._of_callers: Counter[str] = Counter()

@@ -16,7 +16,7 @@ from grpc.aio import EOF
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument
 from stampede_rt.v1 import raw_run_pb2
 from stampede_rt.wire.request_pieces import PIECE_TAG, REQUEST_BYTES_MAX, Piece, piece_in
-from stampede_rt_channel_host.channels.request_room import RequestRoom
+from stampede_rt_channel_host.channels.request_room import RequestRooms
 from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import Quota
 
@@ -28,7 +28,7 @@ BYTES_PER_SECOND_MIN = 2**18
 class WholeRequests:
     """Reads whole requests from a stream of puts or enqueues."""
 
-    def __init__(self, read: Callable[[], Awaitable[Any]], room: RequestRoom, account: Account) -> None:
+    def __init__(self, read: Callable[[], Awaitable[Any]], room: RequestRooms, account: Account) -> None:
         self._read = read
         self._room = room
         self._account = account
