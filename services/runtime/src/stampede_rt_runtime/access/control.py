@@ -162,11 +162,11 @@ class AccessControl:
         account = self.accounts.of(None if for_members else subject_of(caller, context.peer()))
         call = OpenCall(self, caller, context, account)
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
-        async with self._resting_on(call):
+        async with self._until_rights_end(call):
             yield
 
     @contextlib.asynccontextmanager
-    async def _resting_on(self, call: OpenCall) -> AsyncIterator[None]:
+    async def _until_rights_end(self, call: OpenCall) -> AsyncIterator[None]:
         """A context in which the call ends when its caller's credential or rights end."""
         caller = call.caller
         if not (caller.is_judged or caller.may_end):

@@ -49,12 +49,12 @@ DEFAULTS: Mapping[Quota, int] = {
 }
 # The directory counts and refuses these.
 IN_DIRECTORY = frozenset({Quota.CHANNELS, Quota.QUEUES, Quota.GROUPS, Quota.PEERS})
-OF_MAKERS = IN_DIRECTORY | {Quota.BYTES_HELD}
+COUNTED_BY_CREATOR = IN_DIRECTORY | {Quota.BYTES_HELD}
 """These quotas count the things that a caller has created, wherever it calls from.
 
 Callers without a name of their own count together, by the kind of their proof.
 """
-# The names of callers whose proof has no name of its own. OF_MAKERS have no default limit for them.
+# The names of callers whose proof has no name of its own. COUNTED_BY_CREATOR have no default limit for them.
 SHARED_NAMES = frozenset({"@clients", "@cluster", "@anyone"})
 
 
@@ -120,7 +120,7 @@ class QuotaTable:
         """The limits of a caller."""
         limits = dict(defaults)
         if subject in SHARED_NAMES:
-            limits.update(dict.fromkeys(OF_MAKERS, LIMIT_MAX))
+            limits.update(dict.fromkeys(COUNTED_BY_CREATOR, LIMIT_MAX))
         for one in reversed(self._by_weight):  # reversed, so that the setting that holds comes last
             if matcher(one.who)(subject):
                 limits[one.quota] = one.limit
