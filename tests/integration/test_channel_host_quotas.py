@@ -16,7 +16,7 @@ from stampede_rt.v1 import channel_pb2, error_pb2, gatekeeper_service_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
 from stampede_rt_channel_host.channels import holders
-from stampede_rt_channel_host.core.channel import consumption
+from stampede_rt_channel_host.core.channel import consumer_places
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged
 from stampede_rt_runtime.access import control
@@ -209,7 +209,7 @@ async def test_much_work_of_one_caller_does_not_stand_before_the_puts_of_another
 async def test_a_caller_with_its_share_of_consumer_places_gets_no_further_one(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(consumption, "PLACES_OF_ONE_MAX", 1)
+    monkeypatch.setattr(consumer_places, "PLACES_OF_ONE_MAX", 1)
     monkeypatch.setattr(holders, "owner_name", lambda: "greedy")
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(consumers=3)))
     stub: Any = ChannelServiceStub(rig.connection)

@@ -8,7 +8,8 @@ import pytest
 
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces, seq_set
-from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS, RANGES_PER_LOOK_MAX, Consumers
+from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS
+from stampede_rt_channel_host.core.channel.consumption import RANGES_PER_LOOK_MAX, Consumers
 from stampede_rt_channel_host.core.channel.retention import CONSUMERS_CHECKED_MAX, SLICES_CONSUMED_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
@@ -106,7 +107,7 @@ def test_what_is_kept_of_a_consumer_is_bounded_by_what_is_held() -> None:
             channel.consume(1, [channel.next_seq - 1], CLOCK)
     _, retention = channel.look(CLOCK)
     assert retention.consumers is not None
-    done = retention.consumers._taken[1].done
+    done = retention.consumers.table._taken[1].done
     assert done is not None
     assert len(done.ranges) <= 150
 
@@ -118,8 +119,8 @@ def test_a_consumer_that_has_much_behind_a_gap_goes_on_behind_it_by_and_by() -> 
     _, retention = channel.look(CLOCK)
     assert retention.consumers is not None
     for seq in range(2, 4000, 2):
-        retention.consumers.let_go(seq, seq + 1)
-    place, below = retention.consumers._taken[1], []
+        retention.consumers.note_collected(seq, seq + 1)
+    place, below = retention.consumers.table._taken[1], []
     channel.consume(1, [1], CLOCK)
     while place.below < 4000:
         below.append(place.below)
@@ -131,8 +132,8 @@ def test_a_consumer_whose_many_ranges_have_all_gone_takes_them_in_by_and_by() ->
     """One consume after 200,000 such ranges took 228 ms."""
     consumers, end = Consumers(1), 40_001
     consumers.consume(1, range(2, end, 2), next_seq=end, newest_seq=None, clock=0, lease=LEASE_NANOS)
-    consumers.let_go(1, end)
-    done = consumers._taken[1].done
+    consumers.note_collected(1, end)
+    done = consumers.table._taken[1].done
     assert done is not None
     left = [done.range_count]
     while left[-1]:
@@ -145,13 +146,13 @@ def test_a_consumer_whose_many_ranges_have_all_gone_takes_them_in_by_and_by() ->
 def test_what_had_gone_before_the_first_consumers_is_taken_in_by_and_by() -> None:
     consumers, end = Consumers(1), 40_001
     for seq in range(2, end, 2):
-        consumers.let_go(seq, seq + 1)
-    seq, left = 1, [consumers._gone.range_count]
+        consumers.note_collected(seq, seq + 1)
+    seq, left = 1, [consumers._collected.range_count]
     while seq < end:
-        seq = consumers.let_go_some(seq, end, ranges_max=8)
-        left.append(consumers._gone.range_count)
+        seq = consumers.note_some_collected(seq, end, ranges_max=8)
+        left.append(consumers._collected.range_count)
     assert max(before - after for before, after in pairwise(left)) <= 2 * 8
-    assert consumers._gone.ranges == []
+    assert consumers._collected.ranges == []
 
 
 def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,14 +160,14 @@ def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypat
     channel = backwards(ITEMS, consumers=2)
     for consumer in (1, 2):
         channel.consume(consumer, [], CLOCK)
-    told, let_go = 0, Consumers.let_go
+    told, note_collected = 0, Consumers.note_collected
 
     def counting(self: Consumers, first: int, end: int) -> None:
         nonlocal told
         told += 1
-        let_go(self, first, end)
+        note_collected(self, first, end)
 
-    monkeypatch.setattr(Consumers, "let_go", counting)
+    monkeypatch.setattr(Consumers, "note_collected", counting)
     for first in range(2, ITEMS + 1, 4096):  # not the first item, which is the newest one
         seqs = range(first, min(first + 4096, ITEMS + 1))
         for consumer in (1, 2):

@@ -12,7 +12,7 @@ from stampede_rt_channel_host.core.channel import (
     LEASE_NANOS,
     SEQS_MAX,
     ChannelCore,
-    consumption,
+    consumer_places,
 )
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, get, put, seqs_of, times_of
 
@@ -390,7 +390,7 @@ def test_only_seqs_that_are_next_to_no_consumed_or_collected_ones_need_memory() 
 
 
 def test_one_caller_leaves_places_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(consumption, "PLACES_OF_ONE_MAX", 2)
+    monkeypatch.setattr(consumer_places, "PLACES_OF_ONE_MAX", 2)
     channel = three_items(consumers=5)
     for consumer in (1, 2):
         channel.consume(consumer, [], CLOCK, owner="greedy")

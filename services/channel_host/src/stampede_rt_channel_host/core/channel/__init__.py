@@ -25,16 +25,14 @@ offered again after every consume, too.
 """
 
 from stampede_rt_channel_host.core.channel.channel import ChannelCore
-from stampede_rt_channel_host.core.channel.consumption import (
+from stampede_rt_channel_host.core.channel.consumer_places import (
     CONSUMED_RANGE_BYTES,
     CONSUMER_BYTES,
     LEASE_NANOS,
-    LEASE_NANOS_MAX,
-    SEQS_MAX,
-    Consumed,
     ConsumerPlace,
     ConsumerStanding,
 )
+from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS_MAX, SEQS_MAX, Consumed
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import HeldThen, Moment

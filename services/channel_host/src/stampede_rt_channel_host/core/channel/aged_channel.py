@@ -106,7 +106,7 @@ class AgedChannel:
     def footprint_bytes(self) -> int:
         """The memory of the items (see `HeldItems.footprint_bytes`) and of the consumer places, as of the last call."""
         consumers = self._retention.consumers
-        return self._held.footprint_bytes + (0 if consumers is None else consumers.footprint_bytes)
+        return self._held.footprint_bytes + (0 if consumers is None else consumers.table.footprint_bytes)
 
     @property
     def freed_entries(self) -> int:

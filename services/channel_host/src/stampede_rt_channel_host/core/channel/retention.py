@@ -42,7 +42,7 @@ class Retention:
     def __init__(self, limits: ChannelLimits, held: Holdings) -> None:
         self._held = held
         self._has_more_to_age = self._owed_check_goes_on = self._has_more_consumed = False
-        # A key, and `Consumers.arrivals` when the key was noted. All consumers with a place at that moment have
+        # A key, and `PlaceTable.arrivals` when the key was noted. All consumers with a place at that moment have
         # consumed the items of the key's bucket that lie below the key.
         self._consumed_to: tuple[ItemKey, int] = FIRST_KEY, 0
         # `consumers` does not know yet which seqs from the first number up to the second, exclusive, are collected.
@@ -67,9 +67,9 @@ class Retention:
             self.consumers = Consumers(places)
             self._consumed_to = FIRST_KEY, 0
             self._unknown_from, self._unknown_to = 1, self._held.next_seq
-            self._held.tell(self.consumers.let_go)
+            self._held.tell(self.consumers.note_collected)
         else:
-            self.consumers.resize(places)
+            self.consumers.table.resize(places)
 
     def report_collected(self, slices_max: int) -> bool:
         """Tell the consumers of about `slices_max` collected slices. Returns True if more are left."""
@@ -81,7 +81,7 @@ class Retention:
         seq, end = self._unknown_from, self._unknown_to
         for _ in range(max(1, slices_max // 4) if seq < end else 0):
             first = held.seq_from(seq, end, ENTRIES_PER_LOOK)
-            seq = consumers.let_go_some(seq, first, ENTRIES_PER_LOOK)
+            seq = consumers.note_some_collected(seq, first, ENTRIES_PER_LOOK)
             if seq == first:
                 seq = held.held_up_to(first, end, ENTRIES_PER_LOOK)
             if seq >= end:
@@ -99,7 +99,7 @@ class Retention:
         if self.consumers is None:
             self.age_out(clock)
             return
-        self.consumers.expire(clock)
+        self.consumers.table.expire(clock)
         self.age_out(clock)
         while self.collect_consumed(clock) and self.age_out(clock):
             pass  # without the consumed items, the oldest bucket may end sooner, and so may now be too old
@@ -117,7 +117,7 @@ class Retention:
     def age_of_new(self) -> int | None:
         """The limit of age of an item that no consumer has consumed yet: max_age_unconsumed if a consumer is live."""
         longest = self.limits.max_age_unconsumed_nanos
-        owed = longest is not None and self.consumers is not None and self.consumers.live
+        owed = longest is not None and self.consumers is not None and self.consumers.table.live
         return longest if owed else self.limits.max_age_nanos
 
     def age_out(self, clock: int) -> bool:
@@ -172,18 +172,18 @@ class Retention:
         consumers = self.consumers
         assert consumers is not None, "limits that ask for it count consumption"
         self._owed_check_goes_on = False
-        if not consumers.live:
+        if not consumers.table.live:
             return None
         bucket, asked_before = self._bucket_from(start), consumers.looked_at
         known, arrivals = self._consumed_to
-        is_known = known[0] == bucket and arrivals == consumers.arrivals
+        is_known = known[0] == bucket and arrivals == consumers.table.arrivals
         for at, part in enumerate(self._held.slices(known if is_known else (bucket, 0), (end, 0))):
             asked = consumers.looked_at - asked_before
             if at >= SLICES_AGED_MAX or asked >= CONSUMERS_CHECKED_MAX:
                 return self._stop_owed_check(part.first_time, bucket)
             done = consumers.done_with(part)
             if part.run.times[part.lo + max(0, done - 1)] == bucket:
-                self._consumed_to = (bucket, part.first_seq + done), consumers.arrivals
+                self._consumed_to = (bucket, part.first_seq + done), consumers.table.arrivals
             if done < part.items:
                 return part.run.times[part.lo + done]
         return None
@@ -226,7 +226,7 @@ class Retention:
 
     def _lease_end(self) -> int | None:
         """The next end of a consumer's lease, or None if no lease keeps items."""
-        return None if self.consumers is None or not self._held.items else self.consumers.next_lease_end
+        return None if self.consumers is None or not self._held.items else self.consumers.table.next_lease_end
 
     def _or_lease_end(self, instant: int) -> int:
         end = self._lease_end()
@@ -241,9 +241,9 @@ class Retention:
         """
         self._has_more_consumed = False
         consumers, held = self.consumers, self._held
-        if consumers is None or self.limits.consumers is None or consumers.untaken or held.newest is None:
+        if consumers is None or self.limits.consumers is None or consumers.table.untaken or held.newest is None:
             return False
-        count = consumers.done_with if consumers.live else before(held.newest)
+        count = consumers.done_with if consumers.table.live else before(held.newest)
         bounded = _AtMost(SLICES_CONSUMED_MAX, count, consumers)
         front = held.front(bounded)
         self._has_more_consumed = bounded.held_back
@@ -258,7 +258,7 @@ class Retention:
         consumers = self.consumers
         if consumers is None or self.limits.consumers is None:
             return False
-        return not consumers.untaken and not consumers.live
+        return not consumers.table.untaken and not consumers.table.live
 
     def drop_excess(self, clock: int) -> None:
         """Collect the oldest items above max_items and max_bytes, if the policy is to drop them (on_full)."""
