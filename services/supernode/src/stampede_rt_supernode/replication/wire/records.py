@@ -86,7 +86,7 @@ def _configuration_message(configuration: Configuration) -> pb.RaftConfiguration
 
 def _configuration(message: pb.RaftConfiguration) -> Configuration:
     if not message.members or len(message.retired_ids) > RETIRED_MAX:
-        raise MalformedMessage("a configuration has no member, or too many retired ones")
+        raise MalformedMessage("a configuration names no member, or too many former members")
     members = decode_members(message.members)
     if not {member.member_id for member in members}.isdisjoint(message.retired_ids):
         raise MalformedMessage("a configuration names a member that was removed")
