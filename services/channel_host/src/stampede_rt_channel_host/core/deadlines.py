@@ -24,7 +24,7 @@ class Timed(Protocol):
 T = TypeVar("T", bound=Timed)
 
 
-Entry = tuple[int, int, T]
+Entry = tuple[int, int, T]  # the deadline, `order`, and the thing
 _MOVED_PER_ARM = 4  # the entries of the old heap that one `arm` looks at
 
 

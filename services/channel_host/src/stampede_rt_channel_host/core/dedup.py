@@ -23,13 +23,13 @@ PRODUCER_BYTES_MAX = 256 * 2**10
 
 RUN_BYTES = 48  # five numbers of 8 bytes, and the spare room of a growing array
 PRODUCER_BYTES = 400  # the memory of a producer without its runs, as measured
-_PART_BYTES = 200
+_PART_BYTES = 200  # a `RunPart`
 _REFUSAL_BYTES = 900  # an error, with a sentence of its own
 
 # The numbers of a run in the array: first number, items, first seq (0: see `odd`), time that the host gave the items
 # (_NO_STAMP: none), time of the record.
 _FIELDS = 5
-_NO_STAMP = -(2**63)
+_NO_STAMP = -(2**63)  # the host gave the items no time
 _SLACK_RUNS = 256  # up to so many forgotten runs stay in the array; then one step removes them
 
 
@@ -127,6 +127,7 @@ class _Producer:
         return self._columns[self._begin * _FIELDS + 4]
 
     def _forget_odd(self, first_number: int) -> None:
+        """Forget the outcome in `odd` of the run that begins with this number, if there is one."""
         known = self.odd.pop(first_number, None)
         self._odd_bytes -= 0 if known is None else _odd_bytes(known)
 
@@ -249,9 +250,11 @@ class RetryWindow:
 
 
 def _odd_bytes(outcome: Judged) -> int:
+    """About how many bytes an outcome takes that does not fit in the array."""
     texts = sum(len(one.error.message) + 100 * len(one.error.metadata) for one in outcome.refusals)
     return _PART_BYTES * (1 + len(outcome.parts)) + _REFUSAL_BYTES * len(outcome.refusals) + texts
 
 
 def _signed(number: int) -> int:
+    """The number as a signed integer of 64 bits, as arrays hold it."""
     return number - 2**64 if number >= 2**63 else number

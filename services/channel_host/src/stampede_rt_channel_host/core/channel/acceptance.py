@@ -17,6 +17,7 @@ from stampede_rt_channel_host.core.channel.retention import Retention
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, Run, make_run, pack
 from stampede_rt_channel_host.core.channel.values import Offer, PutOutcome, Rejection, Seal
 
+# the reasons of refusals that `Counters.rejected` counts
 REASONS = ("TOO_OLD", "IN_FUTURE", "ITEM_TOO_LARGE", "CHANNEL_FULL", "MALFORMED_RUN", "OVERLOADED")
 
 
@@ -106,6 +107,7 @@ class Acceptance:
         return bound is not None and bound <= low
 
     def _take_whole(self, offer: Offer, times: Sequence[int], stamp: int | None, clock: int, seal: Seal) -> PutOutcome:
+        """Store all items of the offer as one run."""
         first_seq = self._held.next_seq
         body = seal(first_seq, None, stamp)
         run = make_run(first_seq, times, offer.durations, offer.lengths, body)
@@ -156,6 +158,7 @@ class Acceptance:
         return self._too_old(time, duration, length, clock)
 
     def _too_old(self, time: int, duration: int, length: int, clock: int) -> TooOld | None:
+        """The error of an item that is too old, or None if the item is not."""
         why = self._below_promises(time) or self._outdated(time, duration, length, clock)
         if why is None:
             return None
@@ -167,6 +170,7 @@ class Acceptance:
         )
 
     def _below_promises(self, time: int) -> str | None:
+        """A text that names the advance or the collection that the item is too late for, or None."""
         if self.advance is not None and time < self.advance:
             return f"an advance has promised that nothing before {self.advance} comes"
         collected = self._held.newest_collected
@@ -198,6 +202,7 @@ class Acceptance:
 
 
 def _offset(time: int, clock: int) -> dict[str, str]:
+    """Metadata of errors: how far the item's time is ahead of the host's clock, and the clock."""
     return {"offset_nanos": str(time - clock), "host_time_unix_nano": str(clock)}
 
 
@@ -255,10 +260,12 @@ class _ItemByItem:
         return since if newest is None else max(since, newest + 1)
 
     def _has_room(self, time: int, length: int) -> bool:
+        """Whether the channel has room for the item, or makes room by dropping the oldest items."""
         limits = self._retention.limits
         return limits.drops_oldest or self._retention.has_room_as_if_put(time, length, self._clock)
 
     def _take(self, index: int, time: int, duration: int, length: int) -> None:
+        """Add an accepted item to the run, store it, and apply retention."""
         for column, value in zip(self._columns, (time, duration, length), strict=True):
             column.append(value)
         self._kept.append(index)
@@ -271,6 +278,7 @@ class _ItemByItem:
             self._retention.release_oldest(self._clock)
 
     def _finish(self, stamp: int | None, seal: Seal) -> Run | None:
+        """Turn the columns into arrays, and set the body of the run. Returns None if no item was accepted."""
         if not self._kept:
             return None
         run = self._run

@@ -151,6 +151,7 @@ class AgedChannel:
         return self._acceptance.advance
 
     def _tick(self, now: int) -> int:
+        """The host's clock for a call: `now`, or the latest `now` so far if it is later."""
         self._clock = now if self._clock is None else max(self._clock, now)
         return self._clock
 
@@ -166,6 +167,7 @@ class AgedChannel:
         return clock
 
     def _outdate(self, clock: int) -> None:
+        """Outdate the items that are too old or consumed."""
         self._puts_since_aging, self._aged_at = 0, clock
         if self._retention.consumers is None:
             self._retention.age_out(clock)

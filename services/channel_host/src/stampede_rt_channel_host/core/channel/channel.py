@@ -328,6 +328,7 @@ class ChannelCore(AgedChannel):
         self._reading.check_position(Position(0, None, saved.incarnation))
 
     def _resume_key(self, start: Bound | None, after: Position | None) -> ItemKey | None:
+        """The key of the position `after`. Raises an error if a subscription cannot begin there."""
         if after is None:
             return None
         self._reading.check_position(after)

@@ -15,6 +15,7 @@ from stampede_rt_channel_host.core.channel.span_ends import latest_end
 from stampede_rt_channel_host.core.channel.tally import Tally
 
 AGE, COUNT, BYTES, CONSUMPTION = "age", "count", "bytes", "consumption"
+"""The causes for which a channel collects items."""
 
 Cut = Callable[[bytes, int, int], bytes]
 """Takes a run's body and two positions. Returns the body of the items from the first position up to the second,

@@ -26,9 +26,8 @@ FREED_ENTRIES_MAX = 2048
 LIVE_SHARE_MIN = 4
 COPIED_BYTES_MIN = 4096
 COPIED_PARTS_MAX = 4
-"""The conditions under which a channel copies the few remaining items of a large run, and frees the run's body.
-
-The body has more than COPIED_BYTES_MIN bytes. At most one item in LIVE_SHARE_MIN is left. These items lie in at most
+"""A channel copies the few remaining items of a large run, and frees the run's body, under these conditions: The body
+has more than COPIED_BYTES_MIN bytes. At most one item in LIVE_SHARE_MIN is left. These items lie in at most
 COPIED_PARTS_MAX parts of the run.
 """
 
@@ -170,6 +169,7 @@ class Holdings(HeldItems):
         return Front(items, payload_bytes, last or self._last_of(whole), None)
 
     def _last_of(self, whole: Whole) -> Slice | None:
+        """The last slice in these blocks, or None if there are no blocks."""
         return next(self.slices_down(FIRST_KEY, whole.end), None) if whole.items else None
 
     def front_before(self, time: int) -> Front:
@@ -279,6 +279,7 @@ class Holdings(HeldItems):
         return self.has_backlog
 
     def _free_entry(self, floor: ItemKey) -> bool:
+        """Free the first entry if all its items are below `floor`. Returns whether it did."""
         entry = self.index.pop_below(floor)
         if entry is not None:
             self.freed_entries += 1

@@ -63,6 +63,7 @@ class IndexPart:
 
 
 Entry = IndexPart | OneRun
+"""One entry of the index. A run of one item is its own entry."""
 
 
 def index_of(entry: Entry, key: ItemKey) -> int:
@@ -116,6 +117,7 @@ class ChannelIndex:
             self._insert_ascending(run, at, at + 1)
 
     def _insert_ascending(self, run: Run, lo: int, hi: int) -> None:
+        """Add the items from position `lo` up to `hi`, whose times ascend. Split them where other entries begin."""
         while lo < hi:
             self._open(run.times[lo])
             next_entry = self._first_later(run.times[lo])
@@ -142,6 +144,7 @@ class ChannelIndex:
             self._split(entry, bisect_left(entry.run.times, time, entry.lo, entry.hi))
 
     def _split(self, entry: IndexPart, at: int) -> None:
+        """Split an entry into two, of which the second begins at position `at` of the run."""
         rest = IndexPart(entry.run, at, entry.hi)
         entry.hi = at
         self._add(rest)

@@ -15,7 +15,7 @@ DEFAULT_MAX_BYTES = 256 * 1024 * 1024
 DEFAULT_MAX_FUTURE_NANOS = 1_000_000_000
 ITEM_BYTES_MAX = 16 * 1024 * 1024
 CONSUMERS_MAX = 1024
-POLICIES_SHARED_MAX = 1024
+POLICIES_SHARED_MAX = 1024  # the most different policies whose limits are shared between channels
 
 DROP_OLDEST = "drop_oldest"
 BLOCK = "block"
@@ -87,6 +87,7 @@ class ChannelLimits:
 
 
 def _check(policy: Policy) -> None:
+    """Raises InvalidArgument if a value of the policy, or a combination of values, is not possible."""
     _check_range("max_age", policy.max_age_nanos, 1, MAX_INSTANT, "nanoseconds")
     _check_range("max_items", policy.max_items, 1, MAX_INSTANT, "items")
     _check_range("max_bytes", policy.max_bytes, ITEM_OVERHEAD_BYTES, MAX_INSTANT, "bytes (64 of them for each item)")

@@ -132,12 +132,14 @@ class Reading:
         return WakeAt(first_instant if self.now(clock) < first_instant else None)
 
     def _unresolved(self) -> ReadAnswer:
+        """The answer while a meta-time of the interval cannot be resolved."""
         return ReadAnswer(
             slices=(), next_time=None, interval=None, complete=False, truncated=False, more=False,
             reason=self._no_anchor(), incarnation=self._incarnation,
         )  # fmt: skip
 
     def _no_anchor(self) -> Reason:
+        """The reason why a meta-time cannot be resolved."""
         nothing = "the channel holds no items, so NEWEST and OLDEST have no time yet"
         if self._lost_before is not None:
             return Reason("LOST", f"{nothing}: {self._loss}")
@@ -161,6 +163,7 @@ class Reading:
         return frontier is not None and region.end + (not region.end_exclusive) <= frontier
 
     def _is_truncated(self, region: ResolvedInterval) -> bool:
+        """Whether items at the beginning of the region may be missing, because they were collected or lost."""
         gone_before = self._held.gone_before
         return self._reaches_into_loss(region) or (gone_before is not None and region.start < gone_before)
 
@@ -219,6 +222,7 @@ class Reading:
         return self._lost() if self._reaches_into_loss(region) else self._not_yet(query, region)
 
     def _not_yet(self, query: Query, region: ResolvedInterval) -> Reason:
+        """The reason while items of the region may still come."""
         if self._lost_before is not None and region.end + (not region.end_exclusive) <= self._lost_before:
             return self._lost()
         newest = self._held.newest
@@ -237,6 +241,7 @@ def _region(query: Query, within: ResolvedInterval) -> ResolvedInterval:
 
 
 def _from(region: ResolvedInterval, position: Position) -> ResolvedInterval:
+    """The part of the region from the position on."""
     if position.time < region.start:
         return region
     exclusive = position.seq is None or (region.start_exclusive and position.time == region.start)

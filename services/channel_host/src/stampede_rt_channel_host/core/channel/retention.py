@@ -331,6 +331,7 @@ class Retention:
         return min((one for one in instants if one is not None), default=None)
 
     def _due_as_if_put(self, time: int, own_end: int | None) -> int | None:
+        """The instant of the next collection or lease end if the channel had the item, or None."""
         held, age = self._held, self.age_of_new
         if self._nobody_holds and held.newest is not None and time > held.newest:
             return time

@@ -163,6 +163,7 @@ class _Taking:
         return walk(stretch.low, stretch.high)
 
     def _behind(self, part: Slice, stretch: _Stretch) -> _Stretch:
+        """The part of the stretch that a walk reaches after `part`."""
         if self._down:
             return stretch._replace(high=(part.first_time, part.first_seq))
         return stretch._replace(low=(part.last_time, part.end_seq))
@@ -182,6 +183,7 @@ class _Taking:
         return True
 
     def _close_part(self) -> None:
+        """Move the slices taken so far to `_parts`."""
         part, self._slices = self._slices, []
         if self._down:
             part.reverse()
@@ -195,6 +197,7 @@ class _Taking:
 
 
 def _stretches(held: Readable, match: Match, within: ResolvedInterval, now: int) -> list[_Stretch]:
+    """The stretches that together hold the matching items, in ascending order."""
     low = (within.start, SEQ_END if within.start_exclusive else 0)
     high = (within.end, 0 if within.end_exclusive else SEQ_END)
     if match is Match.START:

@@ -172,6 +172,7 @@ class CountedSeqs(SeqSet):
         return known + sum(self._blocks.get(block, 0) for block in range(low, high))
 
     def _walk(self, first: int, end: int) -> int:
+        """The number of seqs of the set from `first` up to `end`, by a walk over the ranges."""
         if first >= end:
             return 0
         parts = self.touching(first, end)

@@ -225,6 +225,7 @@ def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes:
 
 
 def _contiguous(held: Holdings, low: int, high: int) -> Iterator[Slice]:
+    """The held slices from the seq `low` on, up to the first missing seq."""
     for part in held.slices_by_seq(low, high):
         if part.first_seq > low:
             return
@@ -233,6 +234,7 @@ def _contiguous(held: Holdings, low: int, high: int) -> Iterator[Slice]:
 
 
 def _gap(limits: ChannelLimits, held: Holdings, first: int, last: int) -> Gap:
+    """The gap for the seqs from `first` to `last`, both inclusive."""
     policy = limits.describe(held.last_cause)
     detail = f"the reader was slower than the channel's retention: {policy} collected the items before they were sent"
     return Gap(first_seq=first, last_seq=last, items=last - first + 1, reason=Reason("COLLECTED", detail))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from stampede_rt_channel_host.core.channel.holdings import Holdings
 
 BEFORE_ALL, AFTER_ALL = FIRST_KEY[0], LAST_KEY[0]
+"""An instant before the times of all items, and one after them."""
 _BUCKET_PARTS_MAX = 16
 """If a bucket has more slices, `_bucket_end` does not look at its spans."""
 

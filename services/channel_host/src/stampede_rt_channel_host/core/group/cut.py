@@ -13,7 +13,7 @@ from stampede_rt_channel_host.core.group.times import ChannelTimes, Heard, Times
 MAX_LEAD_NANOS_DEFAULT = 5_000_000_000
 """The default of `GroupDefinition.max_lead_nanos`."""
 
-_BEFORE_ALL = -(1 << 64)
+_BEFORE_ALL = -(1 << 64)  # an instant before the cuts of all members
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -206,6 +206,7 @@ class GroupCut:
         return None
 
     def _own_cut(self, channel_id: bytes) -> int | None:
+        """The cut of one member alone, or None if it has none."""
         heard = self._board.find(channel_id)
         return None if heard is None else self._definition.cut_of(heard.times)
 

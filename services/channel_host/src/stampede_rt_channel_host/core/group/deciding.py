@@ -21,6 +21,7 @@ from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.group.cut import CutMember
 
 MAX_WAIT_NANOS_DEFAULT = 1_000_000_000
+"""How long an event waits for members that have not reached its cut, if the reader states no other time."""
 PENDING_MAX = 256
 """The most cuts without an event that a decider keeps."""
 
@@ -93,6 +94,7 @@ class EventDecider:
         return self._pending[0][1] + self._max_wait_nanos if self._pending else None
 
     def _is_due(self, cut: int, reached: int, members: list[CutMember], now: int) -> bool:
+        """Whether the event up to `cut` is due. The group reached the cut at `reached`."""
         if now >= reached + self._max_wait_nanos:
             return True
         return not any(self._is_behind(member, cut) and not member.is_idle for member in members)
@@ -111,6 +113,7 @@ class EventDecider:
         return min(known) if last is None or min(known) > last else decided
 
     def _is_behind(self, member: CutMember, cut: int) -> bool:
+        """Whether the member has not reached the cut."""
         come = self._come(member)
         return come is None or come < cut
 

@@ -205,6 +205,7 @@ class CutFollower:
         return DeliveredSlice(part, None if hidden else following)
 
     def _finish(self, held: Holdings) -> Loss | None:
+        """End the step. Returns the loss that it reports, or None."""
         first_seq = self._ledger.lowest_seq
         lost = self._ledger.mark_read(
             held,
@@ -236,6 +237,7 @@ def _reaches(held: Holdings, cut: int | None) -> bool:
 
 
 def _lost_with_host(channel: ChannelCore, cut: int | None) -> Loss:
+    """The loss of a reader whose cut is of an earlier incarnation."""
     before = max((one for one in (cut, channel.oldest) if one is not None), default=0)
     detail = "the channel's host was lost with items that the group had not shown"
     return Loss(before=before, items=0, is_exact=False, reason=Reason("LOST", detail), first_seq=1, last_seq=1)
@@ -250,6 +252,7 @@ def _joined(unreported: Loss, since: Loss | None) -> Loss:
 
 
 def _collected(channel: ChannelCore, held: Holdings, items: int, first_seq: int, *, is_exact: bool = True) -> Loss:
+    """The loss of `items` items that retention collected, from `first_seq` on."""
     gone = newest_gone(held)
     before = channel.newest if gone is None else gone
     return Loss(

@@ -73,6 +73,7 @@ class Ledger:
         return self._held_from
 
     def _remember(self, held: Holdings, low: ItemKey, next_seq: int) -> None:
+        """Note the state of the reader and of the channel as of this call."""
         self._low, self.next_seq = low, next_seq
         self._floor: ItemKey = held.floor
         self._consumed: int = held.collected[CONSUMPTION]

@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.group.ledger import Ledger
 from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided
 from stampede_rt_channel_host.core.group.tracks import Nearest, OwnTrack, Track
 
-CREDIT_UNLIMITED = LOOKS_UNLIMITED = 1 << 62
+CREDIT_UNLIMITED = LOOKS_UNLIMITED = 1 << 62  # limits that no `take` reaches
 OWN = b""
 """Stands for the matched channel itself, where other channels have their id."""
 
@@ -136,6 +136,7 @@ class Matcher:
         return taken
 
     def _can_decide(self, time: int, has_passed: Callable[[bytes, int], bool]) -> bool:
+        """Whether no item that comes later can change the match of an item at `time`."""
         others = all(has_passed(channel_id, clamp(time + self._tolerance)) for channel_id in self._tracks)
         return others and has_passed(OWN, time)
 
@@ -175,6 +176,7 @@ class Matcher:
             self._looks_left -= pairing.looks
 
     def _match(self, item: DeliveredSlice, found: Mapping[bytes, Nearest | None]) -> FoundMatch:
+        """Make the match of an item, and count it if a member has no partner."""
         matched = {member: near for member, near in found.items() if near is not None}
         missing = tuple(sorted(found.keys() - matched.keys()))
         self.unmatched += bool(missing)
@@ -182,12 +184,15 @@ class Matcher:
 
 
 def _behind(key: ItemKey | None) -> ItemKey:
+    """The first key after the item of `key`, or FIRST_KEY if `key` is None."""
     return FIRST_KEY if key is None else (key[0], key[1] + 1)
 
 
 def _end(newest: int | None, next_seq: int) -> ItemKey:
+    """A key above the keys of all present items."""
     return FIRST_KEY if newest is None else (newest, next_seq)
 
 
 def _ones(parts: Iterable[Slice]) -> Iterable[Slice]:
+    """The items of the slices, each as a slice of its own."""
     return (Slice(part.run, at, at + 1) for part in parts for at in range(part.lo, part.hi))

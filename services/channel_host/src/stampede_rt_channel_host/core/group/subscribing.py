@@ -196,12 +196,14 @@ class VisibleNewest:
         return True
 
     def _newest(self, horizon: Horizon, now: int) -> Slice | None:
+        """The newest visible item as a slice of one item, or None."""
         held, _ = self._channel.look(now)
         part = next(VisibleHoldings(held, horizon.cut).slices_down(), None)
         return None if part is None else Slice(part.run, part.hi - 1, part.hi)
 
 
 def _kept_cut(channel: ChannelCore, horizon: Horizon, now: int, saved: SavedCursor) -> int:
+    """The cut of a saved cursor. Raises InvalidArgument or IncarnationLost if the cursor does not fit the channel."""
     VisibleReading(channel, horizon, now).check_position(Position(0, None, saved.incarnation))
     if saved.cut is None:
         raise InvalidArgument("the cursor comes from a subscription without a group; leave the group out")
@@ -209,6 +211,7 @@ def _kept_cut(channel: ChannelCore, horizon: Horizon, now: int, saved: SavedCurs
 
 
 def _resume(channel: ChannelCore, horizon: Horizon, now: int, start: Bound | None, after: Position) -> tuple[int, int]:
+    """The time and seq of the position `after`. Raises an error if a subscription cannot begin there."""
     VisibleReading(channel, horizon, now).check_position(after)
     if start is not None:
         raise InvalidArgument("a subscription has both start and after; give start to begin, after to resume")

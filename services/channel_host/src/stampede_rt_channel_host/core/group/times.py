@@ -64,6 +64,7 @@ def _later(one: int | None, other: int | None) -> int | None:
 
 
 def _order(newest: tuple[int | None, int | None]) -> tuple[bool, int, bool, int]:
+    """A key that sorts pairs of `newest` and `newest_end`, of which both may be None."""
     time, end = newest
     return time is not None, time or 0, end is not None, end or 0
 
@@ -104,6 +105,7 @@ class OwnTimes:
         return ChannelTimes(epoch, self._channel.incarnation, self._newest, self._newest_end, self._advance)
 
     def _take(self, part: Slice) -> None:
+        """Take the newest time, and the latest end by duration there, from the items of a slice."""
         last = part.last_time
         if self._newest is not None and last < self._newest:
             return
@@ -194,5 +196,6 @@ class TimesBoard:
         self._heard.pop(channel_id, None)
 
     def _merged(self, held: Heard, reported: ChannelTimes) -> ChannelTimes:
+        """The times joined with `reported`. Counts a setback if `reported` is of another incarnation."""
         self.setbacks += reported.incarnation != held.times.incarnation
         return held.times.merged(reported)

@@ -100,5 +100,9 @@ class FarTrack:
 
 
 def _nearer(time: int, earlier: int | None, later: int | None, tolerance: int) -> int | None:
+    """The nearer of two times, or None if both are farther from `time` than the tolerance.
+
+    Of two equally near times returns the earlier one.
+    """
     near = [one for one in (earlier, later) if one is not None and abs(one - time) <= tolerance]
     return min(near, key=lambda one: (abs(one - time), one), default=None)

@@ -126,6 +126,7 @@ class VisibleReading(Reading):
         return cut is not None and cut >= region.end + (not region.end_exclusive) and self._is_passed(region)
 
     def _is_passed(self, region: ResolvedInterval) -> bool:
+        """Whether an item, hidden or not, or an advance has passed the region's end."""
         marks = [mark for mark in (self._all.newest, self.advance, self.consumed_up_to) if mark is not None]
         return bool(marks) and max(marks) >= region.end + (not region.end_exclusive)
 
@@ -166,6 +167,7 @@ class VisibleReading(Reading):
         return bool(found) and (cut is None or found[0].last_time >= cut)
 
     def _hidden(self) -> Reason:
+        """The reason HIDDEN, with a text that names the cut and the members that hold it back."""
         cut = self._horizon.cut
         shown = "nothing is visible yet" if cut is None else f"its cut is at {format_instant(cut)}"
         return Reason("HIDDEN", f"the group hides it: {shown}, {self._horizon.held_by()}")

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 KEPT_NANOS = 600_000_000_000  # how long a queue remembers an acknowledgement
-_IDS_PER_CHUNK = 256
+_IDS_PER_CHUNK = 256  # a chunk holds the acknowledgements of so many consecutive delivery ids
 BYTES_PER_CHUNK = 16 * _IDS_PER_CHUNK
 CHUNKS_MAX = 2**14
 """A queue remembers at most 4 million deliveries, in 64 MiB.

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 
 from sortedcontainers import SortedDict
 
-_BITS = 10
+_BITS = 10  # a block has the numbers that differ only in so many lowest bits
 
 Thing = TypeVar("Thing")
 

@@ -99,9 +99,11 @@ class _Draft:
             self.slices.append(LeasedSlice(run, position, position + 1, [delivery[0]], [delivery[1]]))
 
     def _continues(self, run: QueuedRun, position: int) -> bool:
+        """Whether the message directly follows the last message of the batch in the same run."""
         return bool(self.slices) and self.slices[-1].run is run and self.slices[-1].hi == position
 
     def _cost(self, run: QueuedRun, position: int) -> int:
+        """The bytes on the wire by which the message makes the batch larger."""
         label = 0 if self._continues(run, position) else run.label_bytes
         return label + run.lengths[position] + DELIVERY_BYTES
 
@@ -179,6 +181,7 @@ class Dispatcher:
         return True
 
     def _give_next(self, taker: TakerState, draft: _Draft, now: int, expires: int) -> bool:
+        """Add the next message for the taker to the batch, and lease it. Returns False if no message fits."""
         queue_items = self._queue_items
         view = self._view(taker.taker_id) if queue_items.limits.copies > 1 else None
         item = view.next_for(taker.taker_id, queue_items) if view else queue_items.first_available()
@@ -195,6 +198,7 @@ class Dispatcher:
         return True
 
     def _view(self, taker_id: int) -> View:
+        """The view of a taker. Makes it if needed, and forgets the least recently used one above VIEWS_MAX."""
         view = self._views.get(taker_id)
         if view is None:
             view = self._views[taker_id] = View(self._queue_items.returns_logged)

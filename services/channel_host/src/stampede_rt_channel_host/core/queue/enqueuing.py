@@ -229,6 +229,7 @@ class Enqueuing:
             return True
 
     def _stand_in_line(self, run: Enqueue, now: int) -> None:
+        """Put the run at the end of the line. Raises Overloaded if too many runs wait."""
         too_much = self.waiting_bytes + run.charged_bytes > WAITING_BYTES_MAX
         if len(self._line) >= WAITING_RUNS_MAX or (self._line and too_much):
             raise Overloaded(
@@ -278,6 +279,7 @@ class Enqueuing:
         return True
 
     def _make_room(self, length: int) -> bool:
+        """Drop the oldest messages until there is room, if the policy says so. Returns whether there is room."""
         while not self._queue_items.has_room(length):
             if self._queue_items.limits.on_full != DROP_OLDEST:
                 return False
@@ -290,27 +292,32 @@ class Enqueuing:
         return True
 
     def _seal(self, run: Enqueue, taken: QueuedRun, positions: list[int], now: int) -> None:
+        """Give the accepted messages their seqs and their stored bytes."""
         stamped = run.judging.stamped_time if run.judging.accepted_any else now if run.is_stamped else None
         run.judging.accept(positions[0], taken.first_seq, len(positions), stamped)
         self._queue_items.set_body(taken, run.seal(taken.first_seq, positions, stamped))
 
     def _resolve(self, run: Enqueue, now: int) -> None:
+        """Set the outcome of a run whose messages are all judged, and remember it."""
         run.outcome = self._remember(run, now)
         if run.message_id and run.judging.accepted_any:
             self.message_ids.record(run.message_id, run.outcome.parts[0].first_seq, now)
 
     def _remember(self, run: Enqueue, now: int) -> Judged:
+        """Remember the run's outcome so far, so that a repetition of the run gets it or continues after it."""
         judged = run.judging.outcome(now)
         self.retries.record(run.producer_id, run.first_number, judged, run.owner)
         return judged
 
     def _refuse_rest(self, run: Enqueue, error: StampedeError, now: int) -> None:
+        """Refuse the messages of the run that are not judged yet."""
         while run.judging.judged_items < len(run.lengths):
             self._refuse(run, error)
             run.judging.judged_items += 1
         self._resolve(run, now)
 
     def _refuse(self, run: Enqueue, error: StampedeError) -> None:
+        """Refuse the next message of the run, and count the refusal."""
         if isinstance(error, ItemTooLarge):
             self._queue_items.tally.rejected_too_large += 1
         elif isinstance(error, QueueFull):

@@ -166,6 +166,7 @@ def _not_leaving(queue_items: QueueItems) -> Iterator[TouchedItem]:
 
 
 def _state(item: TouchedItem, leasing: Leasing, now: int) -> ItemState:
+    """A touched message as a value."""
     leases = [leasing.leases[delivery_id] for delivery_id in item.leases.values()]
     return ItemState(
         seq=item.seq,
@@ -184,6 +185,7 @@ def _lease_state(lease: Lease, now: int) -> LeaseState:
 
 
 def _enter(queue_items: QueueItems, leasing: Leasing, state: ItemState, now: int) -> None:
+    """Give a restored message its history."""
     item = queue_items.touched[state.seq]
     item.acknowledged = tuple(state.acknowledged)
     item.last = state.last

@@ -227,6 +227,7 @@ class Leasing:
         self._put_back(item)
 
     def _put_back(self, item: TouchedItem) -> None:
+        """Make a message whose lease has ended available to takers again, unless the queue holds it back."""
         self._queue_items.refresh(item)
         self._queue_items.log_return(item)
 
@@ -236,11 +237,13 @@ class Leasing:
             self._end(self.leases[delivery_id])
 
     def _end(self, lease: Lease) -> None:
+        """Remove a lease."""
         del self.leases[lease.order], lease.item.leases[lease.taker.taker_id]
         self._queue_items.leased -= not lease.item.leases
         self._deadlines.disarm(lease)
 
     def _stale(self, delivery_id: int) -> LeaseExpired:
+        """The error of a settlement of a delivery that the taker does not have any more."""
         return LeaseExpired(
             f"delivery {delivery_id} of {self._queue} is not leased to this taker now: its lease has ended, or "
             "it was settled; the message may have gone to another taker: settle sooner, extend, or lease for longer"

@@ -12,6 +12,7 @@ BLOCK, REJECT, DROP_OLDEST = "block", "reject", "drop_oldest"
 ITEM_OVERHEAD_BYTES = 64
 """The bytes that a message counts against max_bytes beside its payload."""
 ITEM_BYTES_MAX = 16 * 2**20
+"""The largest payload of a message in any queue."""
 _NUMBERS = ("max_items", "max_bytes", "max_item_bytes", "copies", "lease_nanos", "max_deliveries")
 LEASE_NANOS_MAX = 3_600_000_000_000
 """The longest lease that a taker may ask for."""

@@ -328,6 +328,7 @@ class QueueCore:
         return self._dispatcher.has_more or self._enqueuing.has_more
 
     def _tick(self, now: int) -> int:
+        """Advance the queue's clock, and do a bounded part of the due work. Returns the clock."""
         clock = self._clock = now if self._clock is None else max(self._clock, now)
         self._dispatcher.begin_call()
         due = self._check_again()
@@ -358,6 +359,7 @@ class QueueCore:
         return len(items)
 
     def _end_delay(self, clock: int) -> bool:
+        """Make a message available whose delay is over. Returns False if there is no such message."""
         item = self._queue_items.delays.pop(clock)
         if item is None:
             return False

@@ -83,6 +83,7 @@ class QueueItems:
         self._count_in(length)
 
     def _count_in(self, length: int) -> None:
+        """Count a new message."""
         self.next_seq += 1
         self.items += 1
         self.fresh_items += 1
@@ -229,6 +230,7 @@ class QueueItems:
         self._release(item.run, item.length)
 
     def _release(self, run: QueuedRun, length: int) -> None:
+        """Subtract a message that leaves the queue from all sums."""
         self.items -= 1
         self.payload_bytes -= length
         run.held -= 1
