@@ -40,6 +40,9 @@ class Lifted:
 
         return call
 
+    def __getitem__(self, name: str) -> Any:
+        return Lifted(self._wrapped[name], self._pool)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Lifted) and other._wrapped == self._wrapped
 

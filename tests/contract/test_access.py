@@ -255,6 +255,85 @@ async def test_an_open_stream_ends_when_the_rule_that_allows_it_goes(scene: Scen
             await waiting
 
 
+async def test_a_right_that_is_lost_for_one_channel_ends_the_waiting_get_of_that_channel_only(scene: Scene) -> None:
+    """All gets of a client share one stream, and the lost right ended it."""
+    for thing in ("a", "b"):
+        await scene.allow("read", "channel", thing)
+    await scene.allow("read", "group", "pair")
+    lost, kept = await scene.channel("a"), await scene.channel("b")
+    own = [await scene.own.channel(scene.name(thing)) for thing in ("a", "b")]
+    through = (await scene.group())[scene.name("a")]
+    waiting = [asyncio.ensure_future(one.newest(timeout=30)) for one in (lost, through, kept)]
+    async with asyncio.timeout(20):
+        while [(await one.stats()).waiting_gets for one in own] != [2, 1]:
+            pass  # each look is a round trip
+        await scene.forbid("read", "channel", "a")
+        for one in waiting[:2]:
+            with pytest.raises(st.PermissionDenied, match=f"may (not read|do nothing with) channel {scene.name('a')}"):
+                await one
+        await own[1].put(b"x")
+        assert (await waiting[2]).payload == b"x"
+        assert (await kept.newest()).payload == b"x"
+
+
+async def test_a_right_that_is_lost_for_a_group_ends_no_get_of_its_channels(scene: Scene) -> None:
+    await scene.allow("read", "channel", "*")
+    await scene.allow("read", "group", "pair")
+    channel, own = await scene.channel("a"), await scene.own.channel(scene.name("a"))
+    through = (await scene.group())[scene.name("a")]
+    waiting = [asyncio.ensure_future(one.newest(timeout=30)) for one in (through, channel)]
+    async with asyncio.timeout(20):
+        while (await own.stats()).waiting_gets < 2:
+            pass  # each look is a round trip
+        await scene.forbid("read", "group", "pair")
+        with pytest.raises(st.PermissionDenied, match=f"may (not read|do nothing with) group {scene.name('pair')}"):
+            await waiting[0]
+        await own.put(b"x")
+        assert (await waiting[1]).payload == b"x"
+
+
+async def test_a_right_that_is_lost_for_one_channel_fails_the_puts_of_that_channel_only(scene: Scene) -> None:
+    """All channels of a thread share one stream of puts, and the lost right ended it."""
+    for thing in ("a", "b"):
+        await scene.allow("put", "channel", thing)
+    lost, kept = await scene.channel("a"), await scene.channel("b")
+    going, done = True, 0
+
+    async def putting_on() -> None:
+        nonlocal done
+        while going:
+            await kept.put(b"x")
+            done += 1
+
+    await lost.put(b"x")
+    others = asyncio.ensure_future(putting_on())
+    await scene.forbid("put", "channel", "a")
+    async with asyncio.timeout(20):
+        with pytest.raises(st.PermissionDenied, match=f"may (not put|do nothing with) channel {scene.name('a')}"):
+            await lost.put(b"x")
+        going = False
+        await others
+    assert done
+
+
+@pytest.mark.parametrize("kind", ["channel", "queue"])
+async def test_a_put_that_waits_for_room_is_refused_when_its_caller_loses_the_right(scene: Scene, kind: str) -> None:
+    opens, verb = ("channel", "put") if kind == "channel" else ("queue", "send")
+    kept = {"max_age": "1h"} if kind == "channel" else {}
+    own = await getattr(scene.own, opens)(scene.name("full"), max_items=1, on_full="block", **kept)
+    await scene.allow(verb, kind, "full")
+    handle = await getattr(scene.rt, opens)(scene.name("full"), create=False)
+    await handle.put(b"1")
+    waiting = asyncio.ensure_future(handle.put(b"2", timeout=30))
+    async with asyncio.timeout(20):
+        while not (await own.stats()).waiting_puts:
+            pass  # each look is a round trip
+        await scene.forbid(verb, kind, "full")
+        with pytest.raises(st.PermissionDenied, match=f"may (not {verb}|do nothing with) {kind} {scene.name('full')}"):
+            await waiting
+        assert not (await own.stats()).waiting_puts
+
+
 # -- list ----------------------------------------------------------------------------------------------------------
 
 

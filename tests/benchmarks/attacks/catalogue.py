@@ -51,6 +51,7 @@ CASES: dict[str, Case] = {
     "large-gets": Case(neighbours.large_gets, "p50 2 s, the lease lost; 4.0 x without turns"),
     "many-subscriptions": Case(neighbours.many_subscriptions, "p50 572 ms; 32.1 x without turns"),
     "new-channels": Case(neighbours.new_channels, "98 % CPU, 3.7 KB kept for each", "supernode"),
+    "new-groups": Case(neighbours.new_groups, watched="supernode"),
     "new-queues": Case(neighbours.new_queues, watched="supernode"),
     "many-streams": Case(quotas.many_streams),
     "blocked-gets": Case(quotas.blocked_gets, "4.5 x without turns"),

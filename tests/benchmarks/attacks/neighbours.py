@@ -16,6 +16,7 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import (
     directory_service_pb2,
     group_directory_service_pb2,
+    group_pb2,
     group_service_pb2,
     peer_service_pb2,
 )
@@ -31,6 +32,7 @@ from tests.benchmarks.attacks.memory import MIB, NAME, STREAMS, everything, put_
 ITEMS, GETTERS = 50_000, 8
 SUBSCRIPTIONS, SUBSCRIPTIONS_OF_ONE_CONNECTION = 3000, 1000
 CREATORS = 16
+GROUP_MEMBERS = 64
 WATCHES = 2000
 
 
@@ -94,6 +96,30 @@ async def new_queues(ground: Ground, under_way: Callable[[], None]) -> None:
         for number in itertools.count():
             with suppress(st.StampedeError):
                 await rt.queue(f"{NAME}/{number}")
+
+
+async def new_groups(ground: Ground, under_way: Callable[[], None]) -> None:
+    """Groups of 64 channels are made and deleted as fast as 16 callers can."""
+    async with ground.connect() as rt:
+        ids = [(await rt.channel(f"{NAME}/{number}")).info.channel_id for number in range(GROUP_MEMBERS)]
+    under_way()
+    numbers = itertools.count()
+    await all_of(*(_make_groups(ground, numbers, ids) for _ in range(CREATORS)))
+
+
+async def _make_groups(ground: Ground, numbers: itertools.count[int], channel_ids: list[bytes]) -> None:
+    stub: Any = GroupDirectoryServiceStub(ground.channel(ground.supernode))  # type: ignore[no-untyped-call]
+    spec = group_pb2.GroupSpec(channel_ids=channel_ids)
+    for number in numbers:
+        request = group_directory_service_pb2.OpenGroupRequest(
+            request_id=secrets.token_bytes(16), name=f"{NAME}/{number}", spec=spec, create=True
+        )
+        with suppress(grpc.aio.AioRpcError):
+            made = await stub.OpenGroup(request, metadata=ground.metadata, timeout=10)
+            delete = group_directory_service_pb2.DeleteGroupRequest(
+                request_id=secrets.token_bytes(16), group_id=made.group.group_id
+            )
+            await stub.DeleteGroup(delete, metadata=ground.metadata, timeout=10)
 
 
 async def silent_watches(ground: Ground, under_way: Callable[[], None]) -> None:

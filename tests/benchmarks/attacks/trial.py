@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import resource
 import secrets
 import statistics
@@ -27,6 +28,7 @@ from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground
 
 MEMORY_BUDGET = "64MiB"
 FILES_SOFT = 1024
+ROUNDS_PER_CHANNEL = 20
 GOOD_CLIENTS, PERIOD_SECONDS, CALL_SECONDS = 2, 0.01, 10.0
 SAMPLE_SECONDS = 0.05
 LEASE_LOST = "the lease has ended"
@@ -199,9 +201,21 @@ async def _good_client(one: Field, good: Good) -> None:
     async with st.aio.connect(one.cluster.address, secret=await asyncio.to_thread(one.token, "good")) as rt:
         channel = await rt.channel(GOOD_CHANNEL)
         await _put_and_read(channel, Good())  # not counted, because it opens the connection to the host
-        while True:
+        asks = CASES[one.found.name].watched == "supernode"
+        for number in itertools.count(1):
             await _put_and_read(channel, good)
+            if asks and number % ROUNDS_PER_CHANNEL == 0:
+                await _make_and_delete(rt, good)
             await asyncio.sleep(PERIOD_SECONDS)
+
+
+async def _make_and_delete(rt: Any, good: Good) -> None:
+    """Make a channel and delete it, if the attack is on a supernode."""
+    good.calls += 2
+    try:
+        await (await rt.channel(f"{GOOD_CHANNEL}/{secrets.token_hex(8)}")).delete()
+    except st.StampedeError as error:
+        good.failures.append(str(error))
 
 
 async def _put_and_read(channel: Any, good: Good) -> None:

@@ -35,10 +35,16 @@ class Log:
         if founded:
             self.apply(begin_tenure(1))
 
-    def apply(self, operation: Operation, op_id: bytes | None = None, as_of_index: int = 0) -> Result:
+    def apply(self, operation: Operation, op_id: bytes | None = None, as_of_index: int = 0, caller: str = "") -> Result:
         self._index += 1
         op_id = op_id or id_of(10_000 + next(self._op_ids))
-        command = Command(op_id=op_id, time_unix_nano=self.time_unix_nano, operation=operation, as_of_index=as_of_index)
+        command = Command(
+            op_id=op_id,
+            time_unix_nano=self.time_unix_nano,
+            operation=operation,
+            as_of_index=as_of_index,
+            caller=caller,
+        )
         return self.directory.apply(self._index, command)
 
     def mark_time(self, tenure: int = 1) -> Result:

@@ -11,7 +11,7 @@ from typing import Any
 from stampede_rt._async.attempts import Locator, attempt
 from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
 from stampede_rt.cluster.binding import Binding
-from stampede_rt.errors import Full, PermissionDenied, Unavailable
+from stampede_rt.errors import Full
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s
 from stampede_rt.transports.grpc_async import PutExchange, ServerEndpoint
@@ -89,7 +89,6 @@ class Puts:
         """Put over a stream of this handle, or, if it `shares`, over one that all handles use."""
         seconds = wait.seconds or 0.0
         number, ends_s = numbers.next(), monotonic_s() + seconds
-        denied: list[PermissionDenied] = []
 
         async def put_at(binding: Binding) -> channel_pb.PutAck:
             left = Wait(max(ends_s - monotonic_s(), 0.0))  # a repeated put does not wait longer
@@ -100,13 +99,7 @@ class Puts:
             with self._session.put_streams.use(
                 owner, blocks_until_s, binding, lambda: self._open_stream(self._session.endpoints.to(binding.target))
             ) as stream:
-                try:
-                    ack = await stream.put(request, (left.seconds or 0.0) + CALL_TIMEOUT_S, stays=shares)
-                except PermissionDenied as error:  # the stream ended: the caller lost a right, maybe of another channel
-                    if denied or not shares:
-                        raise
-                    denied.append(error)
-                    raise Unavailable(f"{binding.target} ended the stream of puts: {error.message}") from error
+                ack = await stream.put(request, (left.seconds or 0.0) + CALL_TIMEOUT_S, stays=shares)
             return _accepted(ack)
 
         return await attempt(self._locator, put_at, seconds + CALL_TIMEOUT_S)

@@ -16,7 +16,7 @@ from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class DirectoryCommand(_message.Message):
-    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers", "mark_time", "raise_feature_level", "create_token_key", "add_access_rule", "remove_access_rule", "revoke_credential", "set_quotas", "remove_quotas", "as_of_index")
+    __slots__ = ("op_id", "time_unix_nano", "open_channel", "update_channel", "delete_channel", "register_host", "deregister_host", "expire_host", "begin_tenure", "open_group", "update_group", "delete_group", "add_replica", "remove_replica", "set_replica_in_sync", "open_queue", "update_queue", "delete_queue", "register_peer", "deregister_peer", "expire_peers", "mark_time", "raise_feature_level", "create_token_key", "add_access_rule", "remove_access_rule", "revoke_credential", "set_quotas", "remove_quotas", "as_of_index", "caller")
     OP_ID_FIELD_NUMBER: _ClassVar[int]
     TIME_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     OPEN_CHANNEL_FIELD_NUMBER: _ClassVar[int]
@@ -47,6 +47,7 @@ class DirectoryCommand(_message.Message):
     SET_QUOTAS_FIELD_NUMBER: _ClassVar[int]
     REMOVE_QUOTAS_FIELD_NUMBER: _ClassVar[int]
     AS_OF_INDEX_FIELD_NUMBER: _ClassVar[int]
+    CALLER_FIELD_NUMBER: _ClassVar[int]
     op_id: bytes
     time_unix_nano: int
     open_channel: OpenChannelCommand
@@ -77,7 +78,8 @@ class DirectoryCommand(_message.Message):
     set_quotas: SetQuotasCommand
     remove_quotas: RemoveQuotasCommand
     as_of_index: int
-    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., raise_feature_level: _Optional[_Union[RaiseFeatureLevelCommand, _Mapping]] = ..., create_token_key: _Optional[_Union[CreateTokenKeyCommand, _Mapping]] = ..., add_access_rule: _Optional[_Union[AddAccessRuleCommand, _Mapping]] = ..., remove_access_rule: _Optional[_Union[RemoveAccessRuleCommand, _Mapping]] = ..., revoke_credential: _Optional[_Union[RevokeCredentialCommand, _Mapping]] = ..., set_quotas: _Optional[_Union[SetQuotasCommand, _Mapping]] = ..., remove_quotas: _Optional[_Union[RemoveQuotasCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ...) -> None: ...
+    caller: str
+    def __init__(self, op_id: _Optional[bytes] = ..., time_unix_nano: _Optional[int] = ..., open_channel: _Optional[_Union[OpenChannelCommand, _Mapping]] = ..., update_channel: _Optional[_Union[UpdateChannelCommand, _Mapping]] = ..., delete_channel: _Optional[_Union[DeleteChannelCommand, _Mapping]] = ..., register_host: _Optional[_Union[RegisterHostCommand, _Mapping]] = ..., deregister_host: _Optional[_Union[DeregisterHostCommand, _Mapping]] = ..., expire_host: _Optional[_Union[ExpireHostCommand, _Mapping]] = ..., begin_tenure: _Optional[_Union[BeginTenureCommand, _Mapping]] = ..., open_group: _Optional[_Union[OpenGroupCommand, _Mapping]] = ..., update_group: _Optional[_Union[UpdateGroupCommand, _Mapping]] = ..., delete_group: _Optional[_Union[DeleteGroupCommand, _Mapping]] = ..., add_replica: _Optional[_Union[AddReplicaCommand, _Mapping]] = ..., remove_replica: _Optional[_Union[RemoveReplicaCommand, _Mapping]] = ..., set_replica_in_sync: _Optional[_Union[SetReplicaInSyncCommand, _Mapping]] = ..., open_queue: _Optional[_Union[OpenQueueCommand, _Mapping]] = ..., update_queue: _Optional[_Union[UpdateQueueCommand, _Mapping]] = ..., delete_queue: _Optional[_Union[DeleteQueueCommand, _Mapping]] = ..., register_peer: _Optional[_Union[RegisterPeerCommand, _Mapping]] = ..., deregister_peer: _Optional[_Union[DeregisterPeerCommand, _Mapping]] = ..., expire_peers: _Optional[_Union[ExpirePeersCommand, _Mapping]] = ..., mark_time: _Optional[_Union[MarkTimeCommand, _Mapping]] = ..., raise_feature_level: _Optional[_Union[RaiseFeatureLevelCommand, _Mapping]] = ..., create_token_key: _Optional[_Union[CreateTokenKeyCommand, _Mapping]] = ..., add_access_rule: _Optional[_Union[AddAccessRuleCommand, _Mapping]] = ..., remove_access_rule: _Optional[_Union[RemoveAccessRuleCommand, _Mapping]] = ..., revoke_credential: _Optional[_Union[RevokeCredentialCommand, _Mapping]] = ..., set_quotas: _Optional[_Union[SetQuotasCommand, _Mapping]] = ..., remove_quotas: _Optional[_Union[RemoveQuotasCommand, _Mapping]] = ..., as_of_index: _Optional[int] = ..., caller: _Optional[str] = ...) -> None: ...
 
 class RaiseFeatureLevelCommand(_message.Message):
     __slots__ = ("feature_level",)
@@ -702,16 +704,18 @@ class HostEntry(_message.Message):
     def __init__(self, record: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., registered_index: _Optional[int] = ...) -> None: ...
 
 class RememberedOperation(_message.Message):
-    __slots__ = ("op_id", "log_index", "subject", "result")
+    __slots__ = ("op_id", "log_index", "subject", "result", "caller")
     OP_ID_FIELD_NUMBER: _ClassVar[int]
     LOG_INDEX_FIELD_NUMBER: _ClassVar[int]
     SUBJECT_FIELD_NUMBER: _ClassVar[int]
     RESULT_FIELD_NUMBER: _ClassVar[int]
+    CALLER_FIELD_NUMBER: _ClassVar[int]
     op_id: bytes
     log_index: int
     subject: str
     result: DirectoryResult
-    def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ...) -> None: ...
+    caller: str
+    def __init__(self, op_id: _Optional[bytes] = ..., log_index: _Optional[int] = ..., subject: _Optional[str] = ..., result: _Optional[_Union[DirectoryResult, _Mapping]] = ..., caller: _Optional[str] = ...) -> None: ...
 
 class DirectorySnapshot(_message.Message):
     __slots__ = ("format_version", "applied_index", "tenure", "cluster_id", "hosts", "channels", "remembered_operations", "lease_ttl_nanos", "groups", "replicas", "queues", "peers", "time_marks", "former_cluster_ids", "digest", "feature_level", "join_key", "access_rules", "token_key", "access_version", "revoked_serials", "quotas")

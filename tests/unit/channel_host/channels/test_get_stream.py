@@ -45,6 +45,7 @@ async def test_gets_that_waited_for_room_are_looked_at_a_few_at_a_time_in_order(
     class HeldBack:
         def __init__(self, call_id: int) -> None:
             self.call_id, self.plan = call_id, SimpleNamespace(channel_id=b"", epoch=1)
+            self.hosted = SimpleNamespace(record=SimpleNamespace(name="a"))
 
         def poll(self, now: int) -> None:
             if not polled:

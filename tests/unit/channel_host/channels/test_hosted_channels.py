@@ -19,10 +19,12 @@ from stampede_rt_channel_host.core.channel import CONSUMED_RANGE_BYTES, LEASE_NA
 from tests.support.clock import ManualClock
 
 
-def full_channel(items: int) -> tuple[HostedChannel, MemoryBudget, ManualClock]:
-    """A channel with one consumer whose items are all that its host may hold."""
-    clock, memory = ManualClock(), MemoryBudget(2**40)
-    policy = Policy(max_age_nanos=10**12, consumers=1)
+def full_channel(
+    items: int, bytes_max: int = 2**40, consumers: int = 1
+) -> tuple[HostedChannel, MemoryBudget, ManualClock]:
+    """A channel whose items are all that its host may hold."""
+    clock, memory = ManualClock(), MemoryBudget(bytes_max)
+    policy = Policy(max_age_nanos=10**12, consumers=consumers)
     record = channel_pb2.ChannelRecord(name="a", epoch=1, incarnation=5, spec=policy_to_spec(policy))
     channel = HostedChannel(recorded_channel(record), memory, clock.time_unix_nano, lambda _: None)
     for number in range(items // 256):
@@ -54,3 +56,36 @@ def test_a_consumer_that_consumes_in_order_goes_on_although_the_memory_is_used_u
     channel.consume(7, range(1, 4097), LEASE_NANOS)
     channel.collect(clock.time_unix_nano())
     assert channel.channel.counters(clock.time_unix_nano()).held == 0
+
+
+def test_the_consumption_of_one_caller_leaves_memory_for_the_consumption_of_others() -> None:
+    """One caller that consumed every second item could use up the spare memory of the host, for all channels."""
+    channel, memory, clock = full_channel(4096, bytes_max=2**22, consumers=2)
+    memory.bytes_max = 2**40  # only shares refuse
+    share = 2**22 // (2 * CONSUMPTION_SHARE)
+    parts = iter([range(first, first + 64, 2) for first in range(2, 4096, 64)])
+    with pytest.raises(Overloaded, match=f"greedy has consumed out of order takes .* of at most {share}"):
+        deque((channel.consume(7, part, LEASE_NANOS, "greedy") for part in parts), 0)
+    assert 0.8 * share < channel.channel.consumption_bytes_of("greedy") <= share
+    channel.consume(7, [1], LEASE_NANOS, "greedy")  # in order
+    channel.consume(8, range(2, 64, 2), LEASE_NANOS, "good")
+    clock.advance(LEASE_NANOS + 1)
+    channel.collect(clock.time_unix_nano())
+    channel.consume(8, range(2, 128, 2), LEASE_NANOS, "greedy")  # its first lease has ended, and holds nothing
+
+
+def test_memory_for_consumption_counts_for_the_present_owner_of_a_place() -> None:
+    channel, memory, clock = full_channel(256, consumers=2)
+    memory.bytes_max = 2**40
+    channel.consume(7, range(2, 64, 2), LEASE_NANOS, "first")
+    taken_bytes = channel.channel.consumption_bytes_of("first")
+    channel.consume(7, [], LEASE_NANOS, "second")
+    assert channel.channel.consumption_bytes_of("first") == 0
+    assert channel.channel.consumption_bytes_of("second") == taken_bytes
+    channel.consume(7, [], 0, "second")
+    channel.consume(8, [], LEASE_NANOS, "")
+    channel.consume(9, [], LEASE_NANOS, "third")
+    clock.advance(LEASE_NANOS + 1)
+    channel.consume(10, [], LEASE_NANOS, "")
+    channel.consume(11, [], LEASE_NANOS, "")
+    assert [channel.channel.consumption_bytes_of(one) for one in ("first", "second", "third")] == [0, 0, 0]

@@ -17,17 +17,20 @@ import pytest
 
 from stampede_rt.errors import PermissionDenied, Unavailable
 from stampede_rt.status import from_rpc_error
+from stampede_rt_runtime.access import control
 from stampede_rt_runtime.access.caller import Caller, CallerKind
 from stampede_rt_runtime.access.control import (
     CALLS_ENDED_PER_TURN,
     CALLS_PER_TURN,
-    GRANTS_KEPT_MAX,
     RIGHTS_PER_TURN,
     AccessControl,
     allowed_to,
     check_access,
     check_known,
+    own_name,
+    request_rights,
 )
+from stampede_rt_runtime.access.open_call import REQUESTS_PER_STEP
 from stampede_rt_runtime.access.rules import AccessKind, AccessRule, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.access.tokens import TokenClaims, make_token, public_key
@@ -210,20 +213,34 @@ async def test_the_calls_of_a_token_that_is_over_end_a_few_at_a_time() -> None:
     assert max(before - after for before, after in pairwise(left)) == CALLS_ENDED_PER_TURN
 
 
-async def test_a_call_that_has_used_more_rights_than_are_remembered_ends_when_the_rules_change() -> None:
-    """A get of a forbidden channel stayed open after 1024 gets of other channels on the same stream."""
-    allow, other = AccessRule("@clients", (), None, "*"), AccessRule("nobody", (), None, "*")
-    async with port() as (server, begin):
-        server.access.set_state(state(1, allow))
-        busy, brief = begin(CLIENTS), begin(CLIENTS)
-        for number in range(GRANTS_KEPT_MAX + 1):
-            await said(busy, f"c{number}")
-        await said(brief, "c0")
-        server.access.set_state(state(2, allow))
-        assert await said(busy, "x") == b"1"
-        server.access.set_state(state(3, allow, other))
-        assert "has used more than 1024 rights" in str(await ended(busy))
-        assert await said(brief, "c0") == b"1"
+async def test_the_requests_of_a_stream_end_one_by_one_and_a_few_at_a_time() -> None:
+    """A lost right ended the whole stream, with the requests that needed other rights."""
+    control, lost = AccessControl(), []
+    keep, take = (AccessRule("@clients", (AccessVerb.READ,), None, name) for name in ("kept", "lost"))
+    control.set_state(state(1, keep, take))
+    client = Caller(kind=CallerKind.CLIENT_SECRET, roles=frozenset(), name="@clients")
+    async with control.serving(client, SimpleNamespace(peer=lambda: "here")):
+        rights = request_rights(lambda request, error: lost.append((request, str(error))))
+        for number in range(3 * REQUESTS_PER_STEP):
+            rights.check(AccessVerb.READ, AccessKind.CHANNEL, "lost")
+            rights.hold(number, AccessVerb.READ, AccessKind.CHANNEL, "lost")
+            rights.hold(number, AccessVerb.READ, AccessKind.CHANNEL, "kept")
+        rights.hold("good", AccessVerb.READ, AccessKind.CHANNEL, "kept")
+        rights.release(0)
+        control.set_state(state(2, keep))
+        with pytest.raises(PermissionDenied, match="may not read channel lost"):
+            rights.check(AccessVerb.READ, AccessKind.CHANNEL, "lost")
+        [call], seen = control._open, [0]
+        for _ in rights.judging_again(control.rules()):
+            seen.append(len(lost))
+        assert call.error is None
+        rights.check(AccessVerb.READ, AccessKind.CHANNEL, "kept")
+        assert [request for request, _ in lost] == [*range(1, 3 * REQUESTS_PER_STEP)]
+        assert "may not read channel lost" in lost[0][1]
+        assert max(after - before for before, after in pairwise(seen)) == REQUESTS_PER_STEP
+        rights.release("good")
+        assert not rights._waiting
+        assert not rights._of_request
 
 
 async def test_a_right_that_was_taken_away_cannot_be_used_before_the_call_is_judged_again() -> None:
@@ -260,3 +277,11 @@ async def test_a_call_with_a_token_ends_with_the_token_and_with_the_certificate_
         await serving_call
     with pytest.raises(PermissionDenied, match=f"{revoked} of client"):
         control.check_valid(caller)
+
+
+def test_callers_with_a_shared_name_have_no_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = {}
+    for name in ("alice", "@clients", ""):
+        monkeypatch.setattr(control, "owner_name", lambda name=name: name)
+        names[name] = own_name()
+    assert names == {"alice": "alice", "@clients": "", "": ""}

@@ -14,7 +14,8 @@ from stampede_rt_supernode.core.answered import (
     REPEAT_NANOS_MAX,
 )
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened
-from stampede_rt_supernode.core.cluster.commands import MarkTime, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.cluster.commands import MarkTime, RaiseFeatureLevel, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.core.commands import Refused, Result
 from tests.support.supernode.operations import Log, begin_tenure, delete, id_of, open_channel, register
 
@@ -170,3 +171,23 @@ def test_marks_survive_a_snapshot() -> None:
     log.mark_time()
     again = decode_snapshot(encode_snapshot(log.directory)).answered
     assert (again.marks, list(again)) == (log.directory.answered.marks, list(log.directory.answered))
+
+
+def test_one_caller_leaves_room_for_the_answers_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One caller that changed very much in a minute made the directory refuse the updates of all callers."""
+    monkeypatch.setattr(answered, "CALLER_BYTES_MAX", 3 * answered.ANSWER_BYTES)
+    log = Log()
+    log.apply(RaiseFeatureLevel(feature_level=GROUPS_AND_PEERS_LEVEL))
+    log.apply(register(1))
+    for number in range(3):
+        assert isinstance(log.apply(open_channel(f"cam/{number}"), caller="greedy"), ChannelOpened)
+    log.directory = decode_snapshot(encode_snapshot(log.directory))
+    refused = log.apply(open_channel("cam/3"), caller="greedy")
+    assert isinstance(refused, Refused)
+    assert "answers to the updates of greedy in the last minute take 1536 bytes" in refused.message
+    assert refused.metadata["subject"] == "greedy"
+    for caller in ("good", ""):
+        assert isinstance(log.apply(open_channel(f"good/{caller}"), caller=caller), ChannelOpened)
+    for _ in range(MARKS_KEPT + 1):
+        log.mark_time()
+    assert isinstance(log.apply(open_channel("cam/3"), caller="greedy"), ChannelOpened)

@@ -7,6 +7,7 @@ it is. The other methods use the generated messages.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from functools import partial
 
 import grpc
 
@@ -15,13 +16,12 @@ from stampede_rt_channel_host.channels.channel_status import channel_status
 from stampede_rt_channel_host.channels.consuming import consuming
 from stampede_rt_channel_host.channels.get_stream import GetStream
 from stampede_rt_channel_host.channels.group_access import GroupAccess
-from stampede_rt_channel_host.channels.id_owners import own_name
 from stampede_rt_channel_host.channels.put_stream import PutStream
 from stampede_rt_channel_host.channels.requests import opening_of
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStreams
 from stampede_rt_channel_host.channels.subscription import Subscription
-from stampede_rt_runtime.access.control import check_access, check_known
+from stampede_rt_runtime.access.control import check_access, check_known, own_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.rpc import Context, errors_as_status, unary
 
@@ -78,9 +78,9 @@ class ChannelServicer:
     async def consume(self, request: pb.ConsumeRequest, context: Context) -> pb.ConsumeResponse:
         """ChannelService.Consume."""
         hosted = self._store.find(request.channel_id, request.epoch)
-        check_access(AccessVerb.CONSUME, AccessKind.CHANNEL, hosted.record.name)
-        self._store.consumers.check(request.channel_id, request.consumer_id, "consumer")
-        return await self._store.scheduler.do(consuming(self._store, request, own_name()))
+        check = partial(check_access, AccessVerb.CONSUME, AccessKind.CHANNEL, hosted.record.name)
+        with self._store.consumers.using(request.channel_id, request.consumer_id, "consumer", check):
+            return await self._store.scheduler.do(consuming(self._store, request, own_name()))
 
     @errors_as_status
     async def get_channel_status(

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from itertools import islice
 from typing import Any
 
 from grpc.aio import EOF
 
-from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
+from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message, resolved_to_message
@@ -34,7 +35,7 @@ from stampede_rt_channel_host.core.channel import (
     emptying,
     first_of,
 )
-from stampede_rt_runtime.access.control import check_access, current_account
+from stampede_rt_runtime.access.control import current_account, request_rights
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
@@ -100,6 +101,7 @@ class GetStream:
         # how many calls the caller's quota counts for this stream
         self._under_way = self._account.hold(Quota.WAITING_CALLS)
         self._held_back: dict[int, _OpenGet] = {}  # released gets that wait for room in the outbox
+        self._rights = request_rights(self._lose)
         self._is_polling = False  # whether `_polling_again` is under way
 
     async def run(self) -> None:
@@ -152,7 +154,7 @@ class GetStream:
             raise Overloaded(f"{CALLS_MAX} calls are under way on this stream, the limit; open another stream")
         self._account.check(Quota.WAITING_CALLS)
         hosted, now = self._store.find(plan.channel_id, plan.epoch), self._store.now()
-        check_access(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
+        self._rights.check(AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
         if plan.group is not None:
             self._begin_in_group(call_id, plan, plan.group, hosted, now)
             return
@@ -169,6 +171,7 @@ class GetStream:
             self._calls[get.call_id] = self._stream.spawn(self._finish(get, found.rest))
         elif isinstance(found, WakeAt):
             assert get.pending is not None, "only a blocking get is to wait"
+            self._rights.hold(get.call_id, AccessVerb.READ, AccessKind.CHANNEL, get.hosted.record.name)
             wait_nanos = get.wait_nanos(now)
             self._calls[get.call_id] = get.hosted.gets.add(get.pending, found, wait_nanos, now, self._releaser(get))
         else:
@@ -178,7 +181,7 @@ class GetStream:
         try:
             await self._outbox.room()
             found: ReadAnswer | WakeAt | Unfinished[Any] = await self._store.scheduler.finish(pieces)
-            self._check_served(get.plan, found)
+            self._check_served(get, found)
             now = self._store.now()
             if isinstance(found, WakeAt) and get.is_outdated:
                 found = get.poll(now)
@@ -189,13 +192,14 @@ class GetStream:
             self._refuse(get.call_id, error)
         self._outbox.kick()
 
-    def _check_served(self, plan: GetPlan, found: object) -> None:
-        """Check that this host still serves the channel.
+    def _check_served(self, get: _OpenGet, found: object = None) -> None:
+        """Check after a wait that this host still serves the channel, and that the caller may still read it.
 
-        If not, frees the answer `found`, and raises StaleBinding or Unavailable.
+        If not, frees the answer `found`, and raises StaleBinding, Unavailable or PermissionDenied.
         """
         try:
-            self._store.find(plan.channel_id, plan.epoch)
+            self._store.find(get.plan.channel_id, get.plan.epoch)
+            self._rights.check(AccessVerb.READ, AccessKind.CHANNEL, get.hosted.record.name)
         except StampedeError:
             self._let_go(found)
             raise
@@ -208,16 +212,22 @@ class GetStream:
     def _begin_in_group(
         self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel, now: int
     ) -> None:
-        found = self._groups.read_now(params, hosted, plan.query, plan.wait_nanos, now)
+        check = partial(self._rights.check, AccessVerb.READ, AccessKind.GROUP)
+        found = self._groups.read_now(params, hosted, plan.query, plan.wait_nanos, now, check)
         if found is None:
+            self._rights.hold(call_id, AccessVerb.READ, AccessKind.CHANNEL, hosted.record.name)
             self._calls[call_id] = self._stream.spawn(self._read_in_group(call_id, plan, params, hosted))
         else:
             self._answer(_OpenGet(call_id, plan, hosted, now), found.answer, now, found.cut)
 
     async def _read_in_group(self, call_id: int, plan: GetPlan, params: GroupReadParams, hosted: HostedChannel) -> None:
+        def check(group_name: str) -> None:
+            self._rights.check(AccessVerb.READ, AccessKind.GROUP, group_name)
+            self._rights.hold(call_id, AccessVerb.READ, AccessKind.GROUP, group_name)
+
         try:
             began, wait_nanos = self._store.now(), plan.wait_nanos
-            found = await self._groups.read(params, hosted, plan.query, wait_nanos)
+            found = await self._groups.read(params, hosted, plan.query, wait_nanos, check)
             # No answer may stay in memory while the outbox has no room: drop it, and read again when there is room.
             while not self._outbox.has_room:
                 self._let_go(found.answer)
@@ -225,7 +235,7 @@ class GetStream:
                 await self._outbox.room()
                 self._store.find(plan.channel_id, plan.epoch)
                 left_nanos = wait_nanos if wait_nanos < 0 else max(0, began + wait_nanos - self._store.now())
-                found = await self._groups.read(params, hosted, plan.query, left_nanos)
+                found = await self._groups.read(params, hosted, plan.query, left_nanos, check)
         except StampedeError as error:
             self._calls[call_id] = None
             self._refuse(call_id, error)
@@ -237,6 +247,7 @@ class GetStream:
     def _releaser(self, get: _OpenGet) -> Callable[[Outcome], None]:
         def release(outcome: Outcome) -> None:
             self._calls[get.call_id] = None  # the get waits no more, but its answer is still to be sent
+            self._rights.release(get.call_id)
             get.released()
             if isinstance(outcome, StampedeError):
                 self._refuse(get.call_id, outcome)
@@ -267,7 +278,7 @@ class GetStream:
     def _poll_again(self, get: _OpenGet) -> None:
         now = self._store.now()
         try:
-            self._store.find(get.plan.channel_id, get.plan.epoch)
+            self._check_served(get)
             self._go_on(get, get.poll(now), now)
         except StampedeError as error:
             self._refuse(get.call_id, error)
@@ -290,7 +301,17 @@ class GetStream:
             self._store.refused_calls.note(error)
         self._outbox.add(call_id, get_error(call_id, to_error_message(error)), _count_nothing)
 
+    def _lose(self, call_id: int, error: PermissionDenied) -> None:
+        """Refuse a get that waits, because the caller has lost a right."""
+        get = self._calls.get(call_id)
+        if get is not None:
+            self._calls[call_id] = None
+            get.cancel()
+            self._refuse(call_id, error)
+            self._outbox.kick()
+
     def _cancel(self, call_id: int) -> None:
+        self._rights.release(call_id)
         get = self._calls.pop(call_id, None)
         self._held_back.pop(call_id, None)
         if get is not None:
@@ -300,6 +321,7 @@ class GetStream:
     def _ended(self, call_id: int) -> None:
         if self._calls.get(call_id) is None:  # otherwise a later call with this id is under way
             self._calls.pop(call_id, None)
+            self._rights.release(call_id)
         self._under_way.set(len(self._calls))
         if not self._calls:
             self._idle.set()

@@ -5,6 +5,7 @@ Groups are built on channels, not the reverse.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
@@ -65,12 +66,29 @@ class GroupAccess(Protocol):
     """
 
     def read_now(
-        self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
+        self,
+        params: GroupReadParams,
+        hosted: HostedChannel,
+        query: Query,
+        wait_nanos: int,
+        now: int,
+        check: Callable[[str], None],
     ) -> GroupAnswer | None:
-        """The answer, if the group has the answer at this moment. If None, call `read`, which may wait."""
+        """The answer, if the group has the answer at this moment. If None, call `read`, which may wait.
 
-    async def read(self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
-        """Wait for the answer, at most `wait_nanos` nanoseconds; below 0: without limit.
+        The method calls `check` with the group's name. `check` raises PermissionDenied if the reader may not read
+        through the group.
+        """
+
+    async def read(
+        self,
+        params: GroupReadParams,
+        hosted: HostedChannel,
+        query: Query,
+        wait_nanos: int,
+        check: Callable[[str], None],
+    ) -> GroupAnswer:
+        """Wait for the answer, at most `wait_nanos` nanoseconds; below 0: without limit. `check`: see `read_now`.
 
         If the reader has already seen a cut that this host has not reached, the wait for this cut may be a little
         longer than `wait_nanos`.

@@ -119,16 +119,20 @@ class HostedChannel:
         """Consume items for one consumer, and accept the waiting puts for which there is room now.
 
         Raises InvalidArgument, ChannelFull if all consumer places are taken, and Overloaded if the memory for the seqs
-        that were consumed out of order is used up, or if the caller `owner` has too many places.
+        that were consumed out of order is used up, or if the caller `owner` has too many places
+        or its consumption takes too much memory.
         """
         now = self._now()
         self.channel.check_consumption(consumer_id, seqs, lease_nanos)
-        if not self._charge.has_room(CONSUMER_BYTES + CONSUMED_RANGE_BYTES * len(seqs)):
+        most, shares = CONSUMER_BYTES + CONSUMED_RANGE_BYTES * len(seqs), self._charge.consumption_shares
+        if not (self._charge.has_room(most) and shares.has_room(owner, most)):
             wanted = self.channel.consumption_bytes(consumer_id, seqs)
+            shares.check(owner, wanted)
             if wanted:
                 # consumption frees items, so it may use a little more memory than puts (CONSUMPTION_SHARE)
                 self._charge.claim(wanted - self._charge.spare_bytes)
         consumed = self.channel.consume(consumer_id, seqs, now, lease_nanos=lease_nanos, owner=owner)
+        shares.note(owner, self.channel)
         self.puts.changed(now)  # this also calls `_touched`
         return consumed
 

@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from sys import intern
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from stampede_rt.errors import PermissionDenied
 from stampede_rt_runtime.access.control import owner_name
-from stampede_rt_runtime.quotas.limits import SHARED_NAMES
 
 OWNED_IDS_MAX = 65_536  # ids of all callers
 OWNED_IDS_OF_ONE_MAX = 1024  # ids of one caller
 
 Key = tuple[bytes, int]  # the id of a channel or queue, and a consumer or taker id there
-
-
-def own_name() -> str:
-    """The name under which the host counts what the present caller uses, such as consumer places.
-
-    Empty for a caller whom no limit of one caller concerns: a member of the cluster, an operator, or a caller without a
-    name of its own.
-    """
-    name = owner_name()
-    return "" if name in SHARED_NAMES else intern(name)
 
 
 class IdOwners:
@@ -35,18 +25,28 @@ class IdOwners:
     def __init__(self) -> None:
         self._owners: OrderedDict[Key, str] = OrderedDict()  # the oldest key first; "": a member or an operator
         self._of_owner: dict[str, OrderedDict[Key, None]] = {}  # the same keys by owner, the oldest key first
+        self._unused: set[Key] = set()  # keys whose first action is under way
 
     def __len__(self) -> int:
         return len(self._owners)
 
-    def check(self, thing_id: bytes, used_id: int, what: str) -> None:
-        """Check that the caller may act under `used_id` at the channel or queue `thing_id`. Raises PermissionDenied.
+    @contextmanager
+    def using(self, thing_id: bytes, used_id: int, what: str, check: Callable[[], None]) -> Iterator[None]:
+        """A context in which the caller acts under `used_id` at the channel or queue `thing_id`.
 
-        The first caller that uses an id owns the id. Members of the cluster and operators may act under every id.
-        `what` is the word for the id in the error, such as "consumer".
+        The first caller that uses an id owns the id. If this first action fails, the id has no owner again. `check`
+        raises PermissionDenied if the caller may not act at this thing; the caller then owns the id no more. Members of
+        the cluster and operators may act under every id. `what` is the word for the id in the error, such as
+        "consumer". Raises PermissionDenied.
         """
         key, caller = (thing_id, used_id), owner_name()
         owner = self._owners.get(key)
+        try:
+            check()
+        except PermissionDenied:
+            if owner == caller:
+                self._forget(key)
+            raise
         if owner is None:
             self._note(key, caller)
         elif caller and owner != caller:
@@ -54,9 +54,17 @@ class IdOwners:
             raise PermissionDenied(
                 f"{what} {used_id:#x} belongs to {whose}, and {caller} may not act for it; use a number of your own"
             )
+        try:
+            yield
+        except BaseException:
+            if owner is None and key in self._unused:
+                self._forget(key)
+            raise
+        self._unused.discard(key)
 
     def _note(self, key: Key, owner: str) -> None:
         self._owners[key] = owner
+        self._unused.add(key)
         own = self._of_owner.setdefault(owner, OrderedDict())
         own[key] = None
         if len(own) > OWNED_IDS_OF_ONE_MAX:
@@ -66,6 +74,7 @@ class IdOwners:
 
     def _forget(self, key: Key) -> None:
         owner = self._owners.pop(key)
+        self._unused.discard(key)
         del self._of_owner[owner][key]
         if not self._of_owner[owner]:
             del self._of_owner[owner]

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded
+from stampede_rt_channel_host.channels.consumption_shares import ConsumptionShares
 from stampede_rt_channel_host.channels.request_room import RequestRooms
 from stampede_rt_runtime.overload import Overload
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
@@ -15,7 +16,7 @@ from stampede_rt_runtime.quotas.limits import Quota
 logger = logging.getLogger(__name__)
 
 CONSUMPTION_SHARE = 16
-"""Consumption may use 1/16 of the budget in addition to the budget."""
+"""Consumption may use 1/16 of the budget in addition to the budget. That of one caller may use half of this memory."""
 
 
 class MemoryBudget:
@@ -40,6 +41,7 @@ class MemoryBudget:
         self.bytes_max = bytes_max
         self.overload = Overload()
         self.requests = RequestRooms()
+        self.consumption_shares = ConsumptionShares(bytes_max // (2 * CONSUMPTION_SHARE))
         self._reclaim = reclaim
         self._steady_nanos = steady_nanos
 
@@ -87,6 +89,11 @@ class Charge:
         self._account = account or unlimited()
         self._held = self._account.hold(Quota.BYTES_HELD)
         self._bytes = 0
+
+    @property
+    def consumption_shares(self) -> ConsumptionShares:
+        """The memory for each caller's consumption at the host."""
+        return self._budget.consumption_shares
 
     @property
     def spare_bytes(self) -> int:

@@ -11,17 +11,17 @@ from typing import Any, NamedTuple
 
 from grpc.aio import EOF
 
-from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
+from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.acks import refused
-from stampede_rt_channel_host.channels.id_owners import own_name
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts import ChannelPuts, IncomingRun, check_number
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.whole_requests import WholeRequests
-from stampede_rt_runtime.access.control import check_access, current_account
+from stampede_rt_runtime.access.control import current_account, own_name, request_rights
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
 from stampede_rt_runtime.rpc import Context
@@ -70,6 +70,7 @@ class PutStream:
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
         self._owner = own_name()
+        self._rights = request_rights(_lose)
         self._work = CallerWork(self._account)
         whole = WholeRequests(context.read, store.memory.requests, self._account)
         self._requests = ReadAhead(whole.read, store.memory, self._account)
@@ -129,7 +130,7 @@ class PutStream:
                     "the put names no channel; set channel_id and epoch in the stream's first request"
                 )
             hosted = self._store.find(self._channel_id, self._epoch)
-            check_access(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
+            self._rights.check(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
             try:
                 run = self._read(put, received.received_s)
             except StampedeError as error:
@@ -139,9 +140,9 @@ class PutStream:
         except StampedeError as error:
             return refused(put.first_number, run.items if run else 0, error, now)
         del put
-        return ack or await self._wait(run, hosted.puts, received)
+        return ack or await self._wait(run, hosted, received)
 
-    async def _wait(self, run: IncomingRun, puts: ChannelPuts, received: _ReceivedRequest) -> pb.PutAck:
+    async def _wait(self, run: IncomingRun, hosted: HostedChannel, received: _ReceivedRequest) -> pb.PutAck:
         """Wait for the ack of a run that waits for room.
 
         Meanwhile the host keeps the bytes of this run and of the later runs of its request, but not the request itself,
@@ -149,12 +150,15 @@ class PutStream:
         """
         self._news.set()  # let the writer send the earlier acks meanwhile
         run.keep()
+        puts, waiting = hosted.puts, (hosted.puts, run)
+        self._rights.hold(waiting, AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
         try:
             with self._account.waiting(run.charged_bytes), self._requests.keeping(received.keep()):
                 return await run.wait(puts.give_up)
         except Overloaded as error:
             return puts.refuse(run, error)
         finally:
+            self._rights.release(waiting)
             puts.withdraw(run)
 
     def _read(self, put: Put, received_s: float) -> IncomingRun:
@@ -177,6 +181,12 @@ class PutStream:
             acks, self._acks = self._acks, []
             await self._context.write(pb.PutResponse(acks=acks).SerializeToString())
             self._room.set()
+
+
+def _lose(waiting: tuple[ChannelPuts, IncomingRun], error: PermissionDenied) -> None:
+    """Refuse a run that waits, because the caller has lost a right."""
+    puts, run = waiting
+    puts.refuse(run, error)
 
 
 def _refuse_size(put: Put, now: int) -> pb.PutAck:

@@ -251,13 +251,15 @@ class ChannelPuts:
             run.finish(self._refuse_rest(run, now))
             self.changed(now)
 
-    def refuse(self, run: IncomingRun, error: Overloaded) -> pb.PutAck:
-        """Refuse a run that waits, because its caller has reached a quota. Returns its ack."""
-        now = self._now()
-        self._count_overloaded(run, error)
-        self._stop_waiting(run)
-        self._fail(run, error, now)
-        self.changed(now)
+    def refuse(self, run: IncomingRun, error: StampedeError) -> pb.PutAck:
+        """Refuse a run that waits: its caller has reached a quota, or has lost a right. Returns its ack."""
+        if run in self._waiting_runs:
+            now = self._now()
+            if isinstance(error, Overloaded):
+                self._count_overloaded(run, error)
+            self._stop_waiting(run)
+            self._fail(run, error, now)
+            self.changed(now)
         assert run.ack is not None, "a failed run has an ack"
         return run.ack
 

@@ -7,7 +7,6 @@ was deleted or that another host owns.
 from __future__ import annotations
 
 import logging
-from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
 from itertools import islice
@@ -18,6 +17,8 @@ from sortedcontainers import SortedList
 from stampede_rt.errors import ChannelNotFound, Overloaded, StampedeError
 from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels import refusals
+from stampede_rt_channel_host.channels.created_here import CreatedHere
+from stampede_rt_channel_host.channels.deletions import Deletions
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
@@ -30,7 +31,7 @@ from stampede_rt_channel_host.cluster.single_flight import SingleFlight
 from stampede_rt_channel_host.core.channel import ChannelLimits, Pieces, batched_keys, one_after_another, rest_of
 from stampede_rt_channel_host.core.host_clock import HostTime
 from stampede_rt_channel_host.core.records import PolicyChange, RecordedChannel
-from stampede_rt_runtime.access.control import check_access, current_account
+from stampede_rt_runtime.access.control import check_access, current_account, own_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.overload import RefusedCalls
@@ -42,7 +43,6 @@ CHANNELS_ENDED_PER_PIECE = 128
 CHANNELS_COMPARED_PER_PIECE = 32  # to log and drop one takes up to 50 us
 RECORDS_PER_PIECE = 64  # to decode a record takes 5 to 15 us
 _ID_END = b"\xff" * 17  # above every id
-DROPS_REMEMBERED_MAX = 1024  # ids of the latest requests that deleted a channel
 # the most questions to the directory for one `bind`: the store asks again if the host registered during a question
 LOOKUPS_MAX = 3
 
@@ -75,7 +75,8 @@ class ChannelStore:
         self._channels: dict[bytes, HostedChannel] = {}
         self._names: Any = SortedList()  # the name of each channel, with the channel's id
         self._single_flight = SingleFlight()
-        self._drops: OrderedDict[bytes, None] = OrderedDict()  # ids of the requests that deleted channels
+        self._deletions = Deletions()
+        self._created_here = CreatedHere(identity.name, "channels", CHANNELS_MAX)
         self._closing: StampedeError | None = None  # the error for all requests once the host shuts down
         self._registrations = 0  # the number of registrations whose answers have come
         self.memory = memory
@@ -123,7 +124,7 @@ class ChannelStore:
         Safe to repeat. `since_s`: when the caller made the request, in seconds of `request_age.age_clock_s`. Raises the
         errors of `bind`, and those that the directory answers.
         """
-        if request_id in self._drops:
+        if request_id in self._deletions:
             return
         hosted = await self.bind(channel_id, epoch)
         check_access(AccessVerb.DELETE, AccessKind.CHANNEL, hosted.record.name)
@@ -132,9 +133,7 @@ class ChannelStore:
             await self._directory.delete(channel_id, request_id=request_id, since_s=since_s)
         except ChannelNotFound:
             logger.info("the channel is deleted already", extra={"channel": hosted.record.name})
-        self._drops[request_id] = None
-        if len(self._drops) > DROPS_REMEMBERED_MAX:
-            self._drops.popitem(last=False)
+        self._deletions.note(request_id, own_name())
         self._forget(channel_id, refusals.deleted(hosted.record.name))
 
     async def configure(
@@ -283,12 +282,14 @@ class ChannelStore:
             self._forget(record.channel_id, refusals.wrong_epoch(record.name, held.record.epoch, record.epoch))
         if len(self._channels) >= CHANNELS_MAX:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, the limit; use another host")
+        self._created_here.check(record.created_by)
         hosted = HostedChannel(
             record, self.memory, self.now, self.sweep.touch, self._may_serve, self.scheduler.begin, self.limits
         )
         hosted.registration = self._registrations
         self._channels[record.channel_id] = hosted
         self._names.add((record.name, record.channel_id))
+        self._created_here.note(record.created_by, +1)
         return hosted
 
     def _forget(self, channel_id: bytes, error: StampedeError) -> None:
@@ -300,6 +301,7 @@ class ChannelStore:
         if hosted is None:
             return []
         self._names.remove((hosted.record.name, channel_id))
+        self._created_here.note(hosted.record.created_by, -1)
         self.sweep.forget(hosted)
         return rest_of(hosted.leaving(error))
 

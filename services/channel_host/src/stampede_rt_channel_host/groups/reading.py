@@ -7,7 +7,7 @@ reader has seen a later cut, or if they have not reported their cuts of a new gr
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
@@ -46,12 +46,18 @@ class GroupReads:
         self._groups = groups
 
     def read_now(
-        self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int, now: int
+        self,
+        params: GroupReadParams,
+        hosted: HostedChannel,
+        query: Query,
+        wait_nanos: int,
+        now: int,
+        check: Callable[[str], None],
     ) -> GroupAnswer | None:
         """See `GroupAccess`."""
         group = self._groups.known(params.group_id)
         if group is not None:
-            check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
+            check(group.record.name)
         if group is None or not group.has_reached(_wanted(params)):
             return None
         view, horizon = VisibleChannel(member_of(group, hosted).channel), group.horizon(params.at)
@@ -62,12 +68,19 @@ class GroupReads:
             found = first_of(view.reading(query, horizon, now))
         return GroupAnswer(found, horizon.cut) if isinstance(found, ReadAnswer) else None
 
-    async def read(self, params: GroupReadParams, hosted: HostedChannel, query: Query, wait_nanos: int) -> GroupAnswer:
+    async def read(
+        self,
+        params: GroupReadParams,
+        hosted: HostedChannel,
+        query: Query,
+        wait_nanos: int,
+        check: Callable[[str], None],
+    ) -> GroupAnswer:
         """See `GroupAccess`."""
         wait_s = None if wait_nanos < 0 else wait_nanos / 1e9
         deadline_s = None if wait_s is None else _now_s() + wait_s
         group = await self._groups.find(params.group_id)
-        check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
+        check(group.record.name)
         view = VisibleChannel(member_of(group, hosted).channel)
         wanted = _wanted(params)
         if not await group.reach(wanted, None if wait_s is None else max(STALL_SECONDS_MAX, wait_s)):

@@ -4,20 +4,24 @@ peer owns the mailbox, and may take from it without a rule.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from stampede_rt_channel_host.core.records import RecordedQueue
 from stampede_rt_runtime.access.control import check_access, check_known, owner_name
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 
 
-def check_queue_access(verb: AccessVerb, queue: RecordedQueue) -> None:
-    """Check that the caller may do `verb` with the queue.
+def check_queue_access(
+    verb: AccessVerb, queue: RecordedQueue, check: Callable[[AccessVerb, AccessKind, str], None] = check_access
+) -> None:
+    """Check that the caller may do `verb` with the queue. `check` looks at one right.
 
     Raises PermissionDenied if not, Unavailable if this host does not know the rules yet.
     """
     if not queue.is_mailbox:
-        check_access(verb, AccessKind.QUEUE, queue.name)
+        check(verb, AccessKind.QUEUE, queue.name)
     elif not _is_owned(queue) or verb is not AccessVerb.TAKE:
-        check_access(verb, AccessKind.PEER, queue.mailbox_peer_name)
+        check(verb, AccessKind.PEER, queue.mailbox_peer_name)
 
 
 def check_queue_known(queue: RecordedQueue) -> None:

@@ -9,15 +9,15 @@ import asyncio
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from grpc.aio import EOF
 
-from stampede_rt.errors import InvalidArgument, StampedeError
+from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
 from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.channels.acks import refused
-from stampede_rt_channel_host.channels.id_owners import own_name
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
 from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
@@ -28,7 +28,7 @@ from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
 from stampede_rt_channel_host.queues.incoming import EnqueueRun, answer, check_forwards, check_number, enqueue_of
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
-from stampede_rt_runtime.access.control import check_not_judged, current_account
+from stampede_rt_runtime.access.control import check_not_judged, current_account, own_name, request_rights
 from stampede_rt_runtime.access.rules import AccessVerb
 from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
@@ -62,6 +62,7 @@ class EnqueueStream:
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
         self._owner = own_name()
+        self._rights = request_rights(_lose)
         self._work = CallerWork(self._account)
         whole = WholeRequests(context.read, store.memory.requests, self._account)
         self._requests = ReadAhead(whole.read, store.memory, self._account)
@@ -142,7 +143,7 @@ class EnqueueStream:
             if failure is not None:
                 raise failure
             hosted = self._store.find(self._queue_id, self._epoch)
-            check_queue_access(AccessVerb.SEND, hosted.record)
+            check_queue_access(AccessVerb.SEND, hosted.record, self._rights.check)
             if message.origin:
                 check_forwards(caller_identity(self._context))
                 check_not_judged("set the origin of a run, as of a dead letter")
@@ -153,20 +154,24 @@ class EnqueueStream:
             elif error.reason in _ENDING:
                 raise
             return refused(message.first_number, 0, error, self._store.now())
-        await hosted.enqueue(run, lambda: self._waiting(run, runs))
+        await hosted.enqueue(run, lambda: self._waiting(hosted, run, runs))
         return answer(run, self._store.now(), hosted.queue.incarnation)
 
     @contextmanager
-    def _waiting(self, run: Enqueue, behind: deque[EnqueueRun]) -> Iterator[None]:
+    def _waiting(self, hosted: HostedQueue, run: Enqueue, behind: deque[EnqueueRun]) -> Iterator[None]:
         """A context in which a run waits for room. Sends the earlier acks, and reads further requests ahead.
 
         `behind`: the later runs of the same request. Raises Overloaded if the caller has too many waiting calls or
         bytes.
         """
         self._news.set()
-        kept_bytes = sum(len(one.run) for one in behind)
-        with self._account.waiting(run.charged_bytes), self._requests.keeping(kept_bytes):
-            yield
+        kept_bytes, waiting = sum(len(one.run) for one in behind), (hosted, run)
+        check_queue_access(AccessVerb.SEND, hosted.record, partial(self._rights.hold, waiting))
+        try:
+            with self._account.waiting(run.charged_bytes), self._requests.keeping(kept_bytes):
+                yield
+        finally:
+            self._rights.release(waiting)
 
     async def _add(self, ack: channel_service_pb2.PutAck) -> None:
         while len(self._acks) >= ACKS_QUEUED_MAX:
@@ -185,3 +190,9 @@ class EnqueueStream:
             acks, self._acks = self._acks, []
             self._room.set()
             await self._context.write(pb.EnqueueResponse(acks=acks).SerializeToString())
+
+
+def _lose(waiting: tuple[HostedQueue, Enqueue], error: PermissionDenied) -> None:
+    """Refuse a run that waits, because the caller has lost a right."""
+    hosted, run = waiting
+    hosted.refuse(run, error)

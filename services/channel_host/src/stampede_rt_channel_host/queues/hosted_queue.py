@@ -128,6 +128,11 @@ class HostedQueue:
                 self.queue.withdraw(run, self._now())
                 self._follow_up()
 
+    def refuse(self, run: Enqueue, error: StampedeError) -> None:
+        """Refuse a run that waits. `enqueue` then returns."""
+        self.queue.refuse(run, error, self._now())
+        self._follow_up()
+
     def _count_overloaded(self, run: Enqueue, error: Overloaded) -> None:
         self.queue.reject_overloaded(len(run.lengths))
         self._charge.refused(display_name(self.record), len(run.lengths), error)

@@ -7,6 +7,7 @@ it is. The other methods use the generated messages.
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
+from functools import partial
 
 import grpc
 
@@ -70,9 +71,9 @@ class QueueServicer:
             raise InvalidArgument("the request has no settlements; give 1 to 1024")
         settlements = settlements_of(request.settlements)
         hosted = await self._store.use(request.queue_id, request.epoch)
-        check_queue_access(AccessVerb.TAKE, hosted.record)
-        self._store.takers.check(request.queue_id, request.taker_id, "taker")
-        results = hosted.settle(request.taker_id, settlements)
+        check = partial(check_queue_access, AccessVerb.TAKE, hosted.record)
+        with self._store.takers.using(request.queue_id, request.taker_id, "taker", check):
+            results = hosted.settle(request.taker_id, settlements)
         return pb.SettleResponse(results=map(result_message, results))
 
     @errors_as_status

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 
 from grpc.aio import EOF
 
@@ -81,9 +82,9 @@ class TakeStream:
         request: pb.TakeRequest = parse(pb.TakeRequest, raw, "TakeRequest")
         taker = taker_of(request.open)
         hosted = await self._store.use(request.open.queue_id, request.open.epoch)
-        check_queue_access(AccessVerb.TAKE, hosted.record)
-        self._store.takers.check(request.open.queue_id, taker.taker_id, "taker")
-        hosted.attach(taker, self)
+        check = partial(check_queue_access, AccessVerb.TAKE, hosted.record)
+        with self._store.takers.using(request.open.queue_id, taker.taker_id, "taker", check):
+            hosted.attach(taker, self)
         try:
             await self._serve(hosted, taker, request)
         finally:

@@ -7,39 +7,40 @@ import contextlib
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from contextvars import ContextVar
+from sys import intern
 from typing import Any
 
-from stampede_rt.errors import Overloaded, PermissionDenied, StampedeError, Unavailable
+from stampede_rt.errors import Overloaded, PermissionDenied, Unavailable
 from stampede_rt.status import abort
 from stampede_rt_runtime.access.audit import AuditLog
-from stampede_rt_runtime.access.caller import Caller, CallerKind
-from stampede_rt_runtime.access.rules import NO_RULES, AccessKind, AccessRules, AccessVerb
+from stampede_rt_runtime.access.caller import Caller
+from stampede_rt_runtime.access.open_call import OpenCall, RequestRights
+from stampede_rt_runtime.access.refusals import over, revoked
+from stampede_rt_runtime.access.rules import AccessKind, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.access.tokens import TokenClaims, check_not_over, is_token, read_token
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
-from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
-from stampede_rt_runtime.quotas.subjects import creator_of, subject_of
+from stampede_rt_runtime.quotas.limits import SHARED_NAMES, Quota
+from stampede_rt_runtime.quotas.subjects import subject_of
 from stampede_rt_runtime.quotas.working import CallerWork, loop_turns
 
 logger = logging.getLogger(__name__)
 
 TOKENS_KEPT_MAX = 4096
-GRANTS_KEPT_MAX = 1024
 CALLS_PER_TURN = 2
 RIGHTS_PER_TURN = 8
 """To judge the first right of a caller takes 1.5 ms with a thousand rules, and each further right 0.1 ms."""
 CALLS_ENDED_PER_TURN = 16
 SWEEP_SECONDS = 1.0
 """The time between two looks for calls whose credential has ended."""
-Grant = tuple[AccessVerb, AccessKind, str]
 
 
 class AccessControl:
     """Judges the callers of one port, on the event loop that serves the port.
 
-    The state comes from `source`, or else from `tell`. As long as there is no state, the port refuses all callers whom
+    The state comes from `source`, or else from `set_state`. As long as there is no state, the port refuses all callers whom
     rules judge.
     """
 
@@ -140,10 +141,10 @@ class AccessControl:
         PermissionDenied with reason UNAUTHENTICATED, or Unavailable with reason CERTIFICATE_EXPIRED or TOKEN_EXPIRED.
         """
         state = self.refresh() if caller.may_end else None
-        if state is not None and (revoked := caller.revoked_among(state.revoked_serials)):
-            raise _revoked(revoked)
-        if over := caller.ended_by(self._time_unix_nano()):
-            raise _over(over)
+        if state is not None and (without := caller.revoked_among(state.revoked_serials)):
+            raise revoked(without)
+        if ended := caller.ended_by(self._time_unix_nano()):
+            raise over(ended)
 
     def _known(self) -> AccessState:
         state = self.refresh()
@@ -194,101 +195,13 @@ class AccessControl:
         While calls are open, set the timer again: one timer serves all calls.
         """
         self._sweep, now = None, self._time_unix_nano()
-        over = [call for call in self._open if call.error is None and 0 < call.ends_unix_nano <= now]
-        for call in over[:CALLS_ENDED_PER_TURN]:
-            call.end(_over(call.caller.ended_by(now) or call.caller))
-        if len(over) > CALLS_ENDED_PER_TURN:
+        ended = [call for call in self._open if call.error is None and 0 < call.ends_unix_nano <= now]
+        for call in ended[:CALLS_ENDED_PER_TURN]:
+            call.end(over(call.caller.ended_by(now) or call.caller))
+        if len(ended) > CALLS_ENDED_PER_TURN:
             self._sweep = asyncio.get_running_loop().call_soon(self._end_what_is_over)
         elif self._open:
             self._sweep_soon()
-
-
-class OpenCall:
-    """One call under way, and the rights that it has used."""
-
-    def __init__(self, control: AccessControl, caller: Caller, context: Any, account: Account) -> None:
-        task = asyncio.current_task()
-        assert task is not None, "handlers run in tasks"
-        self.task = task
-        self.caller = caller
-        self.account = account
-        self.error: StampedeError | None = None
-        self._control = control
-        self.context = context
-        self.ends_unix_nano = caller.first_end_unix_nano
-        self._is_judged = caller.is_judged
-        # the rights that the call has used, with the rules that gave them
-        self._granted: dict[Grant, AccessRules] = {}
-        # the rules that gave the forgotten rights; None: none was forgotten
-        self._forgotten: AccessRules | None = None
-
-    def end(self, error: StampedeError) -> None:
-        """Interrupt the call, wherever it waits, and end the RPC with `error`. Only the first error counts."""
-        if self.error is None:
-            self.error = error
-            self.task.cancel()
-
-    def rules(self) -> AccessRules:
-        """The present rules for this call. Raises Unavailable."""
-        return self._control.rules() if self._is_judged else NO_RULES
-
-    def check(self, grant: Grant) -> None:
-        """Raises PermissionDenied if the caller has no such right by the present rules.
-
-        The call remembers a right that the caller has. `judging_again` checks these rights when the rules change.
-        """
-        if not self._is_judged:
-            return
-        rules = self.rules()
-        if self._granted.get(grant) is rules:
-            return
-        if not rules.judge(self.caller, *grant).allowed:
-            raise self.denied(denied(self.caller, *grant), *grant)
-        if len(self._granted) >= GRANTS_KEPT_MAX and grant not in self._granted:
-            self._granted.clear()
-            self._forgotten = rules
-        self._granted[grant] = rules
-
-    def judging_again(self, state: AccessState) -> Iterator[None]:
-        """Check the credential and the used rights against a new state, and end the call if one is lost.
-
-        Yields after each right, so that the caller can pause.
-        """
-        if revoked := self.caller.revoked_among(state.revoked_serials):
-            self.end(_revoked(revoked))
-            return
-        if self._forgotten is not None and self._forgotten.rules != state.rules.rules:
-            self.end(
-                Unavailable(
-                    f"the rules of access have changed, and this call has used more than {GRANTS_KEPT_MAX} rights, so "
-                    "that the service does not know which of them it still uses; open it again"
-                )
-            )
-            return
-        for grant in tuple(self._granted):  # what the call uses meanwhile is judged by the new rules
-            if not state.rules.judge(self.caller, *grant).allowed:
-                self.end(self.denied(denied(self.caller, *grant), *grant))
-                return
-            yield
-
-    def count_refusal(self, error: Overloaded) -> None:
-        """Count a refusal by a quota, see `Accounts.count_refusal`."""
-        self._control.accounts.count_refusal(error)
-
-    def creation_limit(self, quota: Quota) -> int | None:
-        """The most things that the caller may have created; None: there is no limit."""
-        name = creator_of(self.caller)
-        limit = LIMIT_MAX if name is None else self._control.accounts.of(name).limit(quota)
-        return None if limit >= LIMIT_MAX else limit
-
-    def denied(self, error: PermissionDenied, verb: str, kind: AccessKind, name: str) -> PermissionDenied:
-        """Write `error` to the audit log, and return it."""
-        self._control.audit.denied(self.caller, self.context.peer(), verb, f"{kind} {name}")
-        return error
-
-    def changed(self, what: str, name: str, *, done: bool) -> None:
-        """Write a change by the call to the audit log."""
-        self._control.audit.changed(self.caller, self.context.peer(), what, name, done=done)
 
 
 _CURRENT: ContextVar[OpenCall | None] = ContextVar("call", default=None)
@@ -325,10 +238,21 @@ def current_account() -> Account:
 
 
 def check_access(verb: AccessVerb, kind: AccessKind, name: str) -> None:
-    """Check that the present call's caller may do `verb` with the thing. Raises PermissionDenied, Unavailable."""
+    """Check that the present call's caller may do `verb` with the thing. Raises PermissionDenied, Unavailable.
+
+    The call ends when its caller loses this right. A stream that serves many things takes `request_rights` instead.
+    """
     call = _CURRENT.get()
     if call is not None:
         call.check((verb, kind, name))
+
+
+def request_rights(lose: Callable[[Any, PermissionDenied], None]) -> RequestRights:
+    """The rights of the requests of the present call, which is a stream. `lose`: see `RequestRights`.
+
+    Call it once for each stream.
+    """
+    return RequestRights(_CURRENT.get(), lose)
 
 
 def check_known(kind: AccessKind, name: str) -> None:
@@ -385,28 +309,7 @@ def owner_name() -> str:
     return caller.name if caller is not None and caller.is_judged else ""
 
 
-def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> PermissionDenied:
-    """The error for a caller without that right."""
-    return PermissionDenied(
-        f"{caller} may not {verb} {kind} {name}; an operator can allow it (stampede acl add {caller.name} {verb} "
-        f"{name})",
-        metadata={"verb": verb, kind: name},
-    )
-
-
-def _over(caller: Caller) -> StampedeError:
-    """The error for a credential that ended during a call, or with which an open connection began.
-
-    The caller should try again, because it reads renewed certificates and tokens from its files. A call that brings an
-    ended token is refused for good, see `check_not_over`.
-    """
-    if caller.kind is CallerKind.CERTIFICATE:
-        text = f"the certificate of {caller} has expired; renew it (stampede certs renew), and connect again"
-        return Unavailable(text, reason="CERTIFICATE_EXPIRED")
-    text = f"the {caller.kind} of {caller} has ended; call again with a new one (stampede token issue {caller.name})"
-    return Unavailable(text, reason="TOKEN_EXPIRED")
-
-
-def _revoked(caller: Caller) -> PermissionDenied:
-    text = f"the {caller.kind} {caller.serial} of {caller} was revoked; ask an operator for another one"
-    return PermissionDenied(text, reason="UNAUTHENTICATED")
+def own_name() -> str:
+    """The present caller's name in shares; empty for callers without a name of their own, who have no limit."""
+    name = owner_name()
+    return "" if name in SHARED_NAMES else intern(name)

@@ -52,7 +52,11 @@ def encode_command(command: Command) -> bytes:
     codec = _BY_OPERATION[type(command.operation)]
     kind: dict[str, Any] = {codec.kind: codec.write(command.operation)}
     return pb.DirectoryCommand(
-        op_id=command.op_id, time_unix_nano=command.time_unix_nano, as_of_index=command.as_of_index, **kind
+        op_id=command.op_id,
+        time_unix_nano=command.time_unix_nano,
+        as_of_index=command.as_of_index,
+        caller=command.caller,
+        **kind,
     ).SerializeToString()
 
 
@@ -83,6 +87,7 @@ def decode_command(encoded: bytes) -> Command:
         time_unix_nano=message.time_unix_nano,
         operation=_read_operation(message),
         as_of_index=message.as_of_index,
+        caller=message.caller,
     )
 
 

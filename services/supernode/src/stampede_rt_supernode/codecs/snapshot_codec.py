@@ -9,6 +9,7 @@ messages when it decodes them (protobuf.dev, "Encoding", "Last One Wins").
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from sys import intern
 from typing import Generic, TypeVar
 
 from sortedcontainers import SortedDict
@@ -176,7 +177,11 @@ def _format_of(tables: Tables) -> int:
 
 def _remembered(answer: Answer) -> pb.RememberedOperation:
     return pb.RememberedOperation(
-        op_id=answer.op_id, log_index=answer.index, subject=answer.subject, result=result_message(answer.result)
+        op_id=answer.op_id,
+        log_index=answer.index,
+        subject=answer.subject,
+        result=result_message(answer.result),
+        caller=answer.caller,
     )
 
 
@@ -232,4 +237,4 @@ def _answer(operation: pb.RememberedOperation) -> Answer:
     result = read_result(operation.result)
     if isinstance(result, Refused):
         raise StampedeError("the snapshot remembers a refusal, which no supernode writes; it is damaged")
-    return Answer(operation.op_id, operation.log_index, operation.subject, result)
+    return Answer(operation.op_id, operation.log_index, operation.subject, result, intern(operation.caller))

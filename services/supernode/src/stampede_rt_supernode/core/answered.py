@@ -12,6 +12,7 @@ greatest age of a request.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -26,6 +27,7 @@ MARK_NANOS = 10 * 10**9
 MARKS_KEPT = 6
 
 BYTES_MAX = 64 << 20  # the most memory for answers
+CALLER_BYTES_MAX = BYTES_MAX // 2  # the most memory for the answers to one caller
 ANSWER_BYTES = 512  # the estimated memory for one answer
 MEMBER_BYTES = 64  # the estimated memory for each member, if the answer has a group
 FORGOTTEN_AT_ONCE = 64  # the most answers that each command forgets
@@ -36,13 +38,15 @@ FORGOTTEN_BY_MARK = 4096  # the most answers that each mark forgets
 class Answer:
     """The answer to an operation. `index`: the log position of its command.
 
-    `subject`: see `command_table.subject_of`.
+    `subject`: see `command_table.subject_of`. `caller`: the name of the caller whose share it takes up; empty if it
+    takes up none.
     """
 
     op_id: bytes
     index: int
     subject: str
     result: Success
+    caller: str = ""
 
     @property
     def size_bytes(self) -> int:
@@ -59,6 +63,7 @@ class Answered:
         self.marks = tuple(marks)  # the log positions of the last marks, ascending
         self._answers: dict[bytes, Answer] = {}  # by operation id, in the order of log positions
         self._size_bytes = 0
+        self._size_of: Counter[str] = Counter()  # by caller, for callers with a name
         for answer in answers:
             self.remember(answer)
 
@@ -110,18 +115,32 @@ class Answered:
                 reason="AMBIGUOUS",
             )
 
-    def check_room(self) -> None:
-        """Raises Overloaded if the memory for answers is full."""
+    def check_room(self, caller: str) -> None:
+        """Raises Overloaded if the memory for answers is full, or if those to this caller take up its share."""
         if self._size_bytes >= BYTES_MAX:
             raise Overloaded(
                 f"the directory remembers {len(self._answers)} updates of the last minute, as many as it can; wait a "
                 "little, and send the request again"
             )
+        used = self._size_of[caller]
+        if caller and used >= CALLER_BYTES_MAX:
+            raise Overloaded(
+                f"the directory's answers to the updates of {caller} in the last minute take {used} bytes, the most "
+                "for one caller; wait a little, and send the request again",
+                metadata={"subject": caller, "used": str(used), "limit": str(CALLER_BYTES_MAX)},
+            )
 
     def remember(self, answer: Answer) -> None:
         """Keep `answer`. Its log position must be the highest, and its operation id new."""
         self._answers[answer.op_id] = answer
-        self._size_bytes += answer.size_bytes
+        self._count(answer, answer.size_bytes)
+
+    def _count(self, answer: Answer, more_bytes: int) -> None:
+        self._size_bytes += more_bytes
+        if answer.caller:
+            self._size_of[answer.caller] += more_bytes
+            if not self._size_of[answer.caller]:
+                del self._size_of[answer.caller]
 
     def mark(self, index: int) -> None:
         """Add a mark at `index`, and forget some of the answers before the oldest mark."""
@@ -136,4 +155,4 @@ class Answered:
         oldest = islice(self._answers.values(), answers_max)
         for answer in [answer for answer in oldest if answer.index <= self.known_since]:
             del self._answers[answer.op_id]
-            self._size_bytes -= answer.size_bytes
+            self._count(answer, -answer.size_bytes)

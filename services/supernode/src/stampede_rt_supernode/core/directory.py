@@ -11,6 +11,7 @@ from hashlib import blake2b
 
 from stampede_rt.errors import StampedeError
 from stampede_rt_supernode.core.answered import Answer
+from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.command_table import kind_of, subject_of
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
@@ -55,9 +56,10 @@ class Directory(DirectoryState):
         if not kind.is_remembered:
             return kind.apply(self, command.operation, command.time_unix_nano)
         self.answered.check_not_late(command.as_of_index)
+        caller = command.caller if self.feature_level >= GROUPS_AND_PEERS_LEVEL else ""
         if kind.needs_room:
-            self.answered.check_room()
+            self.answered.check_room(caller)
         kind.check_not_late(self, command.operation, command.as_of_index)
         result = kind.apply(self, command.operation, command.time_unix_nano)
-        self.answered.remember(Answer(command.op_id, index, subject, result))
+        self.answered.remember(Answer(command.op_id, index, subject, result, caller))
         return result

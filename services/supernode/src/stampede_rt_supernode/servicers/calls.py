@@ -12,6 +12,7 @@ from stampede_rt_runtime.access.control import (
     check_not_judged,
     count_refusal,
     current_account,
+    own_name,
     owner_name,
 )
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
@@ -102,7 +103,12 @@ class DirectoryCalls:
         as_of_index = self.applied_index() if as_of_index is None else as_of_index
         try:
             return await self._submission.submit(
-                operation, kind, op_id=op_id, seconds=seconds_left(context), as_of_index=as_of_index
+                operation,
+                kind,
+                op_id=op_id,
+                seconds=seconds_left(context),
+                as_of_index=as_of_index,
+                caller=own_name(),
             )
         except Overloaded as error:
             count_refusal(error)

@@ -40,17 +40,25 @@ class Submission:
         self._closed = True
 
     async def submit(
-        self, operation: Operation, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0
+        self,
+        operation: Operation,
+        kind: type[R],
+        *,
+        op_id: bytes,
+        seconds: float,
+        as_of_index: int = 0,
+        caller: str = "",
     ) -> R:
         """Replicate `operation`, and return its result, a `kind`. The directory performs it only once for each `op_id`.
 
-        `as_of_index`: see Command. Raises the error of the directory's refusal. Raises VersionMismatch if the command
-        needs a higher feature level than the cluster's. Raises Unavailable with reason AMBIGUOUS if the log did not say
-        whether the operation is done. If it is certainly not done, the reason is NO_QUORUM, or SHUTTING_DOWN if this
-        supernode stops or its state has diverged.
+        `as_of_index`, `caller`: see Command. Raises the error of the directory's refusal. Raises VersionMismatch if the
+        command needs a higher feature level than the cluster's. Raises Unavailable with reason AMBIGUOUS if the log did
+        not say whether the operation is done. If it is certainly not done, the reason is NO_QUORUM, or SHUTTING_DOWN if
+        this supernode stops or its state has diverged.
         """
         now = self._time_unix_nano()
-        encoded = encode_command(Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index))
+        command = Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index, caller=caller)
+        encoded = encode_command(command)
         if not self._replica.takes(encoded):
             await self.confirm(seconds=seconds)  # the level may have risen, while this supernode lags behind
             self._check_level(encoded)

@@ -26,13 +26,42 @@ def test_message_ids_are_known_for_ten_minutes_and_forgotten_without_a_further_p
 
 
 def test_the_oldest_message_ids_are_forgotten_when_they_take_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(message_ids, "KNOWN_BYTES_MAX", 2 * (1 + message_ids.OVERHEAD_BYTES))
+    monkeypatch.setattr(message_ids, "KNOWN_BYTES_MAX", 2 * (2 + message_ids.OVERHEAD_BYTES))
     core = Core()
     for message_id in ("a", "b", "c"):
         core.put(1, message_id=message_id)
     assert core.put(1, message_id="c").is_duplicate
     assert core.put(1, message_id="b").is_duplicate
     assert not core.put(1, message_id="a").is_duplicate
+
+
+def test_a_caller_of_many_message_ids_makes_the_queue_forget_its_own_and_no_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One caller with many ids made the queue forget the ids of others."""
+    monkeypatch.setattr(message_ids, "KNOWN_BYTES_MAX", 100 * (4 + message_ids.OVERHEAD_BYTES))
+    core = Core()
+    good = [f"g{number}" for number in range(20)]
+    for message_id in good:
+        core.put(1, message_id=message_id, owner="good")
+    for number in range(1000):
+        core.put(1, message_id=f"x{number}", owner="greedy")
+    assert core.queue.footprint_bytes < core.queue.counters(core.now).held * 500
+    assert all(core.put(1, message_id=one, owner="good").is_duplicate for one in good)
+    assert core.put(1, message_id="x999", owner="greedy").is_duplicate
+    assert not core.put(1, message_id="x0", owner="greedy").is_duplicate
+
+
+def test_forgotten_message_ids_of_all_callers_leave_nothing_behind() -> None:
+    core, known = Core(), message_ids.MessageIds()
+    for number in range(300):
+        known.record(f"m{number}", number, core.now, owner=f"caller-{number % 7}")
+    known.record("m0", 301, core.now + TEN_MINUTES + 1, owner="caller-0")
+    while known.forget_one(core.now + 2 * TEN_MINUTES + 1):
+        pass
+    assert known.footprint_bytes == 0
+    assert not known._of_owner
+    assert not known._bytes_of_owner
 
 
 def test_of_two_waiting_runs_with_the_same_message_id_one_comes_in() -> None:

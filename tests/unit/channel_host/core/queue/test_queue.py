@@ -398,6 +398,22 @@ def test_the_line_of_runs_that_wait_is_bounded_by_number_and_bytes(monkeypatch: 
         core.put(100)
 
 
+def test_the_waiting_runs_of_one_caller_leave_room_for_those_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few large runs of one caller made the queue refuse all others, which could have waited."""
+    monkeypatch.setattr(enqueuing, "WAITING_BYTES_MAX", 4000)
+    monkeypatch.setattr(enqueuing, "WAITING_BYTES_OF_ONE_MAX", 3000)
+    core = Core(max_items=1)
+    core.put(1)
+    first = core.put(2900, owner="greedy")
+    with pytest.raises(Overloaded, match=r"greedy with 29.. bytes wait for room .* one caller may have 3000"):
+        core.put(900, owner="greedy")
+    waiting = core.put(900, owner="good")
+    assert not waiting.is_through
+    core.queue.withdraw(first, core.now)
+    core.queue.withdraw(waiting, core.now)
+    assert not core.put(3500, owner="greedy").is_through, "one run of each caller may wait, however large"
+
+
 def test_one_call_looks_after_a_bounded_number_of_ended_leases_and_the_rest_is_due_at_once() -> None:
     core = Core(lease_nanos=10)
     for _ in range(8):

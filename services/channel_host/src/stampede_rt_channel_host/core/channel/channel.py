@@ -255,6 +255,11 @@ class ChannelCore(AgedChannel):
         self._age_and_free(clock)
         return consumed
 
+    def consumption_bytes_of(self, owner: str) -> int:
+        """The memory of the consumer places of one caller, in bytes."""
+        consumers = self._retention.consumers
+        return 0 if consumers is None else consumers.table.footprint_bytes_of(owner)
+
     def consumption_bytes(self, consumer_id: int, seqs: Sequence[int]) -> int:
         """The most memory that `consume` adds for these seqs. Call `check_consumption` first."""
         consumers = self._retention.consumers

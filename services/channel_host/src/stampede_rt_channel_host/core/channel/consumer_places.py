@@ -7,6 +7,7 @@ A new consumer gets the place whose lease ended first. If no lease has ended, it
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -94,11 +95,16 @@ class PlaceTable:
         self._leases: Deadlines[Place] = Deadlines()
         self._orders = 0  # the last `order` given to a place
         self._ranges = 0  # the number of ranges of consumed seqs, of all places together
+        self._bytes_of: Counter[str] = Counter()  # the memory of each owner's places; only owners with a name
 
     @property
     def footprint_bytes(self) -> int:
         """The memory of the taken places, and of the ranges that their consumers have consumed."""
         return CONSUMER_BYTES * len(self._taken) + CONSUMED_RANGE_BYTES * self._ranges
+
+    def footprint_bytes_of(self, owner: str) -> int:
+        """As `footprint_bytes`, for the places of one caller."""
+        return self._bytes_of[owner]
 
     @property
     def untaken(self) -> int:
@@ -185,6 +191,20 @@ class PlaceTable:
         place.until = until
         self._leases.arm(place, until)
 
+    def set_owner(self, place: Place, owner: str) -> None:
+        """Set the caller that has the place; empty if it is not known. The place's memory counts for this caller."""
+        if place.owner != owner:
+            place_bytes = CONSUMER_BYTES + CONSUMED_RANGE_BYTES * place.ranges
+            self._add_bytes(place.owner, -place_bytes)
+            self._add_bytes(owner, place_bytes)
+            place.owner = owner
+
+    def _add_bytes(self, owner: str, more_bytes: int) -> None:
+        if owner:
+            self._bytes_of[owner] += more_bytes
+            if not self._bytes_of[owner]:
+                del self._bytes_of[owner]
+
     def give_up(self, place: Place, clock: int) -> None:
         """End the valid lease of a place now."""
         place.until = clock
@@ -203,6 +223,7 @@ class PlaceTable:
         """Count the ranges of the place anew."""
         ranges = 0 if place.done is None else place.done.range_count
         self._ranges += ranges - place.ranges
+        self._add_bytes(place.owner, CONSUMED_RANGE_BYTES * (ranges - place.ranges))
         place.ranges = ranges
 
     def enter_ended(self, consumer_id: int, until: int) -> None:
@@ -233,6 +254,7 @@ class PlaceTable:
         self._leases.disarm(place)
         place.done = None
         self.count_ranges(place)
+        self.set_owner(place, "")
         del self._taken[place.consumer_id]
 
     def _end(self, place: Place) -> None:

@@ -103,7 +103,7 @@ class Consumers:
             table.check_share(owner)
         restart_seq = next_seq if newest_seq is None else newest_seq
         place, done = table.take(consumer_id, self._collected.below, restart_seq)
-        place.owner = owner
+        table.set_owner(place, owner)
         items, ranges = 0, _ranges(seqs)
         for first, end in ranges:
             for low, high in self._collected.touching(first, end):

@@ -5,7 +5,7 @@ The queue judges a run message by message, and recognises a repeated run. While 
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Sequence
 from itertools import islice
 
@@ -22,6 +22,8 @@ from stampede_rt_channel_host.core.queue.values import SealRun
 WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
 """The bounds of one queue's waiting runs. A single run may wait even if it is larger."""
+WAITING_BYTES_OF_ONE_MAX = WAITING_BYTES_MAX * 3 // 4
+"""The bytes of one caller's waiting runs in one queue. One run of each caller may wait in any case."""
 OFFERED_PER_CALL_MAX = 512
 """After so many messages of waiting runs, one call judges no further run."""
 DROPPED_PER_RUN_MAX = 1024
@@ -103,6 +105,7 @@ class Enqueuing:
         self.retries = RetryWindow()
         self.message_ids = MessageIds()
         self.waiting_bytes = 0
+        self._waiting_of_owner: Counter[str] = Counter()  # bytes; only owners with a name
         self.finished: list[Enqueue] = []
         self.has_more = False
         self._ending: StampedeError | None = None  # the error of `end_line`, until no run waits
@@ -162,6 +165,13 @@ class Enqueuing:
         if run in self._line:
             self._leave_line(run)
             self._remember(run, now)
+
+    def refuse(self, run: Enqueue, error: StampedeError, now: int) -> None:
+        """Take a run out of the line, and refuse the rest of it because of `error`."""
+        if run in self._line:
+            self._leave_line(run)
+            self.fail(run, error, now)
+            self.finished.append(run)
 
     def fail(self, run: Enqueue, error: StampedeError, now: int) -> None:
         """Refuse a run that is not in line, because of `error`.
@@ -236,9 +246,16 @@ class Enqueuing:
                 f"{len(self._line)} runs with {self.waiting_bytes} bytes wait for room in {self._queue} already; put "
                 "less at once, let more takers take, or raise the queue's limits"
             )
+        own_bytes = self._waiting_of_owner[run.owner] if run.owner else 0
+        if own_bytes and own_bytes + run.charged_bytes > WAITING_BYTES_OF_ONE_MAX:
+            raise Overloaded(
+                f"runs of {run.owner} with {own_bytes} bytes wait for room in {self._queue} already, and one caller "
+                f"may have {WAITING_BYTES_OF_ONE_MAX} bytes there; put less at once, or let more takers take",
+                metadata={"subject": run.owner, "used": str(own_bytes), "limit": str(WAITING_BYTES_OF_ONE_MAX)},
+            )
         self._arrivals += 1
         run.order = self._arrivals
-        self.waiting_bytes += run.charged_bytes
+        self._count_waiting(run, run.charged_bytes)
         self._line[run] = None
         if run.wait_nanos is not None:
             at_least = MAKING_ROOM_NANOS if self._is_making_room else 0
@@ -252,7 +269,14 @@ class Enqueuing:
     def _leave_line(self, run: Enqueue) -> None:
         del self._line[run]
         self._deadlines.disarm(run)
-        self.waiting_bytes -= run.charged_bytes
+        self._count_waiting(run, -run.charged_bytes)
+
+    def _count_waiting(self, run: Enqueue, more_bytes: int) -> None:
+        self.waiting_bytes += more_bytes
+        if run.owner:
+            self._waiting_of_owner[run.owner] += more_bytes
+            if not self._waiting_of_owner[run.owner]:
+                del self._waiting_of_owner[run.owner]
 
     def _offer(self, run: Enqueue, now: int) -> bool:
         """Accept the messages for which there is room. Returns True if the run is done."""
@@ -301,7 +325,7 @@ class Enqueuing:
         """Set the outcome of a run whose messages are all judged, and remember it."""
         run.outcome = self._remember(run, now)
         if run.message_id and run.judging.accepted_any:
-            self.message_ids.record(run.message_id, run.outcome.parts[0].first_seq, now)
+            self.message_ids.record(run.message_id, run.outcome.parts[0].first_seq, now, run.owner)
 
     def _remember(self, run: Enqueue, now: int) -> Judged:
         """Remember the run's outcome so far, so that a repetition of the run gets it or continues after it."""

@@ -120,7 +120,7 @@ def restore(state: QueueHandoff, queue_items: QueueItems, leasing: Leasing, enqu
     for kept in state.producers:
         enqueuing.retries.record(kept.producer_id, kept.first_number, _aged(kept, now).outcome)
     for known in state.message_ids:
-        enqueuing.message_ids.record(known.message_id, known.seq, now - known.time)
+        enqueuing.message_ids.record(known.message_id, known.seq, now - known.time, known.owner)
 
 
 def _aged(kept: KeptRun, now: int) -> KeptRun:

@@ -1,12 +1,12 @@
 """The message ids of the latest messages, so that the queue does not store a second message of the same id. Pure.
 
-The queue remembers an id for a limited time, and its ids take up a limited number of bytes. It forgets the oldest ids
-first.
+The queue remembers an id for a limited time, and its ids take up a limited number of bytes. Above this number it
+forgets the oldest ids of the caller whose ids take up most. So one caller does not push out the ids of others.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict, deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -15,14 +15,20 @@ OVERHEAD_BYTES = 192
 """About how many bytes an id takes beside its characters."""
 KNOWN_BYTES_MAX = 16 * 2**20
 """The most bytes that the ids of one queue take: about 70,000 ids of 36 characters."""
+SHED_PARTS = 256
+"""Above the bound, the queue forgets at least this part of it in one go."""
 
 
 class KnownMessage(NamedTuple):
-    """An accepted message with an id: its seq, and the time of its acceptance."""
+    """An accepted message with an id: its seq, and the time of its acceptance.
+
+    `owner`: the caller that put it; empty if it has no name of its own.
+    """
 
     message_id: str
     seq: int
     time: int
+    owner: str = ""
 
 
 class MessageIds:
@@ -30,6 +36,9 @@ class MessageIds:
 
     def __init__(self) -> None:
         self._known: OrderedDict[str, KnownMessage] = OrderedDict()  # in the order of acceptance
+        # The same by owner, and some that are forgotten already. Each owner with a known id has bytes.
+        self._of_owner: dict[str, deque[KnownMessage]] = {}
+        self._bytes_of_owner: Counter[str] = Counter()
         self.footprint_bytes = 0
 
     def find(self, message_id: str, now: int) -> int | None:
@@ -37,14 +46,28 @@ class MessageIds:
         known = self._known.get(message_id)
         return known.seq if known is not None and known.time > now - KEPT_NANOS else None
 
-    def record(self, message_id: str, seq: int, now: int) -> None:
-        """Note an accepted message with an id. The entry replaces an older entry with the same id."""
+    def record(self, message_id: str, seq: int, now: int, owner: str = "") -> None:
+        """Note an accepted message with an id. The entry replaces an older entry with the same id.
+
+        `owner`: the name of the caller; empty if it has none of its own.
+        """
         if message_id in self._known:
             self._forget(message_id)
-        self._known[message_id] = KnownMessage(message_id, seq, now)
+        known = self._known[message_id] = KnownMessage(message_id, seq, now, owner)
+        self._of_owner.setdefault(owner, deque()).append(known)
+        self._bytes_of_owner[owner] += _cost(message_id)
         self.footprint_bytes += _cost(message_id)
         while self.footprint_bytes > KNOWN_BYTES_MAX:
-            self._forget(next(iter(self._known)))
+            self._shed()
+
+    def _shed(self) -> None:
+        """Forget the oldest ids of the owner with the most, so that not every message looks at all owners."""
+        owner = max(self._bytes_of_owner, key=self._bytes_of_owner.__getitem__)
+        own, enough = self._of_owner[owner], KNOWN_BYTES_MAX - KNOWN_BYTES_MAX // SHED_PARTS
+        while own and self.footprint_bytes > enough:
+            oldest = own.popleft()
+            if self._known.get(oldest.message_id) is oldest:
+                self._forget(oldest.message_id)
 
     def forget_one(self, now: int) -> bool:
         """Forget one id that is older than 10 minutes. Returns False if there is no such id."""
@@ -63,8 +86,14 @@ class MessageIds:
         return (known for known in self._known.values() if known.time > now - KEPT_NANOS)
 
     def _forget(self, message_id: str) -> None:
-        del self._known[message_id]
-        self.footprint_bytes -= _cost(message_id)
+        known, cost = self._known.pop(message_id), _cost(message_id)
+        self.footprint_bytes -= cost
+        self._bytes_of_owner[known.owner] -= cost
+        own = self._of_owner[known.owner]
+        if own and own[0] is known:
+            own.popleft()
+        if not self._bytes_of_owner[known.owner]:
+            del self._bytes_of_owner[known.owner], self._of_owner[known.owner]
 
 
 def _cost(message_id: str) -> int:

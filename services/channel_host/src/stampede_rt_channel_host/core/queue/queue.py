@@ -106,6 +106,12 @@ class QueueCore:
         self._enqueuing.withdraw(run, clock)
         self._follow_up(clock)
 
+    def refuse(self, run: Enqueue, error: StampedeError, now: int) -> None:
+        """Take a run out of the line, and refuse the rest of it because of `error`. Idempotent."""
+        clock = self._tick(now)
+        self._enqueuing.refuse(run, error, clock)
+        self._follow_up(clock)
+
     def pause(self) -> None:
         """Give takers no messages until `resume`, because the host does not serve the queue at present."""
         self._is_paused = self._dispatcher.is_paused = True

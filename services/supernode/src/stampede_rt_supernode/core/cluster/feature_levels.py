@@ -19,7 +19,7 @@ HIGHEST_LEVEL = 3
 FIRST_LEVEL = 1
 # From this level on replicas keep the owners of peers, and the creators of channels, queues and groups.
 OWNERS_LEVEL = 2
-# From this level on replicas limit the groups and peers of each caller.
+# From this level on replicas limit the groups and peers of each caller, and the memory for the answers to it.
 GROUPS_AND_PEERS_LEVEL = 3
 
 

@@ -1,0 +1,170 @@
+"""One call under way, and the rights that it and its requests have used."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Hashable, Iterator
+from itertools import islice
+from typing import Any, Protocol
+
+from stampede_rt.errors import Overloaded, PermissionDenied, StampedeError
+from stampede_rt_runtime.access.audit import AuditLog
+from stampede_rt_runtime.access.caller import Caller
+from stampede_rt_runtime.access.refusals import denied, revoked
+from stampede_rt_runtime.access.rules import NO_RULES, AccessKind, AccessRules, AccessVerb
+from stampede_rt_runtime.access.state import AccessState
+from stampede_rt_runtime.quotas.accounts import Account, Accounts
+from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
+from stampede_rt_runtime.quotas.subjects import creator_of
+
+GRANTS_KEPT_MAX = 1024
+REQUESTS_PER_STEP = 16
+Grant = tuple[AccessVerb, AccessKind, str]
+
+
+class CallControl(Protocol):
+    """The control of the port that serves a call."""
+
+    audit: AuditLog
+    accounts: Accounts
+
+    def rules(self) -> AccessRules:
+        """The present rules. Raises Unavailable while there is no state."""
+
+
+class OpenCall:
+    """One call under way, and the rights that it has used."""
+
+    def __init__(self, control: CallControl, caller: Caller, context: Any, account: Account) -> None:
+        task = asyncio.current_task()
+        assert task is not None, "handlers run in tasks"
+        self.task = task
+        self.caller = caller
+        self.account = account
+        self.error: StampedeError | None = None
+        self._control = control
+        self.context = context
+        self.ends_unix_nano = caller.first_end_unix_nano
+        self.requests: RequestRights | None = None
+        self._is_judged = caller.is_judged
+        self._granted: dict[Grant, None] = {}  # the call ends if one of these rights is lost
+        self._judged: dict[Grant, AccessRules] = {}  # allowed by these rules; a bounded cache
+
+    def end(self, error: StampedeError) -> None:
+        """Interrupt the call, wherever it waits, and end the RPC with `error`. Only the first error counts."""
+        if self.error is None:
+            self.error = error
+            self.task.cancel()
+
+    def rules(self) -> AccessRules:
+        """The present rules for this call. Raises Unavailable."""
+        return self._control.rules() if self._is_judged else NO_RULES
+
+    def check(self, grant: Grant) -> None:
+        """Raises PermissionDenied if the caller has no such right by the present rules.
+
+        The call remembers a right that the caller has, and ends when the caller loses it.
+        """
+        if self._is_judged:
+            self.check_now(grant)
+            self._granted[grant] = None
+
+    def check_now(self, grant: Grant) -> None:
+        """As `check`, but the call goes on if the caller loses the right later."""
+        if not self._is_judged:
+            return
+        rules = self.rules()
+        if self._judged.get(grant) is rules:
+            return
+        if not rules.judge(self.caller, *grant).allowed:
+            raise self.denied(denied(self.caller, *grant), *grant)
+        if len(self._judged) >= GRANTS_KEPT_MAX:
+            self._judged.clear()
+        self._judged[grant] = rules
+
+    def judging_again(self, state: AccessState) -> Iterator[None]:
+        """Check the credential and the used rights against a new state. End the call, or some of its requests, if one
+        is lost.
+
+        Yields after each right, so that the caller can pause.
+        """
+        if without := self.caller.revoked_among(state.revoked_serials):
+            self.end(revoked(without))
+            return
+        for grant in tuple(self._granted):  # what the call uses meanwhile is judged by the new rules
+            if not state.rules.judge(self.caller, *grant).allowed:
+                self.end(self.denied(denied(self.caller, *grant), *grant))
+                return
+            yield
+        if self.requests is not None:
+            yield from self.requests.judging_again(state.rules)
+
+    def denied(self, error: PermissionDenied, verb: str, kind: AccessKind, name: str) -> PermissionDenied:
+        """Write `error` to the audit log, and return it."""
+        self._control.audit.denied(self.caller, self.context.peer(), verb, f"{kind} {name}")
+        return error
+
+    def changed(self, what: str, name: str, *, done: bool) -> None:
+        """Write a change by the call to the audit log."""
+        self._control.audit.changed(self.caller, self.context.peer(), what, name, done=done)
+
+    def count_refusal(self, error: Overloaded) -> None:
+        """Count a refusal by a quota, see `Accounts.count_refusal`."""
+        self._control.accounts.count_refusal(error)
+
+    def creation_limit(self, quota: Quota) -> int | None:
+        """The most things that the caller may have created; None: there is no limit."""
+        name = creator_of(self.caller)
+        limit = LIMIT_MAX if name is None else self._control.accounts.of(name).limit(quota)
+        return None if limit >= LIMIT_MAX else limit
+
+
+class RequestRights:
+    """The rights that the requests of one stream use. A stream may serve many things, so each request ends by itself.
+
+    `lose` ends one request that waits, because its caller has lost a right. All methods may be called in the context of
+    another call.
+    """
+
+    def __init__(self, call: OpenCall | None, lose: Callable[[Any, PermissionDenied], None]) -> None:
+        """`call` None: there is none, as in tests of single methods, and everything is allowed."""
+        self._call = call
+        self._lose = lose
+        self._waiting: dict[Grant, dict[Hashable, None]] = {}
+        self._of_request: dict[Hashable, list[Grant]] = {}
+        if call is not None:
+            call.requests = self
+
+    def check(self, verb: AccessVerb, kind: AccessKind, name: str) -> None:
+        """Raises PermissionDenied if the caller has no such right by the present rules."""
+        if self._call is not None:
+            self._call.check_now((verb, kind, name))
+
+    def hold(self, request: Hashable, verb: AccessVerb, kind: AccessKind, name: str) -> None:
+        """Note that a request waits, and needs this right. `release` must follow."""
+        if self._call is not None and self._call.caller.is_judged:
+            grant = (verb, kind, name)
+            self._waiting.setdefault(grant, {})[request] = None
+            self._of_request.setdefault(request, []).append(grant)
+
+    def release(self, request: Hashable) -> None:
+        """Note that a request waits no more. Idempotent."""
+        for grant in self._of_request.pop(request, ()):
+            waiting = self._waiting.get(grant)
+            if waiting is not None:
+                waiting.pop(request, None)
+                if not waiting:
+                    del self._waiting[grant]
+
+    def judging_again(self, rules: AccessRules) -> Iterator[None]:
+        """End the waiting requests that need a right which the caller has lost. Yields after each bounded step."""
+        assert self._call is not None, "only a call is judged"
+        for grant in tuple(self._waiting):
+            if not rules.judge(self._call.caller, *grant).allowed:
+                error = self._call.denied(denied(self._call.caller, *grant), *grant)
+                while lost := [*islice(self._waiting.get(grant, ()), REQUESTS_PER_STEP)]:
+                    for request in lost:
+                        self.release(request)
+                        self._lose(request, error)
+                    yield
+            yield

@@ -1,0 +1,35 @@
+"""The errors of callers without a right, or without a valid credential."""
+
+from __future__ import annotations
+
+from stampede_rt.errors import PermissionDenied, StampedeError, Unavailable
+from stampede_rt_runtime.access.caller import Caller, CallerKind
+from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
+
+
+def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> PermissionDenied:
+    """The error for a caller without that right."""
+    return PermissionDenied(
+        f"{caller} may not {verb} {kind} {name}; an operator can allow it (stampede acl add {caller.name} {verb} "
+        f"{name})",
+        metadata={"verb": verb, kind: name},
+    )
+
+
+def over(caller: Caller) -> StampedeError:
+    """The error for a credential that ended during a call, or with which an open connection began.
+
+    The caller should try again, because it reads renewed certificates and tokens from its files. A call that brings an
+    ended token is refused for good, see `check_not_over`.
+    """
+    if caller.kind is CallerKind.CERTIFICATE:
+        text = f"the certificate of {caller} has expired; renew it (stampede certs renew), and connect again"
+        return Unavailable(text, reason="CERTIFICATE_EXPIRED")
+    text = f"the {caller.kind} of {caller} has ended; call again with a new one (stampede token issue {caller.name})"
+    return Unavailable(text, reason="TOKEN_EXPIRED")
+
+
+def revoked(caller: Caller) -> PermissionDenied:
+    """The error for a credential that was revoked."""
+    text = f"the {caller.kind} {caller.serial} of {caller} was revoked; ask an operator for another one"
+    return PermissionDenied(text, reason="UNAUTHENTICATED")
