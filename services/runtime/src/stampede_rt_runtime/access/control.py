@@ -40,8 +40,8 @@ SWEEP_SECONDS = 1.0
 class AccessControl:
     """Judges the callers of one port, on the event loop that serves the port.
 
-    The state comes from `source`, or else from `set_state`. As long as there is no state, the port refuses all callers whom
-    rules judge.
+    The state comes from `source`, or else from `set_state`. As long as there is no state, the port refuses all callers
+    whom rules judge.
     """
 
     def __init__(
