@@ -10,11 +10,12 @@ from typing import Any
 import grpc
 import pytest
 
-from stampede_rt.errors import ChannelNotFound, StampedeError, Unavailable
+from stampede_rt.errors import ChannelNotFound, StaleBinding, StampedeError, Unavailable
 from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_pb2, error_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
+from stampede_rt_channel_host.core.channel import run_to_end
 from tests.support.channel_host.rig import FOREVER, HOST_ID, Opened, Rig, S, run_of, running_host
 from tests.support.clock import ManualClock
 
@@ -126,6 +127,20 @@ async def test_a_new_epoch_of_the_same_incarnation_keeps_the_items(rig: Rig) -> 
     await bind(channel, epoch=2)
     assert (await channel.get()).error.reason == error_pb2.ERROR_REASON_WRONG_EPOCH
     channel.epoch = 2
+    assert (await channel.get()).payloads == [b"x"]
+
+
+async def test_a_channel_that_a_registration_did_not_name_is_served_only_after_the_next_bind(rig: Rig) -> None:
+    channel = await rig.open()
+    await channel.put(run_of(b"x"))
+    run_to_end(rig.host.store.registering([], is_complete=False))
+    for epoch in (1, 0):
+        channel.epoch = epoch
+        assert (await channel.get()).error.reason == error_pb2.ERROR_REASON_NOT_HERE
+    with pytest.raises(StaleBinding):
+        rig.host.store.find_any_epoch(channel.channel_id)
+    channel.epoch = 1
+    await bind(channel, epoch=1)
     assert (await channel.get()).payloads == [b"x"]
 
 

@@ -95,7 +95,7 @@ class ChannelStore:
         """
         self._check_lease()
         hosted = self._channels.get(channel_id)
-        if hosted is None:
+        if hosted is None or not hosted.epoch:
             raise refusals.not_here(self._identity.name, channel_id)
         if hosted.epoch != epoch:
             raise refusals.wrong_epoch(hosted.record.name, epoch, hosted.epoch)
@@ -193,7 +193,7 @@ class ChannelStore:
             error = refusals.not_here(self._identity.name, hosted.record.channel_id)
             left += self._drop(hosted.record.channel_id, error)
         else:
-            hosted.epoch = 0  # no request can name it: the next bind asks the directory
+            hosted.epoch = 0  # `find` refuses it: the next bind asks the directory
 
     def fence(self) -> None:
         """End all waits and streams, because the lease has ended. The callers must look for the channels elsewhere."""

@@ -78,7 +78,7 @@ class QueueStore:
         """The queue, for one request. Raises StaleBinding (NOT_HERE, WRONG_EPOCH) or Unavailable (SHUTTING_DOWN)."""
         self._check_lease()
         hosted = self._queues.get(queue_id)
-        if hosted is None:
+        if hosted is None or not hosted.epoch:
             raise refusals.not_here(self._identity.name, queue_id)
         if hosted.epoch != epoch:
             raise refusals.wrong_epoch(hosted.record, epoch)
@@ -136,7 +136,7 @@ class QueueStore:
             error = refusals.not_here(self._identity.name, hosted.record.queue_id)
             left += self._drop(hosted.record.queue_id, error)
         else:
-            hosted.epoch = 0  # no request can name it: the next use asks the directory
+            hosted.epoch = 0  # `find` refuses it: the next use asks the directory
 
     def changed(self, record: RecordedQueue, *, removed: bool) -> None:
         """Take in a change of a queue that the directory reports. Ignores queues that this host does not know."""
