@@ -54,7 +54,7 @@ async def test_gets_that_waited_for_room_are_looked_at_a_few_at_a_time_in_order(
 
     store: Any = SimpleNamespace(scheduler=PieceScheduler(), now=lambda: 1, find=lambda *_: None)
     stream = GetStream(store, nothing, nothing, nothing)
-    stream._go_on = lambda *_: None  # type: ignore[method-assign]
+    stream._answer_or_wait = lambda *_: None  # type: ignore[method-assign]
     stream._held_back = {number: HeldBack(number) for number in range(100)}  # type: ignore[misc]
     stream._room_came()
     stream._room_came()  # more room changes nothing

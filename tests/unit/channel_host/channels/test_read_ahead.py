@@ -40,7 +40,7 @@ async def test_what_is_read_ahead_is_charged_until_it_is_taken_or_nobody_asks_an
     ahead = ReadAhead(requests.read, memory, unlimited())
     await ahead.next()
     assert memory.used_bytes == 0
-    ahead.go_on()
+    ahead.start()
     await turns()
     assert memory.used_bytes == 4 * 2**20
     await ahead.next()
@@ -53,13 +53,13 @@ async def test_nothing_is_read_ahead_on_any_stream_when_the_hosts_memory_is_used
     memory, requests = MemoryBudget(3 * 2**20), Requests(bytes(2**20))
     streams = [ReadAhead(requests.read, memory, unlimited()) for _ in range(10)]
     for one in streams:
-        one.go_on()
+        one.start()
     await turns()
     assert memory.used_bytes <= 3 * 2**20 + len(streams) * 2**20  # one request more on each
     before = requests.reads
     Charge(memory).set(3 * 2**20)
     late = ReadAhead(requests.read, memory, unlimited())
-    late.go_on()
+    late.start()
     await turns()
     assert requests.reads == before
     assert (await late.next())[0] is not EOF
@@ -72,7 +72,7 @@ async def test_nothing_is_read_ahead_for_a_caller_whose_bytes_in_flight_are_used
     requests = Requests(bytes(2**20))
     ahead = [ReadAhead(requests.read, MemoryBudget(2**30), account) for _ in range(2)]
     for one in ahead:
-        one.go_on()
+        one.start()
     await turns()
     assert not account.has_room(Quota.BYTES_IN_FLIGHT)
     assert requests.reads <= 2 + len(ahead)  # one request more on each

@@ -160,12 +160,12 @@ class GetStream:
             return
         get = _OpenGet(call_id, plan, hosted, now)
         if not plan.wait_nanos:
-            self._go_on(get, first_of(hosted.channel.reading(plan.query, now)), now)
+            self._answer_or_wait(get, first_of(hosted.channel.reading(plan.query, now)), now)
             return
         get.pending = hosted.channel.begin(plan.query, now)
-        self._go_on(get, get.poll(now), now)
+        self._answer_or_wait(get, get.poll(now), now)
 
-    def _go_on(self, get: _OpenGet, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
+    def _answer_or_wait(self, get: _OpenGet, found: ReadAnswer | WakeAt | Unfinished[Any], now: int) -> None:
         """Send the answer, or let the get wait, or start a task that makes a long answer in pieces."""
         if isinstance(found, Unfinished):
             self._calls[get.call_id] = self._stream.spawn(self._finish(get, found.rest))
@@ -186,7 +186,7 @@ class GetStream:
             if isinstance(found, WakeAt) and get.is_outdated:
                 found = get.poll(now)
             self._calls[get.call_id] = None
-            self._go_on(get, found, now)
+            self._answer_or_wait(get, found, now)
         except StampedeError as error:
             self._calls[get.call_id] = None
             self._refuse(get.call_id, error)
@@ -201,10 +201,10 @@ class GetStream:
             self._store.find(get.plan.channel_id, get.plan.epoch)
             self._rights.check(AccessVerb.READ, AccessKind.CHANNEL, get.hosted.record.name)
         except StampedeError:
-            self._let_go(found)
+            self._free(found)
             raise
 
-    def _let_go(self, found: object) -> None:
+    def _free(self, found: object) -> None:
         """Free an answer that no caller gets."""
         if isinstance(found, ReadAnswer):
             self._store.scheduler.begin(emptying(found.slices))
@@ -230,7 +230,7 @@ class GetStream:
             found = await self._groups.read(params, hosted, plan.query, wait_nanos, check)
             # No answer may stay in memory while the outbox has no room: drop it, and read again when there is room.
             while not self._outbox.has_room:
-                self._let_go(found.answer)
+                self._free(found.answer)
                 del found
                 await self._outbox.room()
                 self._store.find(plan.channel_id, plan.epoch)
@@ -255,7 +255,7 @@ class GetStream:
                 # Drop this outcome, so that no answer stays in memory. `_room_came` has the get polled again.
                 self._held_back[get.call_id] = get
             else:
-                self._go_on(get, outcome, self._store.now())
+                self._answer_or_wait(get, outcome, self._store.now())
             self._outbox.kick()
 
         return release
@@ -279,7 +279,7 @@ class GetStream:
         now = self._store.now()
         try:
             self._check_served(get)
-            self._go_on(get, get.poll(now), now)
+            self._answer_or_wait(get, get.poll(now), now)
         except StampedeError as error:
             self._refuse(get.call_id, error)
         self._outbox.kick()
@@ -288,7 +288,7 @@ class GetStream:
         self._calls[get.call_id] = None
         kept_bytes = _kept_bytes(answer)
         if not self._account.has_room(Quota.BYTES_IN_FLIGHT, kept_bytes):
-            self._let_go(answer)
+            self._free(answer)
             self._refuse(get.call_id, self._account.exceeded(Quota.BYTES_IN_FLIGHT, kept_bytes))
             return
         summary = summary_of(answer, now, cut)

@@ -93,7 +93,7 @@ class Outbox:
         """Write no further message of a call."""
         for answer in [answer for answer in self._answers if answer.call_id == call_id]:
             self._answers.remove(answer)
-            self._let_go(answer)
+            self._release_bytes(answer)
             self._begin(answer.emptying)
         self._on_end(call_id)
 
@@ -160,14 +160,15 @@ class Outbox:
         await self._context.write(message.encoded)
         answer.on_sent(message.payload_bytes)
         if message.is_last:
-            self._let_go(answer)
+            self._release_bytes(answer)
             self._on_end(answer.call_id)
 
     def _count(self, more_bytes: int) -> None:
         self.queued_bytes += more_bytes
         self._in_flight.set(self.queued_bytes)
 
-    def _let_go(self, answer: _Answer) -> None:
+    def _release_bytes(self, answer: _Answer) -> None:
+        """Count the bytes of an answer no more, and wake those that wait for room, if there is room now."""
         self._count(-answer.kept_bytes)
         if self.has_room:
             self._room.set()

@@ -37,7 +37,7 @@ class ReadAhead:
         self._bytes = 0  # of these requests, and those that `keeping` adds
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None
-        self._wanted = False  # whether `next` has been called since `go_on`: the task then begins no further read
+        self._wanted = False  # whether `next` has been called since `start`: the task then begins no further read
         self._news = asyncio.Event()
 
     async def next(self) -> tuple[Any, float]:
@@ -56,15 +56,15 @@ class ReadAhead:
 
     @contextmanager
     def keeping(self, kept_bytes: int) -> Iterator[None]:
-        """Read on as `go_on`. During the block also count `kept_bytes`: the other runs of the request that waits."""
+        """Read on as `start`. During the block also count `kept_bytes`: the other runs of the request that waits."""
         self._count(kept_bytes)
-        self.go_on()
+        self.start()
         try:
             yield
         finally:
             self._count(-kept_bytes)
 
-    def go_on(self) -> None:
+    def start(self) -> None:
         """Read on until the next call of `next`, because the last request has to wait."""
         self._wanted = False
         if self._task is None and self._failure is None and not (self._received and self._received[-1][0] is EOF):

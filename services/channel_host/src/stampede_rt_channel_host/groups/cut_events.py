@@ -190,7 +190,7 @@ class CutEvents:
         while not self._is_over(decider):
             await self._writer.turn()
             self._follow(group)
-            boundary = self._decided(group, decider) if decider is not None else self._handed(group)
+            boundary = self._due_boundary(group, decider) if decider is not None else self._next_boundary(group)
             wanted = self._credit.left > 0 or bool(self._boundaries)
             if boundary is not None:
                 if decider is not None:
@@ -207,7 +207,7 @@ class CutEvents:
         """Whether the reader has closed its side, and has got everything that it asked for."""
         return self._credit.is_final and not self._boundaries and (decider is None or self._credit.left <= 0)
 
-    def _decided(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
+    def _due_boundary(self, group: HostedGroup, decider: EventDecider) -> Boundary | None:
         """The boundary of the event that is due. None without credit: the cuts that come meanwhile make one event."""
         now = self._groups.channels.now()
         decider.note(group.cut.cut, now)
@@ -215,7 +215,7 @@ class CutEvents:
             return None
         return decider.due(group.members(), now)
 
-    def _handed(self, group: HostedGroup) -> Boundary | None:
+    def _next_boundary(self, group: HostedGroup) -> Boundary | None:
         """The next boundary from the reader, once this host's cut has reached it. The boundary itself raises no cut."""
         if not self._boundaries or not group.has_reached(self._boundaries[0].cut):
             return None
