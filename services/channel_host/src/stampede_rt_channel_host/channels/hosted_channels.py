@@ -32,7 +32,7 @@ class HostedChannel:
     """One channel at this host.
 
     `record` is the latest record from the directory. The core has the incarnation of the record. Requests must name
-    `epoch`: that of the record, or 0 if the store must ask the directory before it serves the channel again.
+    `epoch`, the epoch of the record. `epoch` 0: the store must ask the directory before it serves the channel again.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class HostedChannel:
         self.delivered_bytes += payload_bytes
 
     def footprint_bytes(self) -> int:
-        """The bytes kept for the channel: stored items, waiting puts, and the facts about producers."""
+        """The bytes kept for the channel: stored items, waiting puts, and the retry window."""
         return self.channel.footprint_bytes + self.puts.footprint_bytes
 
     def _touched(self) -> None:

@@ -19,10 +19,10 @@ class ChannelObserver(Protocol):
     """A stream, a group or a set of blocked gets that a channel or group wakes after its changes."""
 
     def wake(self) -> None:
-        """There may be items to send."""
+        """Note that the channel or group has changed."""
 
     def end(self, error: StampedeError) -> None:
-        """The host does not serve the channel any more."""
+        """Note that the host does not serve the channel or group any more. `error`: the reason."""
 
 
 class ChangeObserver:
@@ -99,7 +99,7 @@ class Observers:
     """The observers of one channel or group.
 
     A change wakes the observers that listen, and only these. An observer that has been woken listens again when it next
-    looks at the channel. So the wakes of busy observers cost as little as the messages that they send.
+    looks at the channel. So the host wakes a busy observer once for each of its looks, not once for each change.
     """
 
     __slots__ = ("_begin", "_listening", "_observers", "_to_wake")

@@ -31,7 +31,7 @@ class PieceScheduler:
         return await self.finish(found.rest) if isinstance(found, Unfinished) else found
 
     def begin(self, pieces: Pieces[None]) -> None:
-        """Perform the first piece in this call, and the other pieces in later turns. Does not wait for those."""
+        """Perform the first piece in this call, and the other pieces in later turns. Does not wait for them."""
         found = first_of(pieces)
         if isinstance(found, Unfinished):
             task = asyncio.create_task(self._finish(found.rest, CallerWork(unlimited())), name="long work")

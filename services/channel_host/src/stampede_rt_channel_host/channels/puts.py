@@ -149,7 +149,7 @@ class ChannelPuts:
         on_touched: Callable[[], None],
         may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
-        """`may_serve`: whether the channel may accept waiting puts now. It may not while the host has no lease."""
+        """`may_serve` says whether the host has its lease. Without the lease the channel accepts no waiting puts."""
         self._channel = channel
         self._memory = memory
         self._now = now
@@ -195,7 +195,7 @@ class ChannelPuts:
             self._on_touched()
 
     def _put(self, run: IncomingRun, now: int) -> pb.PutAck | None:
-        if self._ending is not None:  # the run may be a repetition of one that still waits
+        if self._ending is not None:  # the run may repeat a run that still waits
             return refused(run.first_number, run.items, self._ending, now, self._channel.incarnation)
         if self._recognise(run, now) or (not self._waiting_runs and self._claim_and_offer(run, now)):
             assert run.ack is not None, "a run that does not wait has an ack"

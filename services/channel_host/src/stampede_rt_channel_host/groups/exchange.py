@@ -18,8 +18,8 @@ from stampede_rt_channel_host.groups.messages import floor_from_message, times_f
 from stampede_rt_channel_host.groups.peers import Dial, PeerHosts
 from stampede_rt_channel_host.groups.table import HostedGroups
 
-FLOORS_MAX = 10_000  # of groups that this host has still to look up, over all hosts
-FLOORS_MAX_PER_HOST = 1000  # of these, reported by one host
+FLOORS_MAX = 10_000  # the most floors of groups that this host has still to look up
+FLOORS_MAX_PER_HOST = 1000  # the most of these floors that one host has reported
 GROUPS_PER_PIECE = 16
 
 

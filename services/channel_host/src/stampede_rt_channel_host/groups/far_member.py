@@ -50,7 +50,7 @@ class FarMember:
 
     async def keep(self, dial: Dial, on_news: Callable[[], None]) -> None:
         """Follow the member at its owner. If that fails, try again at the host that the directory names by then."""
-        while True:  # paced; ends by cancellation
+        while True:  # paced by the sleep; ends by cancellation
             if self.target:
                 try:
                     await self._listen(dial, on_news)

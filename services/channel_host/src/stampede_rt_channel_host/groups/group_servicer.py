@@ -91,7 +91,7 @@ class GroupServicer:
 
     @errors_as_status
     async def get_group_status(self, request: pb.GetGroupStatusRequest, context: Context) -> pb.GetGroupStatusResponse:
-        """GroupService.GetGroupStatus: the cut, what holds it back, and the times of each member."""
+        """GroupService.GetGroupStatus: the cut, the members that hold the cut back, and the times of each member."""
         group = await self._groups.find(request.group_id)
         check_known(AccessKind.GROUP, group.record.name)
         await group.reach(None, SETTLE_SECONDS)

@@ -180,7 +180,7 @@ class PeerHosts:
     async def _keep(self, peer: PeerHost) -> None:
         """Keep a stream to the peer for as long as both share a group: open the stream, or ask the peer to open it."""
         pause_s = PAUSE_SECONDS_MIN
-        while True:  # paced; ends when the peer is dropped
+        while True:  # paced by the sleep; `_drop` cancels this task
             if peer.link is None and peer.target and self._lease_held():
                 try:
                     opens = self._identity.host_id < peer.host_id

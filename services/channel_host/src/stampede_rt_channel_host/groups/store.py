@@ -36,7 +36,7 @@ IN_USE_SECONDS = 60.0  # a group without readers counts as in use for this time 
 
 
 class GroupStore:
-    """Requests that name a group get it by `find`, or by `known` if they must not wait. Implements `Watched`."""
+    """Requests that name a group get the group by `find`, or by `known` if they must not wait. Implements `Watched`."""
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class GroupStore:
         return refusals.not_here(self._identity.name, channel_id)
 
     def fence(self) -> None:
-        """End all waits and streams, because the lease ran out. Readers look for the channels elsewhere, or wait."""
+        """End all waits and streams, because the lease has ended. Readers look for the channels elsewhere, or wait."""
         self.end_all(refusals.fenced(self._identity.name))
 
     def end_all(self, error: StampedeError) -> None:

@@ -50,7 +50,7 @@ class HostedQueue:
     """One queue at this host.
 
     `record` is the latest record from the directory. The core has the incarnation of the record. Requests must name
-    `epoch`: that of the record, or 0 if the store must ask the directory before it serves the queue again.
+    `epoch`, the epoch of the record. `epoch` 0: the store must ask the directory before it serves the queue again.
     The queue calls `on_departures` at each change for as long as messages wait for their move to the dead-letter queue.
     """
 

@@ -40,7 +40,7 @@ LOOKUPS_MAX = 3
 
 class QueueStore:
     """Requests get their queue by `use`, which may ask the directory. Each run of an enqueue request gets the queue by
-    `find`, which does not.
+    `find`, which never asks.
 
     Implements `Watched`. `lease_held` says whether the host may serve at this moment. `now` is the host's clock.
     `scheduler` does long work in pieces. `on_departures` is called with each queue that has messages to move to its
