@@ -43,7 +43,8 @@ class DirectoryServiceStub(object):
     begins with "memory-", too.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
-    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
+    OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
+    perform the update.
     """
 
     def __init__(self, channel):
@@ -137,7 +138,8 @@ class DirectoryServiceServicer(object):
     begins with "memory-", too.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
-    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
+    OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
+    perform the update.
     """
 
     def Ping(self, request, context):
@@ -335,7 +337,8 @@ class DirectoryService(object):
     begins with "memory-", too.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
-    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
+    OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
+    perform the update.
     """
 
     @staticmethod

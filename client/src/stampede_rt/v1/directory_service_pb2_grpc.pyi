@@ -44,7 +44,8 @@ class DirectoryServiceStub:
     begins with "memory-", too.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
-    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
+    OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
+    perform the update.
     """
 
     @_typing.overload
@@ -113,7 +114,8 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     begins with "memory-", too.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
-    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
+    OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
+    perform the update.
     """
 
     def __init__(self, channel: _aio.Channel) -> None: ...
@@ -178,7 +180,8 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
     begins with "memory-", too.
 
     AMBIGUOUS: the supernode does not know whether the update was performed. Repeat the request with the same id.
-    OVERLOADED: the directory cannot remember more answers at present, and did not perform the update.
+    OVERLOADED: the directory cannot remember more answers at present, or no more answers to this caller, and did not
+    perform the update.
     """
 
     @_abc_1.abstractmethod

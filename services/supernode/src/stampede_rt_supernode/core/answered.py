@@ -38,8 +38,8 @@ FORGOTTEN_BY_MARK = 4096  # the most answers that each mark forgets
 class Answer:
     """The answer to an operation. `index`: the log position of its command.
 
-    `subject`: see `command_table.subject_of`. `caller`: the name of the caller whose share it takes up; empty if it
-    takes up none.
+    `subject`: see `command_table.subject_of`. `caller`: the caller whose share of the memory the answer takes up; empty
+    if no share holds for it.
     """
 
     op_id: bytes
@@ -116,7 +116,7 @@ class Answered:
             )
 
     def check_room(self, caller: str) -> None:
-        """Raises Overloaded if the memory for answers is full, or if those to this caller take up its share."""
+        """Raises Overloaded if the memory for answers is full, or if the answers to this caller take up its share."""
         if self._size_bytes >= BYTES_MAX:
             raise Overloaded(
                 f"the directory remembers {len(self._answers)} updates of the last minute, as many as it can; wait a "
