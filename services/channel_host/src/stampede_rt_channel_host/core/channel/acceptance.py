@@ -88,9 +88,10 @@ class Acceptance:
     def _drops_the_same(self, items: int, payload_bytes: int, low: int) -> bool:
         """Whether one step for the whole run drops the same items, with the same span ends, as a step for each item.
 
-        This needs two things. Only one of max_items and max_bytes drops items. And the bucket after the dropped items
-        is held already and begins at or before all new items, so that no new item ends a dropped span earlier. If the
-        new items come in order, and the newest bucket stays, the second is certain.
+        There are two conditions. First, only one of max_items and max_bytes drops items. Second, the bucket after the
+        dropped items is held already and begins at or before all new items, so that no new item ends a dropped span
+        earlier. The second condition is certain if the new items come in order and no item of the newest bucket is
+        dropped.
         """
         held, limits = self._held, self._retention.limits
         comes_in_order = held.newest is not None and low >= held.newest
@@ -170,7 +171,7 @@ class Acceptance:
         )
 
     def _below_promises(self, time: int) -> str | None:
-        """A text that names the advance or the collection that the item is too late for, or None."""
+        """A text that names the advance, or the collected items, after which the item comes too late; or None."""
         if self.advance is not None and time < self.advance:
             return f"an advance has promised that nothing before {self.advance} comes"
         collected = self._held.newest_collected

@@ -82,8 +82,8 @@ class PlaceTable:
     """The places of one channel. `clock` is the host's clock, which never goes back. Call `expire` before other
     methods.
 
-    `arrivals` counts how often a consumer took a place with a valid lease. Such a consumer may have more to consume
-    than the others.
+    `arrivals` counts how often a consumer has taken a place. A consumer that has just taken a place may have more to
+    consume than the others.
     """
 
     def __init__(self, places: int) -> None:
@@ -237,6 +237,7 @@ class PlaceTable:
         return place
 
     def _enter(self, consumer_id: int, done: SeqSet | None, until: int = 0) -> Place:
+        """Add a place of a consumer. If `done` is None, the lease of the place has ended at `until`."""
         self._orders += 1
         place = self._taken[consumer_id] = Place(consumer_id, self._orders, done, until)
         if done is None:
@@ -258,6 +259,7 @@ class PlaceTable:
         del self._taken[place.consumer_id]
 
     def _end(self, place: Place) -> None:
+        """Move a place to those whose lease has ended. `until` is the end of the lease."""
         self._live.remove(place)
         place.done = None
         self.count_ranges(place)

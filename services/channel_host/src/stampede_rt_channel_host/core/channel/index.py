@@ -150,13 +150,13 @@ class ChannelIndex:
         self._add(rest)
 
     def _last_up_to(self, time: int) -> Entry | None:
-        """The last entry that begins at or before `time`."""
+        """The last entry that begins at or before `time`, or None if there is none."""
         if self._by_time and self._by_time[-1].first_time <= time:
             return self._by_time[-1]  # type: ignore[no-any-return]
         return next(self._by_time.irange_key(None, time, reverse=True), None)
 
     def _first_later(self, time: int) -> Entry | None:
-        """The first entry that begins after `time`."""
+        """The first entry that begins after `time`, or None if there is none."""
         if not self._by_time or self._by_time[-1].first_time <= time:
             return None
         return next(self._by_time.irange_key(time, None, (False, True)), None)

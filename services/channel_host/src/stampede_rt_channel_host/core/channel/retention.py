@@ -1,9 +1,9 @@
 """Decides when items leave a channel (paper, section 3.4): by age, count, bytes or consumption. Pure.
 
 Consumption collects the oldest items, in order, as soon as no consumer has still to consume them. A consumed item in
-the middle stays until the items before it are collected. Otherwise the span of the item before it would grow. With
-`max_age_unconsumed` the age depends on the slowest live consumer. The channel collects items that all live consumers
-have consumed at max_age, and other items later, at max_age_unconsumed at the latest.
+the middle stays until the items before it are collected. Otherwise the span of the item before it would grow. A
+consumer is live while the lease of its place is valid. An item is owed if a live consumer has still to consume it. With
+`max_age_unconsumed` the channel collects an item that is not owed at max_age, and an owed item at max_age_unconsumed.
 
 `clock` is the host's clock. The time model's `now` is the later of the clock and the newest item's time. But items age
 by the clock alone. So a producer whose clock is ahead does not shorten the other producers' window.
@@ -140,7 +140,7 @@ class Retention:
         return front.items > 0
 
     def _age_bound(self, cutoff: int) -> int | None:
-        """The time of the first bucket that is not too old, or None if the oldest bucket is not.
+        """The time of the first bucket that is not too old. May be None if this is the oldest bucket.
 
         A later bucket never ends earlier, so the search looks at the spans of one bucket only.
         """
@@ -156,18 +156,17 @@ class Retention:
     def _prolonged(self, bound: int, cutoff: int) -> int:
         """The time of the first bucket that stays, if the buckets before `bound` are past max_age.
 
-        A bucket that a live consumer has still to consume stays until its last span ended at or before `cutoff`. While
-        it stays, all later buckets stay, too. The method checks the buckets to collect and one slice more. A very long
-        check takes several calls.
+        A bucket with an owed item stays as long as its last span ends after `cutoff`. All buckets after it stay, too.
+        The method checks the buckets to collect and one slice more. A very long check takes several calls.
         """
         owed = self._first_owed(self._age_bound(cutoff), bound)
         return bound if owed is None else owed
 
     def _first_owed(self, start: int | None, end: int) -> int | None:
-        """The time of the first item from `start` up to `end`, exclusive, that a live consumer has still to consume.
+        """The time of the first owed item from `start` up to `end`, exclusive, or None if there is no owed item.
 
-        Returns None if there is no such item. After very many consumed items the search stops and returns the time that
-        it reached. If it stopped within a very large bucket, the next call continues there.
+        After very many consumed items the search stops, and returns the time that it has reached. If it has stopped
+        within a very large bucket, the next call continues there.
         """
         consumers = self.consumers
         assert consumers is not None, "limits that ask for it count consumption"
@@ -204,7 +203,7 @@ class Retention:
         return time
 
     def continue_owed_check(self) -> None:
-        """Continue a check of a very large oldest bucket: have all consumers consumed its items?"""
+        """Continue the check whether a very large oldest bucket has an owed item, if a call has stopped this check."""
         if self._owed_check_goes_on:
             self._age_of_oldest()
 
@@ -229,6 +228,7 @@ class Retention:
         return None if self.consumers is None or not self._held.items else self.consumers.table.next_lease_end
 
     def _or_lease_end(self, instant: int) -> int:
+        """The earlier of `instant` and the next lease end."""
         end = self._lease_end()
         return instant if end is None else min(instant, end)
 

@@ -1,8 +1,8 @@
 """The needs of blocked gets, and how far new items reach. A change polls only the gets that it may release. Pure.
 
 A new item may release a get if the item's time, or under the match mode `span` its span, reaches the get's interval.
-The channel also releases a get when no more item can come into the interval. A poll of a get looks at all items
-present. So if the get stays blocked, only an item accepted after that poll can release it.
+The channel also releases a get when it has passed the interval. A poll of a get looks at all present items. So if the
+get stays blocked, only an item accepted after that poll can release it.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _BUCKET_PARTS_MAX = 16
 class Needs(NamedTuple):
     """The events that may release a get. A field is None if its kind of event does not release the get.
 
-    `passed`: the channel passes this instant, so that no item before it can come. `time`: an item comes with this time
-    or a later time. `end`: an item comes whose span lasts until this instant or longer.
+    `passed`: the channel passes this instant: an item, an advance or the frontier reaches it. `time`: an item comes
+    with this time or a later time. `end`: an item comes whose span lasts until this instant or longer.
     """
 
     passed: int | None = None
@@ -36,9 +36,9 @@ class Needs(NamedTuple):
 
 
 class Reach(NamedTuple):
-    """How far a channel reaches, and the items that are new since the last reach. A field is None if there is no such
-    instant.
+    """How far a channel and its new items reach. An item is new if it came, or became visible, after the last `Reach`.
 
+    A field is None if there is no such instant.
     `passed`: the latest instant that the channel has passed. `time`: the latest time of a new item. `end`: the latest
     span end of a new item. Each instant may be too late, which only costs a poll in vain. It is never too early.
     """
@@ -80,7 +80,7 @@ class ReachTracker:
         return Reach(self._passed(held, cut), time, end)
 
     def _passed(self, held: Holdings, cut: int) -> int | None:
-        """The instant that the channel has passed: no item before it can come or become visible late."""
+        """The latest instant that the channel has passed: a visible item, an advance or the frontier has reached it."""
         marks = [mark for mark in (held.newest, self._channel.advanced_to, held.newest_consumed) if mark is not None]
         passed = [min(max(marks), cut)] if marks else []
         return max([*passed, *([] if held.frontier is None else [held.frontier])], default=None)

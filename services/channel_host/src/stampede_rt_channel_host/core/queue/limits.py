@@ -13,6 +13,7 @@ ITEM_OVERHEAD_BYTES = 64
 """The bytes that a message counts against max_bytes beside its payload."""
 ITEM_BYTES_MAX = 16 * 2**20
 """The largest payload of a message in any queue."""
+# the limits that a policy states as numbers, perhaps as None
 _NUMBERS = ("max_items", "max_bytes", "max_item_bytes", "copies", "lease_nanos", "max_deliveries")
 LEASE_NANOS_MAX = 3_600_000_000_000
 """The longest lease that a taker may ask for."""

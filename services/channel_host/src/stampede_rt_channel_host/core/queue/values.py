@@ -84,7 +84,7 @@ Verdict = Acknowledge | GiveBack | Extend | Terminate
 
 
 class Settlement(NamedTuple):
-    """A taker's settlement of a delivery."""
+    """The decision of a taker about a delivery: it ends the delivery, or extends the lease."""
 
     delivery_id: int
     verdict: Verdict
