@@ -51,7 +51,7 @@ class Lease:
         self.leased_at = leased_at
         self.due: int | None = None
 
-    def in_vain(self, ended: str, reason: str = "") -> FailedDelivery:
+    def as_failed(self, ended: str, reason: str = "") -> FailedDelivery:
         """This delivery as a failed delivery. `ended` is the way in which it failed."""
         return FailedDelivery(self.number, self.taker.taker_id, self.taker.name, ended, reason)
 
@@ -204,7 +204,7 @@ class Leasing:
         """End the lease as the taker asked, and give the message up."""
         self._queue_items.tally.terminated += 1
         self._end(lease)
-        lease.item.last = lease.in_vain(TERMINATED, reason)
+        lease.item.last = lease.as_failed(TERMINATED, reason)
         self.give_up(lease.item)
 
     def _take_back(self, lease: Lease, ended: str | None, not_before: int | None = None) -> None:
@@ -218,7 +218,7 @@ class Leasing:
         if lease.number:
             insort(item.returned, lease.number)
         if ended is not None:
-            item.last = lease.in_vain(ended)
+            item.last = lease.as_failed(ended)
         if self.is_exhausted(item):
             self.give_up(item)
             return
