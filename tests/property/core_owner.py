@@ -70,12 +70,12 @@ class CoreOwner:
             return b""
 
         outcome = self.channel.put(put.offer, self._now(), seal)
-        is_through = put.take_outcome(outcome, self._now())
-        if is_through:
+        is_done = put.take_outcome(outcome, self._now())
+        if is_done:
             self._finish(put)
         if outcome.run is not None:
             self._announce()
-        return is_through
+        return is_done
 
     def _finish(self, put: WaitingPut) -> None:
         self._remember(put)

@@ -89,7 +89,7 @@ class QueuePair:
         if not refused[0]:
             self.runs.append(other)
             self._agree(mine, other)
-            if not mine.is_through:
+            if not mine.is_done:
                 self.waiting.append((mine, other))
 
     def _oracle_enqueue(self, run: oracle.Run) -> None:
@@ -224,7 +224,7 @@ class QueuePair:
         assert all(one.taker_name == f"taker {one.taker_id}" for one in found)
 
     def _agree(self, mine: Enqueue, other: oracle.Run) -> None:
-        assert mine.is_through == (other.outcome is not None or other.error is not None)
+        assert mine.is_done == (other.outcome is not None or other.error is not None)
         if other.error is not None:
             assert mine.error is not None
             assert mine.error.reason == other.error

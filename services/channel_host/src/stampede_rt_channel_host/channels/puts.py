@@ -335,14 +335,14 @@ class ChannelPuts:
     def _offer(self, run: IncomingRun, now: int) -> bool:
         """Offer the rest of the run, whose memory is claimed. Returns True if the run has its ack."""
         outcome = self._channel.put(run.offer, now, run.seal)
-        is_through = run.take_outcome(outcome, now)
-        if is_through:
+        is_done = run.take_outcome(outcome, now)
+        if is_done:
             self._finish(run, now)
         else:
             self._arm(outcome.retry_at, now)
         if outcome.run is not None:
             self._on_accepted(now)
-        return is_through
+        return is_done
 
     def _refuse_rest(self, run: IncomingRun, now: int) -> pb.PutAck:
         run.take_outcome(self._channel.give_up_put(run.offer), now)

@@ -108,7 +108,7 @@ class HostedQueue:
         try:
             self._charge.claim(run.charged_bytes)
             self.queue.enqueue(run, self._now())
-            if not run.is_through:
+            if not run.is_done:
                 done = self._waiting[run] = asyncio.get_running_loop().create_future()
         except Overloaded as error:
             self._count_overloaded(run, error)

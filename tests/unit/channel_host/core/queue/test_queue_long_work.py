@@ -92,7 +92,7 @@ def test_what_a_smaller_limit_leaves_too_much_is_dropped_by_many_calls_while_the
     core.put(*[1] * 10_000)
     core.queue.configure(QueueLimits(max_items=10, on_full="drop_oldest"), core.now)
     run, held = core.put(1, wait_nanos=0), 10_000
-    while not run.is_through:
+    while not run.is_done:
         (now_held,) = core.counted("held")  # looks after what is due
         assert held - 2 * (DROPPED_PER_RUN_MAX + 2) <= now_held < held
         held = now_held
@@ -147,7 +147,7 @@ def test_while_a_queue_is_paused_or_may_not_serve_no_taker_gets_anything() -> No
     core.taker(1, 10)
     core.queue.configure(QueueLimits(max_items=10), core.now)
     core.queue.tick(core.now)
-    assert (core.queue.take_batches(), waits.is_through) == ([], False)
+    assert (core.queue.take_batches(), waits.is_done) == ([], False)
     serves = True
     core.queue.pause()
     core.queue.tick(core.now)

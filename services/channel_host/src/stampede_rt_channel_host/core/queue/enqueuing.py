@@ -79,7 +79,7 @@ class Enqueue:
         self.order = 0
 
     @property
-    def is_through(self) -> bool:
+    def is_done(self) -> bool:
         """Whether the run is done: none of its messages waits."""
         return self.outcome is not None or self.error is not None
 
