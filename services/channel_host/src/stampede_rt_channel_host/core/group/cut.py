@@ -85,7 +85,7 @@ class GroupCut:
         self._floor: int | None = None
         self._confirmed = False
         self._holder = b""  # the member that had the lowest cut at the last look at all members
-        # A heap with one former cut of each member. It is at or below the member's present cut.
+        # A heap with a former cut of each member. A former cut is at or below the member's present cut.
         self._lows: list[tuple[int, bytes]] = []
         self._setbacks = -1  # `TimesBoard.setbacks` when the heap was made
 
