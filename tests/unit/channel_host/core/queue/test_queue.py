@@ -408,10 +408,10 @@ def test_the_waiting_runs_of_one_caller_leave_room_for_those_of_others(monkeypat
     with pytest.raises(Overloaded, match=r"greedy with 29.. bytes wait for room .* one caller may have 3000"):
         core.put(900, owner="greedy")
     waiting = core.put(900, owner="good")
-    assert not waiting.is_through
+    assert not waiting.is_done
     core.queue.withdraw(first, core.now)
     core.queue.withdraw(waiting, core.now)
-    assert not core.put(3500, owner="greedy").is_through, "one run of each caller may wait, however large"
+    assert not core.put(3500, owner="greedy").is_done, "one run of each caller may wait, however large"
 
 
 def test_one_call_looks_after_a_bounded_number_of_ended_leases_and_the_rest_is_due_at_once() -> None:
