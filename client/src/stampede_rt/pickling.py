@@ -43,13 +43,16 @@ class ClusterReference:
     tls: TlsFiles | None
     secret_path: str = ""
     secret_is_an_argument: bool = False
+    transport: str | None = None
 
     @classmethod
-    def of(cls, target: Target, secret: str | os.PathLike[str] | None) -> ClusterReference:
-        """Return the reference of a connection. `secret` is the argument of `connect`."""
+    def of(
+        cls, target: Target, secret: str | os.PathLike[str] | None, transport: str | None = None
+    ) -> ClusterReference:
+        """Return the reference of a connection. `secret` and `transport` are the arguments of `connect`."""
         tls = target.tls.files if target.tls else None
         path = "" if secret is None or isinstance(secret, str) else os.path.abspath(secret)
-        return cls(target.frontends, target.zone, tls, path, isinstance(secret, str))
+        return cls(target.frontends, target.zone, tls, path, isinstance(secret, str), transport)
 
     def __reduce__(self) -> tuple[Callable[..., ClusterReference], tuple[Any, ...]]:
         if self.secret_is_an_argument:
@@ -57,7 +60,7 @@ class ClusterReference:
                 "a connection with a secret as argument of connect() cannot be pickled, nor can its handles: the "
                 "pickle would have the secret; give connect() the path of the secret's file instead"
             )
-        return ClusterReference, (self.frontends, self.zone, self.tls, self.secret_path)
+        return ClusterReference, (self.frontends, self.zone, self.tls, self.secret_path, False, self.transport)
 
     def connection(self) -> Connection:
         """Return a new connection to the cluster. Unpickling a connection calls this in the other process."""
@@ -113,8 +116,17 @@ class ClusterReference:
 
     def _connect(self) -> Session:
         secret = Path(self.secret_path) if self.secret_path else None
-        target = parse_target(",".join(self.frontends), name=None, secret=secret, zone=self.zone, tls=self.tls)
-        session = Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone, reopening=self)
+        target = parse_target(
+            ",".join(self.frontends), name=None, secret=secret, zone=self.zone, tls=self.tls, transport=self.transport
+        )
+        session = Session(
+            target.frontends,
+            target.credentials,
+            peer_name=target.name,
+            zone=target.zone,
+            transport=target.transport,
+            reopening=self,
+        )
         try:
             session.open()
         except BaseException:

@@ -204,6 +204,7 @@ def connect(
     secret: str | os.PathLike[str] | None = None,
     zone: str | None = None,
     tls: TlsFiles | None = None,
+    transport: str | None = None,
 ) -> Connection:
     """Connect to a cluster through its front-ends.
 
@@ -215,13 +216,23 @@ def connect(
       file again when it has changed. On the cluster's own machine the client finds the secret by itself.
     - `zone`: the name of the caller's network or site. The client prefers supernodes of the same zone.
     - `tls`: the certificates, if the cluster asks for them.
+    - `transport`: how data goes between this program and the hosts. "grpc": always over gRPC. "socket": over sockets,
+      with an error where that is not possible. "best": over sockets where that is possible, else over gRPC. Default:
+      `$STAMPEDE_TRANSPORT`, else "grpc".
 
     Blocks for at most 5 s.
     Raises Unavailable, PermissionDenied, VersionMismatch, WrongCluster, PeerExists, InvalidArgument.
     """
-    target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls)
-    address = ClusterReference.of(target, secret)
-    session = Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone, reopening=address)
+    target = parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport)
+    address = ClusterReference.of(target, secret, transport)
+    session = Session(
+        target.frontends,
+        target.credentials,
+        peer_name=target.name,
+        zone=target.zone,
+        transport=target.transport,
+        reopening=address,
+    )
     try:
         return Connection(session, target.name, proof)._open()
     except BaseException:

@@ -66,8 +66,9 @@ async def started_host(
     )
     server.bind(listen)
     host.add_to(server.grpc)
+    server.sockets.register(host.add_to)
     await server.start()
-    await host.enter(server.address)
+    await host.enter(server.address, local_target=await server.sockets.listen_locally())
     return InProcessHost(host, server)
 
 

@@ -69,7 +69,8 @@ METHODS = {
 }
 # What hosts ask of supernodes, and of each other.
 OF_SERVICES = {"RegisterHost", "RenewHostLease", "DeregisterHost", "UpdateChannel", "ExchangeTimes"}
-OF_CONNECTIONS = {"Ping"}  # to measure round trips
+# To measure round trips, and to find the addresses of sockets.
+OF_CONNECTIONS = {"Ping", "ListDataEndpoints"}
 
 
 def test_every_rpc_for_callers_has_a_method() -> None:

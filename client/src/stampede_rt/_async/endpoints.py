@@ -1,8 +1,9 @@
-"""The gRPC connections of one session, one for each address."""
+"""The connections of one session, one for each address."""
 
 from __future__ import annotations
 
 from stampede_rt.cluster.call_metadata import CallMetadata
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import Unavailable
 from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports import forking
@@ -19,11 +20,12 @@ class EndpointPool:
     the certificates with which it began.
     """
 
-    def __init__(self, credentials: Credentials) -> None:
+    def __init__(self, credentials: Credentials, transport: Transport = Transport.GRPC) -> None:
         forking.opened(self)
         self._forks = forking.forks()
         self._event_loop = EventLoopCheck()
         self.credentials = credentials
+        self._transport = transport
         self.metadata = CallMetadata(credentials.present_secret)
         self._material = credentials.material()  # the certificates of the endpoints
         self._endpoints: dict[str, ServerEndpoint] = {}
@@ -40,7 +42,7 @@ class EndpointPool:
             self._look_at_certificates()
             endpoint = self._endpoints.pop(target, None)
             if endpoint is None or endpoint.is_stuck:
-                endpoint = ServerEndpoint(target, self.metadata, self._material)
+                endpoint = ServerEndpoint(target, self.metadata, self._material, self._transport)
             self._endpoints[target] = endpoint
             if len(self._endpoints) > ENDPOINTS_MAX:
                 self._endpoints.pop(next(iter(self._endpoints)))

@@ -18,9 +18,11 @@ from stampede_rt._async.directory_client import CONNECT_TIMEOUT_S, DirectoryClie
 from stampede_rt._async.endpoints import EndpointPool, connection_closed
 from stampede_rt._async.put_streams import PutStreams
 from stampede_rt.cluster.binding import Binding, BindingCache, Owner
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import ChannelNotFound, DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.credentials import Credentials
 from stampede_rt.transports.concurrency_async import KeyedLock, thread_id
+from stampede_rt.transports.machine import this_machine
 from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, gatekeeper_service_pb2
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.model import ChannelInfo, Policy
@@ -83,12 +85,13 @@ class Session:
         *,
         peer_name: str,
         zone: str,
+        transport: Transport = Transport.GRPC,
         reopening: object | None = None,
     ) -> None:
         self.frontends = frontends
         self.zone = zone
         self._reopening = reopening  # a `ClusterReference`, which opens unpickled handles; None with asyncio
-        self.endpoints = EndpointPool(credentials)
+        self.endpoints = EndpointPool(credentials, transport)
         self.supernodes = DirectoryClient(frontends, self.endpoints, peer_name=peer_name, zone=zone)
         self.cache = BindingCache()
         self.put_streams = PutStreams()
@@ -270,7 +273,10 @@ class Session:
 
     async def _bind_at(self, state: ChannelState, owner: Owner, deadline_s: float) -> Binding:
         request = gatekeeper_service_pb2.BindChannelRequest(
-            channel_id=state.info.channel_id, epoch=owner.epoch, spec_version=owner.spec_version
+            channel_id=state.info.channel_id,
+            epoch=owner.epoch,
+            spec_version=owner.spec_version,
+            machine=this_machine(),
         )
         failure: StampedeError = Unavailable(
             f"the host of channel {state.info.name!r} has no endpoint; start that host again"
@@ -302,6 +308,7 @@ class Session:
         binding = Binding(
             subject_id=record.channel_id, target=targets[0], epoch=record.epoch, incarnation=record.incarnation
         )
+        self.endpoints.to(binding.target).route.learn(response.endpoints)
         self.cache.learn_binding(binding, thread_id())
         return binding
 

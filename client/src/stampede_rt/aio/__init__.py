@@ -56,7 +56,13 @@ class _Connecting:
 
     async def _connect(self) -> Connection:
         target = self._target
-        session = _Session(target.frontends, target.credentials, peer_name=target.name, zone=target.zone)
+        session = _Session(
+            target.frontends,
+            target.credentials,
+            peer_name=target.name,
+            zone=target.zone,
+            transport=target.transport,
+        )
         try:
             self._connection = await Connection(session, target.name, self._proof)._open()
         except BaseException:
@@ -85,6 +91,7 @@ def connect(
     secret: str | _os.PathLike[str] | None = None,
     zone: str | None = None,
     tls: TlsFiles | None = None,
+    transport: str | None = None,
 ) -> _Connecting:
     """As `stampede_rt.connect`. Await it, or enter it with `async with`."""
-    return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone, tls=tls), proof)
+    return _Connecting(_parse_target(url, name=name, secret=secret, zone=zone, tls=tls, transport=transport), proof)

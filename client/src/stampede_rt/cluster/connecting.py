@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stampede_rt.cluster.addresses import DEFAULT_URL, is_loopback, parse_addresses
+from stampede_rt.cluster.transport_choice import Transport, parse_transport
 from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.credentials import Credentials, SecretReader, secret_file
 from stampede_rt.security.tls import TlsFiles, TlsReader, files_from_environment
@@ -22,6 +23,7 @@ class Target:
     name: str
     zone: str
     tls: TlsReader | None = None
+    transport: Transport = Transport.GRPC
 
     @property
     def credentials(self) -> Credentials:
@@ -36,6 +38,7 @@ def parse_target(
     secret: str | os.PathLike[str] | None,
     zone: str | None,
     tls: TlsFiles | None = None,
+    transport: str | None = None,
 ) -> Target:
     """Check the arguments of `connect`.
 
@@ -46,6 +49,7 @@ def parse_target(
       reads a file again when it has changed.
     - `tls`: without it the client takes the certificates that `$STAMPEDE_TLS_CA`, `$STAMPEDE_TLS_CERTIFICATE` and
       `$STAMPEDE_TLS_KEY` name, if these are set.
+    - `transport`: see `parse_transport`.
 
     Raises InvalidArgument, PermissionDenied.
     """
@@ -57,6 +61,7 @@ def parse_target(
         name="" if name is None else parse_name(name, "peer"),
         zone=zone or os.environ.get("STAMPEDE_ZONE", ""),
         tls=TlsReader(files) if files else None,
+        transport=parse_transport(transport),
     )
 
 

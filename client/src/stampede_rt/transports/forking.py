@@ -8,6 +8,7 @@ measurements.
 from __future__ import annotations
 
 import os
+import socket
 from weakref import WeakSet
 
 from stampede_rt.errors import ForkedProcess
@@ -21,6 +22,7 @@ _forks = 0  # forks between the process that loaded this module and this one
 _open: WeakSet[object] = WeakSet()  # the owners of gRPC connections in this process
 _opened_ever = False  # whether this process, or a process that it was forked from, has opened a gRPC connection
 _inherited: list[object] = []  # referenced for ever, because the deletion of a parent's gRPC object hangs, too
+_sockets: WeakSet[socket.socket] = WeakSet()  # a child that kept one open would keep the connection open
 _refused = False  # whether this process is a forked child that cannot use gRPC
 
 
@@ -48,6 +50,11 @@ def closed(connections: object) -> None:
     _open.discard(connections)
 
 
+def keep_out_of_children(connected: socket.socket) -> None:
+    """Close the socket in each forked child."""
+    _sockets.add(connected)
+
+
 def check(made_at: int) -> None:
     """Raise ForkedProcess if another process made the connection. `made_at`: the value of `forks` when it was made."""
     if made_at != _forks:
@@ -62,6 +69,9 @@ def _in_child() -> None:
     _refused = _opened_ever
     _inherited.extend(_open)
     _open.clear()
+    for one in tuple(_sockets):
+        one.close()
+    _sockets.clear()
 
 
 os.register_at_fork(after_in_child=_in_child)

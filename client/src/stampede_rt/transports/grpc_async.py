@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
+from weakref import WeakSet
 
 import grpc
 import grpc.aio
 
 from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.cluster.request_age import age_metadata
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error, raise_from_rpc_error
 from stampede_rt.transports import forking
+from stampede_rt.transports.bidi_methods import BidiMethod, BidiMethods
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, END_TIMEOUT_S, ENQUEUE_METHOD, PUT_METHOD
+from stampede_rt.transports.machine import this_machine
 from stampede_rt.transports.requests_async import Requests, spawn
+from stampede_rt.transports.socket_async import OpeningCall
+from stampede_rt.transports.socket_connecting_async import open_call
+from stampede_rt.transports.socket_limits import CONNECT_S_MAX
+from stampede_rt.transports.socket_routes import SocketRoute, opening_of
 from stampede_rt.transports.streams_async import BidiStream, ServerStream, closed, is_cancelled
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.delivered import ItemCount
 
@@ -44,20 +53,26 @@ class ServerEndpoint(Stubs):
 
     is_stuck = False  # no interrupt can leave a lock of gRPC locked here, as it can in the blocking client
 
-    def __init__(self, target: str, metadata: CallMetadata, tls: TlsMaterial | None = None) -> None:
+    def __init__(
+        self,
+        target: str,
+        metadata: CallMetadata,
+        tls: TlsMaterial | None = None,
+        transport: Transport = Transport.GRPC,
+    ) -> None:
         self.target = target
+        self.route = SocketRoute(target, transport, is_secured=tls is not None)
         self._metadata = metadata
         self._channel = _open_channel(target, tls)
-        super().__init__(self._channel)
-        # wire/put_frames.py encodes the requests, so gRPC sends them without a serializer.
-        self._put: Callable[..., Any] = self._channel.stream_stream(
-            PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
-        )
-        self._enqueue: Callable[..., Any] = self._channel.stream_stream(
-            ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString
-        )
+        methods = BidiMethods(self._channel)
+        super().__init__(methods)
+        # wire/put_frames.py encodes the requests, so the streams send them without a serializer.
+        self._put = methods.stream_stream(PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString)
+        self._enqueue = methods.stream_stream(ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString)
         self._gets: list[GetExchange] = []
         self._tasks: set[asyncio.Task[None]] = set()  # the tasks of all streams
+        self._socket_calls: WeakSet[Any] = WeakSet()
+        self._is_closed = False
 
     def stub(self, make: Callable[[grpc.aio.Channel], Stub]) -> Stub:
         """Return the stub of a service that has no attribute here, such as `MembershipServiceStub`.
@@ -86,9 +101,9 @@ class ServerEndpoint(Stubs):
         """Open a stream of responses to one request."""
         return ServerStream(self._begin(method, request), self.target)
 
-    def open_bidi(self, method: Callable[..., Any]) -> BidiStream[Any]:
+    def open_bidi(self, method: BidiMethod) -> BidiStream[Any]:
         """Open a stream in both directions."""
-        return BidiStream(self._begin(method), self.target, self._tasks)
+        return BidiStream(self._begin_bidi(method), self.target, self._tasks)
 
     def gets(self) -> GetExchange:
         """Return an open stream for gets that has room for one more get. Nearly always it is the first stream."""
@@ -96,17 +111,17 @@ class ServerEndpoint(Stubs):
             if exchange.takes_more:
                 return exchange
         self._gets = [exchange for exchange in self._gets if not exchange.broken]
-        exchange = GetExchange(self._begin(self.channels.Get), self.target, self._tasks)
+        exchange = GetExchange(self._begin_bidi(self.channels.Get), self.target, self._tasks)
         self._gets.append(exchange)
         return exchange
 
     def puts(self) -> PutExchange:
         """Open a stream for puts. The caller closes it."""
-        return PutExchange(self._begin(self._put), self.target, self._tasks)
+        return PutExchange(self._begin_bidi(self._put), self.target, self._tasks)
 
     def enqueues(self) -> PutExchange:
         """Open a stream for puts into a queue. The caller closes it."""
-        return PutExchange(self._begin(self._enqueue), self.target, self._tasks)
+        return PutExchange(self._begin_bidi(self._enqueue), self.target, self._tasks)
 
     def duplex(
         self,
@@ -114,7 +129,27 @@ class ServerEndpoint(Stubs):
         on_end: Callable[[StampedeError], Awaitable[None]],
     ) -> PutDuplex:
         """Open a stream whose puts do not wait for their acks. The stream passes each response to `on_response`."""
-        return PutDuplex(self._begin(self._put), self.target, self._tasks, on_response, on_end)
+        return PutDuplex(self._begin_bidi(self._put), self.target, self._tasks, on_response, on_end)
+
+    def _begin_bidi(self, method: BidiMethod) -> Any:
+        """Begin the call of a stream in both directions. Raises Unavailable once this endpoint is closed."""
+        if not self.route.may_lead:
+            return self._begin(method)
+        if self._is_closed:
+            raise closed(self.target)
+        call = OpeningCall(self._open_bidi(method))
+        self._socket_calls.add(call)
+        return call
+
+    async def _open_bidi(self, method: BidiMethod) -> Any:
+        opening = opening_of(method.name, self._metadata())
+        return await open_call(self.route, self._ask_for_sockets, method, opening) or self._begin(method)
+
+    async def _ask_for_sockets(self) -> Sequence[gatekeeper_pb.DataEndpoint]:
+        request = gatekeeper_pb.ListDataEndpointsRequest(machine=this_machine())
+        response = await self.call(self.gatekeeper.ListDataEndpoints, request, CONNECT_S_MAX)
+        endpoints: Sequence[gatekeeper_pb.DataEndpoint] = response.endpoints
+        return endpoints
 
     def _begin(self, method: Callable[..., Any], *request: Any) -> Any:
         """Begin the call of a stream. Raises Unavailable once this endpoint is closed."""
@@ -125,6 +160,9 @@ class ServerEndpoint(Stubs):
 
     async def aclose(self) -> None:
         """End all calls and streams, without waiting for them. `ended` waits."""
+        self._is_closed = True
+        for call in tuple(self._socket_calls):
+            call.cancel()
         await self._channel.close(None)
 
     async def ended(self) -> None:

@@ -13,17 +13,25 @@ import grpc.experimental
 
 from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.cluster.request_age import age_metadata
+from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error, raise_from_rpc_error
 from stampede_rt.transports import forking
+from stampede_rt.transports.bidi_methods import BidiMethod, BidiMethods
 from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD
+from stampede_rt.transports.machine import this_machine
+from stampede_rt.transports.socket_connecting_sync import connect
+from stampede_rt.transports.socket_limits import CONNECT_S_MAX
+from stampede_rt.transports.socket_routes import SocketRoute, opening_of
+from stampede_rt.transports.socket_sync import SocketCall
 from stampede_rt.transports.streams_sync import BidiStream, GrpcCall, ServerStream, closed
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.delivered import ItemCount
 
@@ -41,22 +49,27 @@ def _open_channel(target: str, tls: TlsMaterial | None) -> grpc.Channel:
 class ServerEndpoint(Stubs):
     """A gRPC connection to one address. All calls to this address share it."""
 
-    def __init__(self, target: str, metadata: CallMetadata, tls: TlsMaterial | None = None) -> None:
+    def __init__(
+        self,
+        target: str,
+        metadata: CallMetadata,
+        tls: TlsMaterial | None = None,
+        transport: Transport = Transport.GRPC,
+    ) -> None:
         self.target = target
+        self.route = SocketRoute(target, transport, is_secured=tls is not None)
         self._metadata = metadata
         self._channel = _open_channel(target, tls)
-        super().__init__(self._channel)
-        # wire/put_frames.py encodes the requests, so gRPC sends them without a serializer.
-        self._put: Callable[..., Any] = self._channel.stream_stream(
-            PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString
-        )
-        self._enqueue: Callable[..., Any] = self._channel.stream_stream(
-            ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString
-        )
+        methods = BidiMethods(self._channel)
+        super().__init__(methods)
+        # wire/put_frames.py encodes the requests, so the streams send them without a serializer.
+        self._put = methods.stream_stream(PUT_METHOD, response_deserializer=channel_pb.PutResponse.FromString)
+        self._enqueue = methods.stream_stream(ENQUEUE_METHOD, response_deserializer=queue_pb.EnqueueResponse.FromString)
         self._watchdog = Watchdog()
         self._of_thread = threading.local()
         self._exchanges: WeakSet[_Exchange] = WeakSet()
-        self._mutex = threading.Lock()  # guards the exchanges
+        self._socket_calls: WeakSet[SocketCall] = WeakSet()
+        self._mutex = threading.Lock()  # guards the exchanges, and the calls over sockets
         self._closed = False
         self.is_stuck = False
         """Whether an interrupt has left a lock of gRPC locked. gRPC's threads then serve no call of this endpoint."""
@@ -91,11 +104,30 @@ class ServerEndpoint(Stubs):
         except ValueError as error:
             raise closed(self.target) from error
 
-    def begin_bidi(self, method: Callable[..., Any]) -> GrpcCall:
-        """Begin the call of a stream in both directions. Raises Unavailable once this endpoint is closed."""
-        return GrpcCall(partial(self.begin, method))
+    def begin_bidi(self, method: BidiMethod, *, in_turn: bool = False) -> GrpcCall | SocketCall:
+        """Begin the call of a stream in both directions. Raises Unavailable once this endpoint is closed.
 
-    def open_bidi(self, method: Callable[..., Any]) -> BidiStream[Any]:
+        `in_turn`: see `SocketCall`.
+        """
+        connected = connect(self.route, self._ask_for_sockets)
+        if connected is None:
+            return GrpcCall(partial(self.begin, method))
+        call = SocketCall(connected, method, opening_of(method.name, self._metadata()), in_turn=in_turn)
+        with self._mutex:
+            self._socket_calls.add(call)
+            over = self._closed
+        if over:
+            call.cancel()
+            raise closed(self.target)
+        return call
+
+    def _ask_for_sockets(self) -> Sequence[gatekeeper_pb.DataEndpoint]:
+        request = gatekeeper_pb.ListDataEndpointsRequest(machine=this_machine())
+        response = self.call(self.gatekeeper.ListDataEndpoints, request, CONNECT_S_MAX)
+        endpoints: Sequence[gatekeeper_pb.DataEndpoint] = response.endpoints
+        return endpoints
+
+    def open_bidi(self, method: BidiMethod) -> BidiStream[Any]:
         """Open a stream in both directions."""
         return BidiStream(self.begin_bidi(method), self.target, self._watchdog)
 
@@ -129,7 +161,9 @@ class ServerEndpoint(Stubs):
         self._channel.close()
         with self._mutex:
             self._closed = True
-            exchanges = tuple(self._exchanges)
+            exchanges, calls = tuple(self._exchanges), tuple(self._socket_calls)
+        for call in calls:
+            call.cancel()
         for exchange in exchanges:  # gRPC's sending threads wait for requests even when the channel is closed
             exchange.end()
 
@@ -148,10 +182,10 @@ class ServerEndpoint(Stubs):
 class _Exchange:
     """An open bidirectional stream."""
 
-    def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any]) -> None:
+    def __init__(self, endpoint: ServerEndpoint, method: BidiMethod, *, in_turn: bool) -> None:
         self._endpoint = ref(endpoint)
         self._target = endpoint.target
-        self._call = endpoint.begin_bidi(method)
+        self._call = endpoint.begin_bidi(method, in_turn=in_turn)
         self.broken = False
         self._forks = forking.forks()
         endpoint.opened(self)
@@ -181,8 +215,8 @@ class _Exchange:
 class _Lockstep(_Exchange):
     """A stream with at most one request under way."""
 
-    def __init__(self, endpoint: ServerEndpoint, method: Callable[..., Any], watchdog: Watchdog) -> None:
-        super().__init__(endpoint, method)
+    def __init__(self, endpoint: ServerEndpoint, method: BidiMethod, watchdog: Watchdog) -> None:
+        super().__init__(endpoint, method, in_turn=True)
         self._watchdog = watchdog
         self._next_id = 0
 
@@ -256,11 +290,11 @@ class PutDuplex(_Exchange):
     def __init__(
         self,
         endpoint: ServerEndpoint,
-        method: Callable[..., Any],
+        method: BidiMethod,
         on_response: Callable[[channel_pb.PutResponse], None],
         on_end: Callable[[StampedeError], None],
     ) -> None:
-        super().__init__(endpoint, method)
+        super().__init__(endpoint, method, in_turn=False)
         self._on_response = on_response
         self._on_end = on_end
         threading.Thread(target=self._read, name=f"stampede acks of {self._target}", daemon=True).start()

@@ -10,6 +10,7 @@ from typing import Any
 import grpc
 import grpc.aio
 
+from stampede_rt.errors import StampedeError
 from stampede_rt.wire.request_pieces import messages_of
 
 
@@ -49,7 +50,7 @@ class Requests:
         return self._waiting.pop(number, None) is not None
 
     async def _write_each(self) -> None:
-        with suppress(grpc.RpcError, asyncio.InvalidStateError, asyncio.CancelledError):
+        with suppress(grpc.RpcError, StampedeError, asyncio.InvalidStateError, asyncio.CancelledError):
             while True:
                 while self._waiting:
                     for message in messages_of(self._waiting.popitem(last=False)[1]):

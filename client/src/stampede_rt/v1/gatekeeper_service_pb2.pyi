@@ -14,9 +14,11 @@ class Transport(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     TRANSPORT_UNSPECIFIED: _ClassVar[Transport]
     TRANSPORT_GRPC: _ClassVar[Transport]
     TRANSPORT_SHARED_MEMORY: _ClassVar[Transport]
+    TRANSPORT_SOCKET: _ClassVar[Transport]
 TRANSPORT_UNSPECIFIED: Transport
 TRANSPORT_GRPC: Transport
 TRANSPORT_SHARED_MEMORY: Transport
+TRANSPORT_SOCKET: Transport
 
 class GatekeeperServicePingRequest(_message.Message):
     __slots__ = ()
@@ -58,19 +60,29 @@ class DataEndpoint(_message.Message):
     target: str
     def __init__(self, transport: _Optional[_Union[Transport, str]] = ..., target: _Optional[str] = ...) -> None: ...
 
+class ListDataEndpointsRequest(_message.Message):
+    __slots__ = ("machine",)
+    MACHINE_FIELD_NUMBER: _ClassVar[int]
+    machine: str
+    def __init__(self, machine: _Optional[str] = ...) -> None: ...
+
+class ListDataEndpointsResponse(_message.Message):
+    __slots__ = ("endpoints",)
+    ENDPOINTS_FIELD_NUMBER: _ClassVar[int]
+    endpoints: _containers.RepeatedCompositeFieldContainer[DataEndpoint]
+    def __init__(self, endpoints: _Optional[_Iterable[_Union[DataEndpoint, _Mapping]]] = ...) -> None: ...
+
 class BindChannelRequest(_message.Message):
-    __slots__ = ("channel_id", "epoch", "spec_version", "transports", "machine")
+    __slots__ = ("channel_id", "epoch", "spec_version", "machine")
     CHANNEL_ID_FIELD_NUMBER: _ClassVar[int]
     EPOCH_FIELD_NUMBER: _ClassVar[int]
     SPEC_VERSION_FIELD_NUMBER: _ClassVar[int]
-    TRANSPORTS_FIELD_NUMBER: _ClassVar[int]
     MACHINE_FIELD_NUMBER: _ClassVar[int]
     channel_id: bytes
     epoch: int
     spec_version: int
-    transports: _containers.RepeatedScalarFieldContainer[Transport]
     machine: str
-    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., spec_version: _Optional[int] = ..., transports: _Optional[_Iterable[_Union[Transport, str]]] = ..., machine: _Optional[str] = ...) -> None: ...
+    def __init__(self, channel_id: _Optional[bytes] = ..., epoch: _Optional[int] = ..., spec_version: _Optional[int] = ..., machine: _Optional[str] = ...) -> None: ...
 
 class BindChannelResponse(_message.Message):
     __slots__ = ("endpoints", "channel")

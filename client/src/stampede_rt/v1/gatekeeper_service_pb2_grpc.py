@@ -46,6 +46,11 @@ class GatekeeperServiceStub(object):
                 request_serializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.BindChannelRequest.SerializeToString,
                 response_deserializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.BindChannelResponse.FromString,
                 _registered_method=True)
+        self.ListDataEndpoints = channel.unary_unary(
+                '/stampede_rt.v1.GatekeeperService/ListDataEndpoints',
+                request_serializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.ListDataEndpointsRequest.SerializeToString,
+                response_deserializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.ListDataEndpointsResponse.FromString,
+                _registered_method=True)
         self.DropChannel = channel.unary_unary(
                 '/stampede_rt.v1.GatekeeperService/DropChannel',
                 request_serializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.DropChannelRequest.SerializeToString,
@@ -78,6 +83,13 @@ class GatekeeperServiceServicer(object):
     def BindChannel(self, request, context):
         """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
         Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListDataEndpoints(self, request, context):
+        """Get the addresses at which this host serves streams of data, for all its channels, queues and groups.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -117,6 +129,11 @@ def add_GatekeeperServiceServicer_to_server(servicer, server):
                     servicer.BindChannel,
                     request_deserializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.BindChannelRequest.FromString,
                     response_serializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.BindChannelResponse.SerializeToString,
+            ),
+            'ListDataEndpoints': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListDataEndpoints,
+                    request_deserializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.ListDataEndpointsRequest.FromString,
+                    response_serializer=stampede__rt_dot_v1_dot_gatekeeper__service__pb2.ListDataEndpointsResponse.SerializeToString,
             ),
             'DropChannel': grpc.unary_unary_rpc_method_handler(
                     servicer.DropChannel,
@@ -190,6 +207,33 @@ class GatekeeperService(object):
             '/stampede_rt.v1.GatekeeperService/BindChannel',
             stampede__rt_dot_v1_dot_gatekeeper__service__pb2.BindChannelRequest.SerializeToString,
             stampede__rt_dot_v1_dot_gatekeeper__service__pb2.BindChannelResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListDataEndpoints(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/stampede_rt.v1.GatekeeperService/ListDataEndpoints',
+            stampede__rt_dot_v1_dot_gatekeeper__service__pb2.ListDataEndpointsRequest.SerializeToString,
+            stampede__rt_dot_v1_dot_gatekeeper__service__pb2.ListDataEndpointsResponse.FromString,
             options,
             channel_credentials,
             insecure,

@@ -41,6 +41,8 @@ class GatekeeperServiceStub:
     """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
     Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND.
     """
+    ListDataEndpoints: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListDataEndpointsRequest, _gatekeeper_service_pb2.ListDataEndpointsResponse]
+    """Get the addresses at which this host serves streams of data, for all its channels, queues and groups."""
     DropChannel: _grpc.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.DropChannelRequest, _gatekeeper_service_pb2.DropChannelResponse]
     """Delete a channel, here and in the directory. The host ends the calls of the channel's readers with
     CHANNEL_NOT_FOUND.
@@ -63,6 +65,8 @@ class GatekeeperServiceAsyncStub(GatekeeperServiceStub):
     """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
     Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND.
     """
+    ListDataEndpoints: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.ListDataEndpointsRequest, _gatekeeper_service_pb2.ListDataEndpointsResponse]  # type: ignore[assignment]
+    """Get the addresses at which this host serves streams of data, for all its channels, queues and groups."""
     DropChannel: _aio.UnaryUnaryMultiCallable[_gatekeeper_service_pb2.DropChannelRequest, _gatekeeper_service_pb2.DropChannelResponse]  # type: ignore[assignment]
     """Delete a channel, here and in the directory. The host ends the calls of the channel's readers with
     CHANNEL_NOT_FOUND.
@@ -94,6 +98,14 @@ class GatekeeperServiceServicer(metaclass=_abc_1.ABCMeta):
         """Get the data endpoint of a channel. The host asks the directory about a channel, epoch or spec that is new to it.
         Errors: NOT_HERE, WRONG_EPOCH, MOVED, CHANNEL_NOT_FOUND.
         """
+
+    @_abc_1.abstractmethod
+    def ListDataEndpoints(
+        self,
+        request: _gatekeeper_service_pb2.ListDataEndpointsRequest,
+        context: _ServicerContext,
+    ) -> _typing.Union[_gatekeeper_service_pb2.ListDataEndpointsResponse, _abc.Awaitable[_gatekeeper_service_pb2.ListDataEndpointsResponse]]:
+        """Get the addresses at which this host serves streams of data, for all its channels, queues and groups."""
 
     @_abc_1.abstractmethod
     def DropChannel(

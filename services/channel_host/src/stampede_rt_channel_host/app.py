@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import socket
 from collections.abc import Sequence
 
 from stampede_rt.cluster.addresses import is_loopback
+from stampede_rt.transports.machine import this_machine
 from stampede_rt_channel_host.cluster.identity import (
     HomeCluster,
     HostIdentity,
@@ -19,12 +21,14 @@ from stampede_rt_channel_host.settings import HostSettings
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.garbage import GarbageCollection
 from stampede_rt_runtime.identity import Role
-from stampede_rt_runtime.listen import NotAllowed
+from stampede_rt_runtime.listen import CannotListen, NotAllowed
 from stampede_rt_runtime.main import EXIT_FAILED, announce, run_service
 from stampede_rt_runtime.routes import address_towards
 from stampede_rt_runtime.server import ServiceServer
 from stampede_rt_runtime.settings import SettingsError
 from stampede_rt_runtime.values import Address, parse_address
+
+logger = logging.getLogger(__name__)
 
 _ANYWHERE = frozenset({"0.0.0.0", "::"})
 
@@ -52,6 +56,7 @@ class _Service:
         settings = self._settings
         host = self._make_host()
         host.add_to(self._server.grpc)
+        self._server.sockets.register(host.add_to)
         secured = self._credentials.tls is not None
         own = settings.listen or where_to_listen(settings, secured=secured)
         address = self._server.bind(own, allow_insecure_anywhere=settings.allow_insecure_anywhere)
@@ -59,8 +64,9 @@ class _Service:
         if self._credentials.tls is not None:
             self._credentials.tls.require_address(advertise)
         await self._server.start()
+        local = await self._listen_locally()
         running = asyncio.create_task(self._server.run(host.leave))  # from here on the host handles stop signals
-        entering = asyncio.create_task(host.enter(advertise))
+        entering = asyncio.create_task(host.enter(advertise, local_target=local))
         await asyncio.wait({running, entering}, return_when=asyncio.FIRST_COMPLETED)
         failure: BaseException | None = None
         if not self._server.stopping.is_set():
@@ -73,6 +79,19 @@ class _Service:
         if failure is not None:
             raise failure
         return EXIT_FAILED if self._failed else 0
+
+    async def _listen_locally(self) -> str:
+        """Listen at a Unix socket, too. Returns its target; empty if the service has certificates, or cannot.
+
+        A stream over a socket proves no certificate.
+        """
+        if self._credentials.tls is not None or not this_machine():
+            return ""
+        try:
+            return await self._server.sockets.listen_locally()
+        except CannotListen as error:
+            logger.warning("callers of this machine use gRPC only: %s", error)
+            return ""
 
     def _make_host(self) -> ChannelHost:
         settings = self._settings

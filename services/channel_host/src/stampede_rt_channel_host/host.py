@@ -143,12 +143,14 @@ class ChannelHost:
         GroupServicer(self.groups, self._dial, self._streams).add_to(server)
         QueueServicer(self.queues, self._streams).add_to(server)
 
-    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX) -> None:
+    async def enter(self, target: str, timeout_s: float = START_SECONDS_MAX, *, local_target: str = "") -> None:
         """Register the host under the address `target`, and keep the lease from then on.
+
+        `local_target`: the Unix socket at which the host serves streams; empty: there is none.
 
         Waits until the directory knows the host. Raises the directory's refusal, or after `timeout_s` the last failure.
         """
-        self._gatekeeper.target = target
+        self._gatekeeper.target, self._gatekeeper.local_target = target, local_target
         self._entering = asyncio.ensure_future(self._lease.enter(target, timeout_s))
         await self._entering
         self._supernodes.learn(self._known_by_lease())  # the front-ends may be gone before the next request needs them

@@ -25,6 +25,7 @@ from stampede_rt_runtime.listen import CannotListen, check_listen
 from stampede_rt_runtime.overload import RefusedCalls
 from stampede_rt_runtime.pacing import PacingInterceptor
 from stampede_rt_runtime.quotas.use_servicer import QuotaUseServicer
+from stampede_rt_runtime.sockets.server import SocketServer
 from stampede_rt_runtime.tls import ServiceTls
 from stampede_rt_runtime.values import Address
 
@@ -64,16 +65,18 @@ class ServiceServer:
             read_token=self.access.read_token,
         )
         self._tls = tls
+        # The first one is the outermost. So a refused caller takes no slot, and does not learn this server's cluster.
+        interceptors = [
+            AbortInterceptor(),
+            AdmissionInterceptor(accepted, self.access),
+            *([ClusterInterceptor(judge_cluster)] if judge_cluster else []),
+            CapacityInterceptor(limits, self.refused_calls),
+            PacingInterceptor(),
+        ]
+        self.sockets = SocketServer(interceptors, limits, self.refused_calls)
+        """Streams over sockets of their own. It serves nobody until it listens."""
         self.grpc: grpc.aio.Server = grpc.aio.server(
-            # The first one is the outermost. So a refused caller takes no slot, and does not learn this server's
-            # cluster.
-            interceptors=[
-                AbortInterceptor(),
-                AdmissionInterceptor(accepted, self.access),
-                *([ClusterInterceptor(judge_cluster)] if judge_cluster else []),
-                CapacityInterceptor(limits, self.refused_calls),
-                PacingInterceptor(),
-            ],
+            interceptors=interceptors,
             options=limits.server_options(),
             maximum_concurrent_rpcs=limits.rpcs_max(),
         )
@@ -131,7 +134,7 @@ class ServiceServer:
             await asyncio.wait({drain, cut}, return_when=asyncio.FIRST_COMPLETED)
             cut.cancel()
             if not drain.done():
-                await self.grpc.stop(None)
+                await asyncio.gather(self.grpc.stop(None), self.sockets.stop(0))
             await drain
 
     async def stop(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
@@ -144,7 +147,7 @@ class ServiceServer:
         await self._health.end()
         if end_streams is not None:
             await _bounded(end_streams())
-        await self.grpc.stop(DRAIN_SECONDS)
+        await asyncio.gather(self.grpc.stop(DRAIN_SECONDS), self.sockets.stop(DRAIN_SECONDS))
 
 
 async def _bounded(work: Awaitable[Any]) -> None:

@@ -48,7 +48,7 @@ def test_what_a_caller_has_made_counts_under_its_name_in_the_directory() -> None
         ("ipv6:%5Bfe80::1%25eth0%5D:5", "@fe80::/64"),
         ("ipv6:%5B::ffff:10.0.0.3%5D:5", "@10.0.0.3"),
         ("ipv6:%5Bnonsense%5D:5", "@nonsense"),
-        ("unix:", "@unix"),
+        ("unix:", "@localhost"),
         ("", "@unknown"),
     ],
 )

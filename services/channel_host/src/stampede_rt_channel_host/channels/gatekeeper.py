@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from stampede_rt.cluster.request_age import age_clock_s, request_age_nanos
 from stampede_rt.errors import InvalidArgument
+from stampede_rt.transports.machine import this_machine
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 from stampede_rt.v1 import gatekeeper_service_pb2_grpc
 from stampede_rt_channel_host.channels.listing import page_of
@@ -30,8 +31,9 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         self._store = store
         self._identity = identity
         self._access = access
-        # the address of the data services; set once the server listens, before the host gets a lease
+        # the addresses of the data services; set once the server listens, before the host gets a lease
         self.target = ""
+        self.local_target = ""
 
     async def Ping(  # noqa: N802
         self, request: pb.GatekeeperServicePingRequest, context: Context
@@ -62,8 +64,21 @@ class GatekeeperServicer(gatekeeper_service_pb2_grpc.GatekeeperServiceServicer):
         _check_id(request.channel_id)
         hosted = await self._store.bind(request.channel_id, request.epoch, request.spec_version)
         check_known(AccessKind.CHANNEL, hosted.record.name)
-        endpoint = pb.DataEndpoint(transport=pb.TRANSPORT_GRPC, target=self.target)
-        return pb.BindChannelResponse(endpoints=[endpoint], channel=channel_message(hosted.record))
+        endpoints = self._sockets(request.machine)
+        endpoints.append(pb.DataEndpoint(transport=pb.TRANSPORT_GRPC, target=self.target))
+        return pb.BindChannelResponse(endpoints=endpoints, channel=channel_message(hosted.record))
+
+    async def ListDataEndpoints(  # noqa: N802
+        self, request: pb.ListDataEndpointsRequest, context: Context
+    ) -> pb.ListDataEndpointsResponse:
+        """The sockets of this host that the caller can use."""
+        return pb.ListDataEndpointsResponse(endpoints=self._sockets(request.machine))
+
+    def _sockets(self, machine: str) -> list[pb.DataEndpoint]:
+        """The sockets for a caller on that machine, best first."""
+        if not self.local_target or not machine or machine != this_machine():
+            return []
+        return [pb.DataEndpoint(transport=pb.TRANSPORT_SOCKET, target=self.local_target)]
 
     @errors_as_status
     async def DropChannel(self, request: pb.DropChannelRequest, context: Context) -> pb.DropChannelResponse:  # noqa: N802

@@ -32,7 +32,7 @@ def creator_of(caller: Caller) -> str | None:
 def _address(peer: str) -> str:
     kind, _, rest = peer.partition(":")
     if kind not in ("ipv4", "ipv6"):
-        return kind or "unknown"
+        return "localhost" if kind == "unix" else kind or "unknown"
     address = unquote(rest).rpartition(":")[0].strip("[]")
     try:
         return _network(ip_address(address.partition("%")[0]))

@@ -1,0 +1,30 @@
+"""The program's choice of a transport for streams of data. Pure, except for the look at the environment."""
+
+from __future__ import annotations
+
+import os
+from enum import StrEnum
+
+from stampede_rt.errors import InvalidArgument
+
+VARIABLE = "STAMPEDE_TRANSPORT"
+
+
+class Transport(StrEnum):
+    """A transport for the streams between a client and a host."""
+
+    GRPC = "grpc"
+    SOCKET = "socket"
+    """A socket for each stream. A program that chooses it gets an error where there is none."""
+    BEST = "best"
+    """The transport that the gatekeeper of the host offers first, or else gRPC."""
+
+
+def parse_transport(given: str | None) -> Transport:
+    """Return the choice that `connect(transport=...)` or else `$STAMPEDE_TRANSPORT` states. Raises InvalidArgument."""
+    stated = given if given is not None else os.environ.get(VARIABLE) or Transport.GRPC
+    try:
+        return Transport(stated)
+    except ValueError:
+        where = "transport" if given is not None else f"${VARIABLE}"
+        raise InvalidArgument(f'{where} is {stated!r}; give "best", "grpc" or "socket"') from None

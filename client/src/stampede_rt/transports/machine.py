@@ -1,0 +1,31 @@
+"""Recognises processes of the same machine and user, which can use Unix sockets with each other. Linux only."""
+
+from __future__ import annotations
+
+import functools
+import os
+import socket
+import struct
+from pathlib import Path
+
+_BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+_PEER_CREDENTIALS = struct.Struct("3i")  # pid, uid and gid, see SO_PEERCRED in unix(7)
+
+
+@functools.cache
+def _boot_id() -> str:
+    try:
+        return _BOOT_ID.read_text().strip()
+    except OSError:
+        return ""
+
+
+def this_machine() -> str:
+    """Return the machine's boot id and the process's user id, "BOOT_ID:UID"; empty on a system without boot ids."""
+    return f"{_boot_id()}:{os.geteuid()}" if _boot_id() and hasattr(socket, "SO_PEERCRED") else ""
+
+
+def is_of_this_user(connected: socket.socket) -> bool:
+    """Whether the process at the other end of a Unix socket has the user id of this process."""
+    raw = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size)
+    return bool(_PEER_CREDENTIALS.unpack(raw)[1] == os.geteuid())

@@ -1,0 +1,205 @@
+"""A stream over a socket of its own, in the client on asyncio."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable
+from functools import partial
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.grpc_quiet import grpc
+from stampede_rt.transports.bidi_methods import BidiMethod
+from stampede_rt.transports.socket_errors import broken, error_of, silent
+from stampede_rt.transports.socket_limits import (
+    JOINED_BYTES_MAX,
+    RECEIVED_BYTES_MAX,
+    SILENCE_S_MAX,
+    UNREAD_BYTES_MAX,
+)
+from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, frame_of, head_of
+
+
+class SocketCall(asyncio.Protocol):
+    """A stream with the methods of a call of grpc.aio. It is the protocol of its connection."""
+
+    def __init__(self, method: BidiMethod, opening: bytes) -> None:
+        """Send the encoded opening once connected."""
+        self._method = method
+        self._opening = opening
+        self._transport: Any = None
+        self._frames = FrameReader(RECEIVED_BYTES_MAX)
+        self._came: deque[Frame] = deque()
+        self._unread_bytes = 0
+        self._error: grpc.RpcError | asyncio.CancelledError | None = None  # after which nothing comes
+        self._is_over = self._is_full = self._is_paused = False
+        self._news: asyncio.Future[None] | None = None
+        self._room: asyncio.Future[None] | None = None
+        self._done: list[Callable[[Any], object]] = []
+        self._loop = asyncio.get_running_loop()
+        self._heard_s = self._loop.time()
+        self._watch: asyncio.TimerHandle | None = None
+
+    # what asyncio calls
+
+    def connection_made(self, transport: Any) -> None:
+        """Send the opening."""
+        self._transport = transport
+        transport.set_write_buffer_limits(0)
+        transport.write(frame_of(FrameKind.OPENING, self._opening))
+        self._watch = self._loop.call_later(SILENCE_S_MAX, self._listen)
+
+    def data_received(self, data: bytes) -> None:
+        """Take the frames. While the program reads none, more of them wait at the host."""
+        self._heard_s = self._loop.time()
+        try:
+            frames = self._frames.feed(data)
+        except InvalidArgument as error:
+            self._end(broken(str(error)))
+            return
+        for kind, body in frames:
+            if kind == FrameKind.STATUS:
+                self._end(error_of(body))
+                return
+            if kind == FrameKind.MESSAGE:
+                self._came.append((kind, body))
+                self._unread_bytes += len(body)
+        if self._unread_bytes > UNREAD_BYTES_MAX and not self._is_paused:
+            self._is_paused = True
+            self._transport.pause_reading()
+        _wake(self._news)
+
+    def pause_writing(self) -> None:
+        """The system takes no more bytes."""
+        self._is_full = True
+
+    def resume_writing(self) -> None:
+        """The system has taken all bytes."""
+        self._is_full = False
+        _wake(self._room)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """The connection is closed."""
+        self._end(broken(str(error) if error else "the host has closed it"))
+
+    # what the stream calls
+
+    async def write(self, request: Any) -> None:
+        """Send a request. Returns when the system has taken it. Raises grpc.RpcError after the end of the stream."""
+        encode = self._method.encode
+        message: bytes = request if encode is None else encode(request)
+        if self._is_over:
+            raise self._error or broken("the stream has ended")
+        if len(message) <= JOINED_BYTES_MAX:
+            self._transport.write(frame_of(FrameKind.MESSAGE, message))
+        else:
+            self._transport.write(head_of(FrameKind.MESSAGE, len(message)))
+            self._transport.write(message)
+        while self._is_full and not self._is_over:
+            self._room = self._loop.create_future()
+            await self._room
+
+    def __aiter__(self) -> SocketCall:
+        return self
+
+    async def __anext__(self) -> Any:
+        """Return the next response. Raises grpc.RpcError, or CancelledError if this side has cancelled the stream."""
+        while not self._came:
+            if self._is_over:
+                raise self._error or StopAsyncIteration
+            self._news = self._loop.create_future()
+            await self._news
+        _, body = self._came.popleft()
+        self._unread_bytes -= len(body)
+        if self._is_paused and self._unread_bytes <= UNREAD_BYTES_MAX and not self._is_over:
+            self._is_paused, self._heard_s = False, self._loop.time()
+            self._transport.resume_reading()
+        decode = self._method.decode
+        return body if decode is None else decode(body)
+
+    def cancel(self) -> None:
+        """End the stream. What has come and was not read is lost."""
+        if not self._is_over:
+            self._came.clear()
+            self._end(asyncio.CancelledError())
+
+    def add_done_callback(self, callback: Callable[[Any], object]) -> None:
+        """Call `callback` with this stream at its end; soon if it has ended."""
+        if self._is_over:
+            self._loop.call_soon(callback, self)
+        else:
+            self._done.append(callback)
+
+    def _end(self, error: grpc.RpcError | asyncio.CancelledError | None) -> None:
+        """Note the end; `error` is None for the regular one. Only the first end counts."""
+        if self._is_over:
+            return
+        self._is_over, self._error = True, error
+        if self._watch is not None:
+            self._watch.cancel()
+        if self._transport is not None:
+            self._transport.abort()
+        _wake(self._news)
+        _wake(self._room)
+        for callback in self._done:
+            self._loop.call_soon(callback, self)
+        self._done.clear()
+
+    def _listen(self) -> None:
+        """End the stream if the host has given no sign of life for too long."""
+        silence_s = 0.0 if self._is_paused else self._loop.time() - self._heard_s
+        if silence_s >= SILENCE_S_MAX:
+            self._end(silent(SILENCE_S_MAX))
+        else:
+            self._watch = self._loop.call_later(SILENCE_S_MAX - silence_s, self._listen)
+
+
+class OpeningCall:
+    """A stream whose transport is not known yet. It has the methods of a call of grpc.aio."""
+
+    def __init__(self, opening: Awaitable[Any]) -> None:
+        """`opening` returns the call. It may raise StampedeError, which `async for` then raises."""
+        self._opening = asyncio.ensure_future(opening)
+        self._call: Any = None
+        self._opening.add_done_callback(self._opened)
+        self._done: list[Callable[[Any], object]] = []
+
+    def _opened(self, opening: asyncio.Future[Any]) -> None:
+        if opening.cancelled() or opening.exception() is not None:
+            for callback in self._done:
+                callback(self)
+            return
+        self._call = opening.result()
+        for callback in self._done:
+            self._call.add_done_callback(callback)
+
+    async def write(self, request: Any) -> None:
+        """Send a request, see grpc.aio."""
+        await (self._call or await asyncio.shield(self._opening)).write(request)
+
+    async def __aiter__(self) -> AsyncIterator[Any]:
+        """Yield the responses, see grpc.aio."""
+        async for response in self._call or await asyncio.shield(self._opening):
+            yield response
+
+    def cancel(self) -> None:
+        """End the stream."""
+        if self._call is not None:
+            self._call.cancel()
+        else:
+            self._opening.cancel()
+
+    def add_done_callback(self, callback: Callable[[Any], object]) -> None:
+        """Call `callback` with the stream at its end."""
+        if self._call is not None:
+            self._call.add_done_callback(callback)
+        elif self._opening.done():
+            asyncio.get_running_loop().call_soon(partial(callback, self))
+        else:
+            self._done.append(callback)
+
+
+def _wake(waiting: asyncio.Future[None] | None) -> None:
+    if waiting is not None and not waiting.done():
+        waiting.set_result(None)

@@ -1,0 +1,82 @@
+"""The addresses of a host's sockets, and when a client uses them instead of gRPC."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable
+from typing import Any
+
+from stampede_rt.cluster.cluster_ids import METADATA_KEY as CLUSTER_KEY
+from stampede_rt.cluster.transport_choice import Transport
+from stampede_rt.errors import Unavailable
+from stampede_rt.transports.socket_limits import AGAIN_S
+from stampede_rt.v1 import gatekeeper_service_pb2 as pb
+from stampede_rt.v1 import socket_stream_pb2
+from stampede_rt.wire.stream_frames import PROTOCOL_VERSION
+
+LOCAL_PREFIX = "unix:"
+
+
+class SocketRoute:
+    """The sockets of the host at one address."""
+
+    def __init__(self, target: str, transport: Transport, *, is_secured: bool) -> None:
+        """`is_secured`: the connection needs certificates, which prove nothing over sockets."""
+        self._target = target
+        self._transport = transport
+        self._may_use = sys.platform == "linux" and transport is not Transport.GRPC and not is_secured
+        self._targets: tuple[str, ...] | None = None  # None: unknown
+        self._not_before_s = 0.0
+        self.used = Transport.GRPC
+        """The transport of the latest stream."""
+
+    def learn(self, endpoints: Iterable[pb.DataEndpoint]) -> None:
+        """Keep what the gatekeeper has answered."""
+        self._targets = tuple(one.target for one in endpoints if one.transport == pb.TRANSPORT_SOCKET)
+
+    @property
+    def may_lead(self) -> bool:
+        """Whether the next stream may go over a socket, or must raise Unavailable because it may not."""
+        return bool(self.targets) or self.must_ask or self._transport is Transport.SOCKET
+
+    @property
+    def must_ask(self) -> bool:
+        """Whether to ask the gatekeeper for the host's sockets before the next stream."""
+        return self._may_use and self._targets is None and time.monotonic() >= self._not_before_s
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The addresses to try, best first. Each is "unix:PATH" or "HOST:PORT"."""
+        return self._targets or () if self._may_use else ()
+
+    def connected(self) -> None:
+        """Note that a stream goes over a socket."""
+        self.used = Transport.SOCKET
+
+    def failed(self, why: str) -> None:
+        """Note that no socket can be used. The next streams go over gRPC, and after a while the client asks again.
+
+        Raises Unavailable if the program has chosen sockets.
+        """
+        self.used = Transport.GRPC
+        if self._targets != ():
+            self._targets = None
+            self._not_before_s = time.monotonic() + AGAIN_S
+        if self._transport is Transport.SOCKET:
+            self._not_before_s = 0.0
+            raise Unavailable(
+                f"no stream over a socket leads to {self._target}: {why or 'it offers none to this caller'}; leave "
+                'transport="socket" away to use gRPC'
+            )
+
+
+def opening_of(method: str, metadata: Iterable[tuple[str, str]]) -> bytes:
+    """Return the encoded StreamOpening of a call with the metadata of gRPC calls."""
+    named: dict[str, Any] = dict(metadata)
+    return socket_stream_pb2.StreamOpening(
+        method=method,
+        protocol_version=PROTOCOL_VERSION,
+        cluster_id=named.get(CLUSTER_KEY, ""),
+        authorization=named.get("authorization", ""),
+    ).SerializeToString()

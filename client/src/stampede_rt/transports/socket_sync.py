@@ -1,0 +1,203 @@
+"""A stream over a socket of its own, in the blocking client. The calling thread itself sends and receives."""
+
+from __future__ import annotations
+
+import select
+import socket
+import struct
+import threading
+import weakref
+from collections import deque
+from collections.abc import Iterable
+from contextlib import suppress
+from queue import SimpleQueue
+from typing import Any
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt.transports import forking
+from stampede_rt.transports.bidi_methods import BidiMethod
+from stampede_rt.transports.socket_errors import SocketError, broken, cancelled, error_of, silent
+from stampede_rt.transports.socket_limits import RECEIVE_BYTES, RECEIVED_BYTES_MAX, SILENCE_S_MAX
+from stampede_rt.wire.request_pieces import messages_of
+from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, head_of
+
+NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)  # a send after the end of the connection must not end the process
+_NOW = getattr(socket, "MSG_DONTWAIT", 0) | NO_SIGNAL
+
+
+class SocketCall:
+    """A stream with the methods of `GrpcCall`."""
+
+    def __init__(self, connected: socket.socket, method: BidiMethod, opening: bytes, *, in_turn: bool) -> None:
+        """Send the encoded opening over the new connection.
+
+        `in_turn`: one thread uses the stream, and reads the answer to each request before it sends the next one. Then
+        `send` may block. Otherwise any thread may send while another one reads, and `send` does not block.
+        """
+        self._method = method
+        self._in_turn = in_turn
+        self._socket = connected
+        self._forks = forking.forks()
+        self._frames = FrameReader(RECEIVED_BYTES_MAX)
+        self._came: deque[Frame] = deque()
+        self._is_cancelled = False
+        self._failure: SocketError | None = None  # of sending
+        self._mutex = threading.Lock()  # guards sending
+        self._backlog = _Backlog(connected)
+        connected.setblocking(True)
+        seconds, rest = divmod(SILENCE_S_MAX, 1)
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", int(seconds), int(rest * 1e6)))
+        forking.keep_out_of_children(connected)
+        weakref.finalize(self, _drop, connected, self._backlog, self._forks).atexit = False
+        self._write((head_of(FrameKind.OPENING, len(opening)), opening))
+
+    @property
+    def waiting_requests(self) -> int:
+        """The number of writes that wait because the host takes none."""
+        return self._backlog.writes
+
+    def send(self, request: Any) -> None:
+        """Send `request`. If the stream has ended, `__next__` raises the reason."""
+        encode = self._method.encode
+        encoded: bytes = request if encode is None else encode(request)
+        try:
+            with self._mutex:
+                for message in messages_of(encoded):
+                    self._write((head_of(FrameKind.MESSAGE, len(message)), message))
+        except BaseException:  # an interrupt: the host may have half of a frame
+            self.cancel()
+            raise
+
+    def __iter__(self) -> SocketCall:
+        return self
+
+    def __next__(self) -> Any:
+        """Return the next response. Raises grpc.RpcError, or StopIteration at the end."""
+        while True:
+            while not self._came:
+                if self._failure is not None:
+                    raise self._failure
+                self._receive(0)
+            kind, body = self._came.popleft()
+            if kind == FrameKind.MESSAGE:
+                decode = self._method.decode
+                return body if decode is None else decode(body)
+            if kind == FrameKind.STATUS:
+                self._came.append((kind, body))  # for the next call
+                self.cancel()
+                if error := error_of(body):
+                    raise error
+                raise StopIteration
+
+    def cancel(self) -> None:
+        """End the stream. Any thread may do this."""
+        self._is_cancelled = True
+        _shut(self._socket, self._backlog, self._forks)
+
+    def _receive(self, flags: int) -> None:
+        """Wait for the next bytes. Raises grpc.RpcError."""
+        try:
+            data = self._socket.recv(RECEIVE_BYTES, flags)
+        except BlockingIOError:
+            raise silent(SILENCE_S_MAX) from None
+        except OSError as error:
+            raise (cancelled() if self._is_cancelled else broken(error.strerror or str(error))) from error
+        if not data:
+            raise cancelled() if self._is_cancelled else broken("the host has closed it")
+        try:
+            self._came.extend(self._frames.feed(data))
+        except InvalidArgument as error:
+            self.cancel()
+            raise broken(str(error)) from error
+
+    def _write(self, buffers: Iterable[bytes]) -> None:
+        """Send as much as the system takes now, and then the rest: here, or on a thread. The caller holds the mutex."""
+        left = [memoryview(one) for one in buffers]
+        try:
+            if not self._backlog.writes:
+                left = self._send_some(left)
+            if left and self._in_turn:
+                self._send_rest(left)
+            elif left:
+                self._backlog.send(left)
+        except OSError:
+            pass  # reading tells the reason: maybe a status, which came before the host closed the socket
+        except SocketError as error:
+            self._failure = error
+
+    def _send_some(self, left: list[memoryview]) -> list[memoryview]:
+        """Send what the system takes without waiting. Returns the rest."""
+        while left:
+            try:
+                sent_bytes = self._socket.sendmsg(left, (), _NOW)
+            except BlockingIOError:
+                break
+            left = _after(left, sent_bytes)
+        return left
+
+    def _send_rest(self, left: list[memoryview]) -> None:
+        """Send the rest. Take in what comes meanwhile: while the host gives signs of life, it may take more later."""
+        poll = select.poll()
+        poll.register(self._socket, select.POLLIN | select.POLLOUT)
+        while left and not any(kind == FrameKind.STATUS for kind, _ in self._came):
+            events = poll.poll(SILENCE_S_MAX * 1000)
+            if not events:
+                raise silent(SILENCE_S_MAX)
+            if events[0][1] & ~select.POLLOUT:
+                self._receive(_NOW)
+            left = self._send_some(left)
+
+
+class _Backlog:
+    """Sends on a thread of its own what the system did not take at once. The first such write starts the thread."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        self.writes = 0
+        """The number of writes that are not done."""
+        self._socket = connected
+        self._queue: SimpleQueue[list[memoryview] | None] = SimpleQueue()
+        self._mutex = threading.Lock()
+        self._has_thread = False
+
+    def send(self, left: list[memoryview]) -> None:
+        """Send `left` after everything before it. Does not wait."""
+        with self._mutex:
+            self.writes += 1
+        self._queue.put(left)
+        if not self._has_thread:
+            self._has_thread = True
+            threading.Thread(target=self._run, name="stampede sends", daemon=True).start()
+
+    def _run(self) -> None:
+        with suppress(OSError):
+            while (left := self._queue.get()) is not None:
+                for part in left:
+                    self._socket.sendall(part, NO_SIGNAL)
+                with self._mutex:
+                    self.writes -= 1
+
+    def close(self) -> None:
+        """End the thread, once the socket is shut."""
+        self._queue.put(None)
+
+
+def _after(buffers: list[memoryview], sent_bytes: int) -> list[memoryview]:
+    """Return the parts of the buffers behind the sent bytes."""
+    left = []
+    for one in buffers:
+        if sent_bytes < len(one):
+            left.append(one[sent_bytes:])
+        sent_bytes = max(0, sent_bytes - len(one))
+    return left
+
+
+def _shut(connected: socket.socket, backlog: _Backlog, forks: int) -> None:
+    backlog.close()
+    if forks == forking.forks():  # in a forked child the connection is the parent's
+        with suppress(OSError):
+            connected.shutdown(socket.SHUT_RDWR)
+
+
+def _drop(connected: socket.socket, backlog: _Backlog, forks: int) -> None:
+    _shut(connected, backlog, forks)
+    connected.close()

@@ -1,0 +1,103 @@
+"""The frames of a stream over a socket (`proto/stampede_rt/v1/socket_stream.proto`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from struct import Struct
+
+from stampede_rt.errors import InvalidArgument
+
+PROTOCOL_VERSION = 1
+OPENING_BYTES_MAX = 16 * 2**10
+STATUS_BYTES_MAX = 64 * 2**10
+_HEAD = Struct("<IB")
+HEAD_BYTES = _HEAD.size
+
+
+class FrameKind(IntEnum):
+    """The kinds of frames."""
+
+    MESSAGE = 0
+    OPENING = 1
+    STATUS = 2
+    END = 3
+    ALIVE = 4
+
+
+Frame = tuple[int, bytes]
+"""The kind and the body of a frame."""
+
+
+def head_of(kind: FrameKind, body_bytes: int) -> bytes:
+    """Return the head of a frame with a body of that length."""
+    return _HEAD.pack(body_bytes, kind)
+
+
+def frame_of(kind: FrameKind, body: bytes = b"") -> bytes:
+    """Return a whole frame. It copies the body."""
+    return _HEAD.pack(len(body), kind) + body
+
+
+class FrameReader:
+    """Cuts the bytes of a socket into frames. It keeps the bytes that came of an unfinished frame, and no more."""
+
+    __slots__ = ("_bytes_max", "_partial", "_wanted_bytes")
+
+    def __init__(self, bytes_max: Mapping[FrameKind, int]) -> None:
+        """`bytes_max`: the longest body of each kind of frame that may come."""
+        self._bytes_max: dict[int, int] = {int(kind): most for kind, most in bytes_max.items()}
+        self._partial = bytearray()
+        self._wanted_bytes = 0  # of the unfinished frame, or of its head
+
+    @property
+    def unfinished_bytes(self) -> int:
+        """The bytes that came of an unfinished frame."""
+        return len(self._partial)
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take the next bytes, and return the frames that are complete now.
+
+        Raises InvalidArgument for a frame of another kind, or of a longer body, than may come.
+        """
+        frames: list[Frame] = []
+        at = self._complete(data, frames) if self._partial else 0
+        if self._partial:
+            return frames
+        while len(data) - at >= HEAD_BYTES:
+            end = at + HEAD_BYTES + self._body_bytes(data, at)
+            if end > len(data):
+                self._wanted_bytes = end - at
+                break
+            frames.append((data[at + 4], data[at + HEAD_BYTES : end]))
+            at = end
+        else:
+            self._wanted_bytes = HEAD_BYTES
+        if at < len(data):
+            self._partial += memoryview(data)[at:]
+        return frames
+
+    def _complete(self, data: bytes, frames: list[Frame]) -> int:
+        """Add bytes to the unfinished frame. Returns the number of the bytes that were taken."""
+        partial, at = self._partial, 0
+        while True:  # twice, if the head was unfinished, too
+            more = self._wanted_bytes - len(partial)
+            partial += memoryview(data)[at : at + more]
+            at = min(at + more, len(data))
+            if len(partial) < self._wanted_bytes:
+                return at
+            whole_bytes = HEAD_BYTES + self._body_bytes(partial, 0)
+            if whole_bytes == self._wanted_bytes:
+                break
+            self._wanted_bytes = whole_bytes
+        frames.append((partial[4], bytes(memoryview(partial)[HEAD_BYTES:])))
+        self._partial = bytearray()
+        return at
+
+    def _body_bytes(self, data: bytes | bytearray, at: int) -> int:
+        length, kind = _HEAD.unpack_from(data, at)
+        allowed = self._bytes_max.get(kind, -1)
+        if length > allowed:
+            what = f"of {length} bytes; it has at most {allowed}" if allowed >= 0 else "which may not come here"
+            raise InvalidArgument(f"a frame of kind {kind} came, {what}; see socket_stream.proto")
+        return int(length)

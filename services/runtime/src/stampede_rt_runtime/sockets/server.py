@@ -1,0 +1,214 @@
+"""Serves streams over sockets of their own. Its calls pass the same interceptors as those of the gRPC server."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import grpc
+from grpc.aio import AbortError
+
+from stampede_rt.cluster.cluster_ids import cluster_metadata
+from stampede_rt.errors import Overloaded, PermissionDenied, StampedeError, VersionMismatch
+from stampede_rt.status import encode_status
+from stampede_rt.transports.machine import is_of_this_user
+from stampede_rt.v1 import socket_stream_pb2 as pb
+from stampede_rt.wire.stream_frames import PROTOCOL_VERSION
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.open_files import connections_max
+from stampede_rt_runtime.overload import RefusedCalls
+from stampede_rt_runtime.sockets.context import OK, Metadata, SocketContext, status_of
+from stampede_rt_runtime.sockets.hangups import Hangups
+from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+from stampede_rt_runtime.sockets.unix_socket import BACKLOG, listen_at_new_path
+
+logger = logging.getLogger(__name__)
+
+ALIVE_SECONDS = 2.5
+LOOKS_PER_TURN = 64
+ENDED_PER_TURN = 64
+
+
+class _CallDetails(NamedTuple):
+    """What interceptors know of a call, as grpc.HandlerCallDetails."""
+
+    method: str
+    invocation_metadata: Metadata
+
+
+class _Stream:
+    """A connection and the task that serves it."""
+
+    __slots__ = ("connection", "is_local", "task")
+
+    def __init__(self, connection: StreamSocket, *, is_local: bool) -> None:
+        self.connection = connection
+        self.is_local = is_local
+        self.task: asyncio.Task[None] | None = None
+
+
+class SocketServer:
+    """The RPCs with streams in both directions, each over a socket of its own.
+
+    Order of use, on the event loop that serves: make it, register servicers as on a grpc.aio.Server, `listen_locally`,
+    `stop`. `interceptors` are those of the gRPC server, so that both count and limit calls together.
+    """
+
+    def __init__(
+        self, interceptors: Sequence[grpc.aio.ServerInterceptor], limits: Limits, refused: RefusedCalls
+    ) -> None:
+        self._limits, self._refused = limits, refused
+        self._methods: dict[str, Any] = {}
+        find: Any = self._method
+        for interceptor in reversed(interceptors):
+            find = partial(interceptor.intercept_service, find)
+        self._find: Callable[[_CallDetails], Awaitable[Any]] = find
+        self._hangups = Hangups()
+        self._streams: dict[StreamSocket, _Stream] = {}
+        self._unopened: set[StreamSocket] = set()
+        self._changed = asyncio.Event()
+        self._listening: list[asyncio.Server] = []
+        self._sweep: asyncio.Task[None] | None = None
+        self._path: Path | None = None
+
+    def register(self, add_to: Callable[[Any], object]) -> None:
+        """Serve what `add_to` adds to a grpc.aio.Server."""
+        add_to(self)
+
+    def add_generic_rpc_handlers(self, handlers: Sequence[Any]) -> None:
+        """Do nothing: the same handlers come by `add_registered_method_handlers`."""
+
+    def add_registered_method_handlers(self, service: str, handlers: Mapping[str, Any]) -> None:
+        """Serve those of the methods that have streams in both directions."""
+        for name, handler in handlers.items():
+            if handler.request_streaming and handler.response_streaming:
+                self._methods[f"/{service}/{name}"] = handler
+
+    async def listen_locally(self, folder: Path | None = None) -> str:
+        """Listen at a Unix socket. Returns its target, "unix:PATH". Raises CannotListen."""
+        listening, self._path = listen_at_new_path(folder)
+        make = partial(self._connection, is_local=True)
+        loop = asyncio.get_running_loop()
+        self._listening.append(await loop.create_unix_server(make, sock=listening, backlog=BACKLOG))
+        self._sweep = self._sweep or asyncio.create_task(self._look_forever())
+        return f"unix:{self._path}"
+
+    async def stop(self, grace_s: float) -> None:
+        """Accept no more connections, wait at most `grace_s` until all streams have ended, and end the others."""
+        for one in self._listening:
+            one.close()
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+        try:
+            async with asyncio.timeout(grace_s):
+                while any(one.task is not None and not one.task.done() for one in self._streams.values()):
+                    self._changed.clear()
+                    await self._changed.wait()
+        except TimeoutError:
+            logger.warning("streams did not end in time; the server ends them", extra={"seconds": grace_s})
+        for number, connection in enumerate(tuple(self._streams), start=1):
+            connection.abort()
+            if number % ENDED_PER_TURN == 0:
+                await asyncio.sleep(0)
+        if self._sweep is not None:
+            self._sweep.cancel()
+        self._hangups.close()
+
+    def _connection(self, *, is_local: bool) -> StreamSocket:
+        made = StreamSocket(self, self._limits, self._hangups)
+        self._streams[made] = _Stream(made, is_local=is_local)
+        self._unopened.add(made)
+        return made
+
+    def made(self, connection: StreamSocket) -> None:
+        """Refuse a connection of another user, or beyond the limits, before anything of it is read."""
+        if self._streams[connection].is_local and not is_of_this_user(connection.socket):
+            self._refuse(connection, PermissionDenied("the socket belongs to another user of this machine"))
+        elif len(self._unopened) > self._limits.refusals_max or len(self._streams) > connections_max() // 2:
+            error = Overloaded(
+                f"{len(self._streams)} sockets are open at this service, {len(self._unopened)} of them without a "
+                "StreamOpening, and more than it serves; close some streams, or go to another host"
+            )
+            self._refused.note(error)
+            self._refuse(connection, error)
+
+    def _refuse(self, connection: StreamSocket, error: StampedeError) -> None:
+        connection.end(encode_status(error))
+        connection.abort()  # without time for the peer to read: there may be many
+
+    def opened(self, connection: StreamSocket, opening: pb.StreamOpening) -> None:
+        """Begin to serve a stream. Raises VersionMismatch."""
+        self._unopened.discard(connection)
+        if opening.protocol_version != PROTOCOL_VERSION:
+            raise VersionMismatch(
+                f"the caller has version {opening.protocol_version} of the frames of streams, and this service version "
+                f"{PROTOCOL_VERSION}; install the same release on both"
+            )
+        stream = self._streams[connection]
+        stream.task = asyncio.create_task(self._serve(stream, opening))
+        stream.task.add_done_callback(self._note_end)
+
+    def failed(self, connection: StreamSocket, error: StampedeError) -> None:
+        """End a stream whose frames are not as they must be."""
+        connection.end(encode_status(error))
+        self._let_go(connection)
+
+    def lost(self, connection: StreamSocket) -> None:
+        """Cancel the stream of a connection that has gone, and forget it."""
+        self._let_go(connection)
+        self._streams.pop(connection, None)
+
+    def _let_go(self, connection: StreamSocket) -> None:
+        self._unopened.discard(connection)
+        stream = self._streams.get(connection)
+        if stream is not None and stream.task is not None:
+            stream.task.cancel()
+
+    def _note_end(self, _task: asyncio.Task[None]) -> None:
+        self._changed.set()
+
+    async def _serve(self, stream: _Stream, opening: pb.StreamOpening) -> None:
+        connection, metadata = stream.connection, _metadata(opening)
+        peer = "unix:" if stream.is_local else _peer(connection.socket)
+        try:
+            handler = await self._find(_CallDetails(opening.method, metadata))
+            context = SocketContext(connection, metadata, peer, {}, handler)
+            await handler.stream_stream(context, context)
+            connection.end(OK)
+        except AbortError:
+            pass  # the status is written
+        except asyncio.CancelledError:
+            if not connection.is_over:
+                connection.abort()
+        except Exception as defect:
+            logger.exception("a method failed", extra={"method": opening.method})
+            connection.end(status_of(grpc.StatusCode.UNKNOWN, f"Unexpected {type(defect)}: {defect}"))
+
+    async def _method(self, details: _CallDetails) -> Any:
+        return self._methods.get(details.method)
+
+    async def _look_forever(self) -> None:
+        """Look at all connections, a few in each turn of the loop."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await asyncio.sleep(ALIVE_SECONDS)
+            for number, (connection, stream) in enumerate(tuple(self._streams.items()), start=1):
+                connection.look(loop.time(), is_local=stream.is_local)
+                if number % LOOKS_PER_TURN == 0:
+                    await asyncio.sleep(0)
+
+
+def _metadata(opening: pb.StreamOpening) -> Metadata:
+    credential = (("authorization", opening.authorization),) if opening.authorization else ()
+    return credential + cluster_metadata(opening.cluster_id)
+
+
+def _peer(connected: socket.socket) -> str:
+    """The other side of a TCP socket, as gRPC names it."""
+    host, port = connected.getpeername()[:2]
+    return f"ipv6:%5B{host}%5D:{port}" if ":" in host else f"ipv4:{host}:{port}"

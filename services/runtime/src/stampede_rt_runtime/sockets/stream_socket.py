@@ -1,0 +1,233 @@
+"""One connection: a stream over a socket of its own, with the bounds that a stream of the gRPC server has."""
+
+from __future__ import annotations
+
+import asyncio
+import fcntl
+import termios
+from collections import deque
+from typing import Any, Protocol
+
+from grpc.aio import EOF, InternalError
+
+from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
+from stampede_rt.v1 import socket_stream_pb2 as pb
+from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, FrameKind, FrameReader, frame_of, head_of
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.sockets.hangups import Hangups
+
+FRAME_SECONDS_MAX = 11.0  # from the first byte of a frame to its last one, while the service reads
+STALL_SECONDS_MAX = 30.0  # for which a peer may take nothing of what the service writes
+LINGER_SECONDS = 2.0  # for which a peer may read the status after its stream has ended
+_MESSAGE_OVERHEAD_BYTES = 64  # a waiting message takes as much memory beside its bytes
+_JOINED_BYTES_MAX = 2**16  # up to this length a copy of a message takes less time than a second system call
+
+ALIVE = frame_of(FrameKind.ALIVE)
+
+
+class SocketOwner(Protocol):
+    """Learns of the events of its connections."""
+
+    def made(self, connection: StreamSocket) -> None:
+        """The peer has connected."""
+
+    def opened(self, connection: StreamSocket, opening: pb.StreamOpening) -> None:
+        """The opening has come. May raise a StampedeError."""
+
+    def failed(self, connection: StreamSocket, error: StampedeError) -> None:
+        """The peer did not keep to the rules of frames. The owner must call `end`."""
+
+    def lost(self, connection: StreamSocket) -> None:
+        """The peer has gone, or the connection was closed here."""
+
+
+class StreamSocket(asyncio.Protocol):
+    """Reads and writes the frames of one stream."""
+
+    def __init__(self, owner: SocketOwner, limits: Limits, hangups: Hangups) -> None:
+        self.socket: Any = None
+        self.is_opened = False
+        self.is_over = False
+        """Whether the status was written."""
+        self._owner, self._limits, self._hangups = owner, limits, hangups
+        self._transport: Any = None
+        opening, message = FrameKind.OPENING, FrameKind.MESSAGE
+        self._frames = FrameReader({opening: OPENING_BYTES_MAX, message: limits.request_bytes_max, FrameKind.END: 0})
+        self._loop = asyncio.get_running_loop()
+        self._deadline: asyncio.TimerHandle | None = None
+        self._messages: deque[bytes] = deque()
+        self._unread_bytes = 0
+        self._came: asyncio.Future[None] | None = None
+        self._has_ended = self._is_lost = self._is_paused = self._has_written = False
+        self._room: asyncio.Future[None] | None = None
+        self._is_full = False
+        self._frame_since_s: float | None = None
+        self._stalled_since_s, self._stalled_bytes = 0.0, 0
+
+    # what asyncio calls
+
+    def connection_made(self, transport: Any) -> None:
+        """Wait for the opening, for a limited time."""
+        self._transport, self.socket = transport, transport.get_extra_info("socket")
+        transport.set_write_buffer_limits(0)
+        opening_s = self._limits.handshake_millis_max / 1000
+        self._deadline = self._loop.call_later(opening_s, self._opening_overdue, opening_s)
+        self._owner.made(self)
+
+    def data_received(self, data: bytes) -> None:
+        """Take the frames. What comes after the stream's end is dropped."""
+        if self.is_over:
+            return
+        try:
+            for kind, body in self._frames.feed(data):
+                self._take(kind, body)
+        except StampedeError as error:
+            self._owner.failed(self, error)
+            return
+        self._frame_since_s = self._loop.time() if self._frames.unfinished_bytes else None
+        if self._unread_bytes > self._limits.unread_bytes_max and not (self._is_paused or self.is_over):
+            self._is_paused, self._frame_since_s = True, None
+            self._transport.pause_reading()
+            self._hangups.watch(self.socket, self._transport.abort)
+
+    def pause_writing(self) -> None:
+        """The system takes no more bytes."""
+        self._is_full = True
+
+    def resume_writing(self) -> None:
+        """The system has taken all bytes."""
+        self._is_full = False
+        _wake(self._room)
+
+    def connection_lost(self, _error: Exception | None) -> None:
+        """The peer has gone, or the connection was closed here."""
+        self._is_lost = self._has_ended = True
+        self._hangups.forget(self.socket)
+        if self._deadline is not None:
+            self._deadline.cancel()
+        _wake(self._came)
+        _wake(self._room)
+        self._owner.lost(self)
+
+    # what the stream calls
+
+    async def read(self) -> Any:
+        """The next message, or EOF."""
+        while not self._messages:
+            if self._has_ended:
+                return EOF
+            self._came = self._loop.create_future()
+            await self._came
+        message = self._messages.popleft()
+        self._unread_bytes -= len(message) + _MESSAGE_OVERHEAD_BYTES
+        if self._is_paused and self._unread_bytes <= self._limits.unread_bytes_max and not self._is_lost:
+            self._is_paused = False
+            self._hangups.forget(self.socket)
+            self._transport.resume_reading()
+        return message
+
+    async def write(self, message: bytes) -> None:
+        """Write a message. Returns when the system has taken it. Raises InternalError if the peer has gone."""
+        if len(message) <= _JOINED_BYTES_MAX:
+            self._write(frame_of(FrameKind.MESSAGE, message))
+        else:
+            self._write(head_of(FrameKind.MESSAGE, len(message)))
+            self._transport.write(message)
+        while self._is_full and not self._is_lost:
+            self._room = self._loop.create_future()
+            await self._room
+        if self._is_lost:
+            raise InternalError("the caller has closed its socket")
+
+    def end(self, status: bytes) -> None:
+        """Write the status, and close the connection once the peer has read it. Only the first status counts."""
+        if self.is_over:
+            return
+        self.is_over = True
+        self._messages.clear()
+        if self._is_lost:
+            return
+        if not self._is_full:  # else the peer reads nothing
+            self._write(frame_of(FrameKind.STATUS, status))
+        if self._is_paused:
+            self._hangups.forget(self.socket)
+            self._transport.resume_reading()
+        if self._deadline is not None:
+            self._deadline.cancel()
+        if self._transport.can_write_eof():
+            self._transport.write_eof()
+        # a close while bytes of the peer wait here would drop the status at some systems
+        self._deadline = self._loop.call_later(LINGER_SECONDS, self._transport.abort)
+
+    def abort(self) -> None:
+        """Close the connection at once."""
+        if self._transport is not None:
+            self._transport.abort()
+
+    def look(self, now_s: float, *, is_local: bool) -> None:
+        """Give a sign of life if nothing else was written since the last look. End a stream that does not go on."""
+        if self._is_lost or self.is_over or not self.is_opened:
+            return
+        if self._frame_since_s is not None and now_s - self._frame_since_s > FRAME_SECONDS_MAX:
+            self._owner.failed(self, _unfinished(self._frames.unfinished_bytes))
+            return
+        waiting_bytes = self._transport.get_write_buffer_size()
+        if not waiting_bytes or waiting_bytes != self._stalled_bytes:
+            self._stalled_since_s, self._stalled_bytes = now_s, waiting_bytes
+        elif now_s - self._stalled_since_s > STALL_SECONDS_MAX:
+            self.abort()
+            return
+        if not (self._has_written or waiting_bytes or (is_local and _unread_by_peer(self.socket))):
+            self._write(ALIVE)
+        self._has_written = False
+
+    def _take(self, kind: int, body: bytes) -> None:
+        if not self.is_opened:
+            if kind != FrameKind.OPENING:
+                raise InvalidArgument("a stream begins with a StreamOpening; see socket_stream.proto")
+            assert self._deadline is not None, "a connection has a deadline until it is opened"
+            self._deadline.cancel()
+            self.is_opened = True
+            self._owner.opened(self, _opening_in(body))
+        elif kind == FrameKind.MESSAGE and not self._has_ended:
+            self._messages.append(body)
+            self._unread_bytes += len(body) + _MESSAGE_OVERHEAD_BYTES
+            _wake(self._came)
+        elif kind == FrameKind.END:
+            self._has_ended = True
+            _wake(self._came)
+        else:
+            raise InvalidArgument(f"a frame of kind {kind} came where none may come; see socket_stream.proto")
+
+    def _write(self, data: bytes) -> None:
+        self._has_written = True
+        self._transport.write(data)
+
+    def _opening_overdue(self, opening_s: float) -> None:
+        self._owner.failed(
+            self, DeadlineExceeded(f"no whole StreamOpening came within {opening_s:g} s; send it when the socket opens")
+        )
+
+
+def _opening_in(body: bytes) -> pb.StreamOpening:
+    try:
+        return pb.StreamOpening.FromString(body)
+    except Exception as error:  # any error of a generated parser is due to the caller's bytes
+        raise InvalidArgument(f"the {len(body)} bytes that were sent are no StreamOpening") from error
+
+
+def _unfinished(came_bytes: int) -> DeadlineExceeded:
+    return DeadlineExceeded(
+        f"{came_bytes} bytes of a frame came, and not the rest within {FRAME_SECONDS_MAX:g} s; send smaller messages, "
+        "or over a faster network"
+    )
+
+
+def _unread_by_peer(local: Any) -> bool:
+    """Whether the peer of a Unix socket has bytes to read. Then a sign of life would tell it nothing new."""
+    return fcntl.ioctl(local, termios.TIOCOUTQ, bytes(4)) != bytes(4)
+
+
+def _wake(waiting: asyncio.Future[None] | None) -> None:
+    if waiting is not None and not waiting.done():
+        waiting.set_result(None)

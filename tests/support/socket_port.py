@@ -1,0 +1,117 @@
+"""A service whose methods have streams in both directions, at a Unix socket: `port = port_fixture()` in a test file."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import grpc
+import pytest
+
+from stampede_rt.errors import InvalidArgument
+from stampede_rt_runtime.rpc import errors_as_status
+from stampede_rt_runtime.server import ServiceServer, serving
+from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+
+SERVICE = "test.Streams"
+ECHO, HOLD, READ_LATER, REFUSE, FAIL, FLOOD = (
+    f"/{SERVICE}/{name}" for name in ("Echo", "Hold", "ReadLater", "Refuse", "Fail", "Flood")
+)
+
+
+class Streams:
+    """Methods with streams in both directions."""
+
+    def __init__(self) -> None:
+        self.held = asyncio.Semaphore(0)
+        self.cancelled = asyncio.Semaphore(0)
+        self.may_read = asyncio.Event()
+        self.read_bytes = 0
+
+    def add_to(self, server: Any) -> None:
+        methods = {
+            "Echo": self.echo, "Hold": self.hold, "ReadLater": self.read_later, "Refuse": self.refuse,
+            "Fail": self.fail, "Flood": self.flood,
+        }  # fmt: skip
+        handlers = {name: grpc.stream_stream_rpc_method_handler(method) for name, method in methods.items()}
+        server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
+        server.add_registered_method_handlers(SERVICE, handlers)
+
+    async def echo(self, _requests: Any, context: Any) -> None:
+        while (message := await context.read()) is not grpc.aio.EOF:
+            await context.write(message)
+
+    async def hold(self, _requests: Any, context: Any) -> None:
+        self.held.release()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self.cancelled.release()
+
+    async def read_later(self, _requests: Any, context: Any) -> None:
+        self.held.release()
+        try:
+            await self.may_read.wait()
+            while (message := await context.read()) is not grpc.aio.EOF:
+                self.read_bytes += len(message)
+        finally:
+            self.cancelled.release()
+
+    @errors_as_status
+    async def refuse(self, _requests: Any, context: Any) -> None:
+        raise InvalidArgument("not like this", metadata={"field": "x"})
+
+    async def fail(self, _requests: Any, context: Any) -> None:
+        raise ValueError("a defect")
+
+    async def flood(self, _requests: Any, context: Any) -> None:
+        self.held.release()
+        try:
+            while True:
+                await context.write(bytes(100_000))
+        finally:
+            self.cancelled.release()
+
+
+class Port:
+    """A service, the target of its Unix socket, and its server."""
+
+    def __init__(self, streams: Streams, target: str, server: ServiceServer) -> None:
+        self.streams, self.target, self.server = streams, target, server
+
+
+async def until(condition: Callable[[], object]) -> None:
+    """Wait until the server's loop has come to this state."""
+    async with asyncio.timeout(20):
+        while not condition():  # noqa: ASYNC110  # the state has no event
+            await asyncio.sleep(0)
+
+
+async def paused(one: Port) -> StreamSocket:
+    """The only connection, once its messages stay with the caller."""
+    await until(lambda: [made for made in one.server.sockets._streams if made._is_paused])
+    [made] = one.server.sockets._streams
+    return made
+
+
+Open = Callable[..., AbstractAsyncContextManager[Port]]
+
+
+def port_fixture() -> Callable[..., Open]:
+    """Return a fixture that opens such services with the given settings of `serving`."""
+
+    @pytest.fixture
+    def port(tmp_path: Path) -> Open:
+        @asynccontextmanager
+        async def opened(**settings: Any) -> AsyncIterator[Port]:
+            streams = Streams()
+            async with serving(streams.add_to, **settings) as server:
+                server.sockets.register(streams.add_to)
+                yield Port(streams, await server.sockets.listen_locally(tmp_path / "s"), server)
+
+        return opened
+
+    return port

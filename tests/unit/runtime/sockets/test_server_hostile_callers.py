@@ -1,0 +1,129 @@
+"""Callers who open sockets and do not go on, or who send what is no stream."""
+
+from __future__ import annotations
+
+import asyncio
+
+import grpc
+import pytest
+
+from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, FrameKind, frame_of, head_of
+from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.sockets import server, stream_socket
+from tests.support.raw_stream import raw_stream
+from tests.support.socket_port import ECHO, HOLD, Open, paused, port_fixture, until
+
+port = port_fixture()
+
+INVALID = grpc.StatusCode.INVALID_ARGUMENT.value[0]
+OVERDUE = grpc.StatusCode.DEADLINE_EXCEEDED.value[0]
+OVERLOADED = grpc.StatusCode.RESOURCE_EXHAUSTED.value[0]
+
+
+@pytest.mark.parametrize(
+    ("sent", "why"),
+    [
+        (frame_of(FrameKind.MESSAGE, b"x"), "a stream begins with a StreamOpening"),
+        (head_of(FrameKind.OPENING, OPENING_BYTES_MAX + 1), "it has at most"),
+        (frame_of(FrameKind.OPENING, b"\xff\xff\xff"), "are no StreamOpening"),
+        (frame_of(FrameKind.STATUS), "which may not come here"),
+        (b"GET / HTTP/1.1\r\n\r\n", "which may not come here"),
+        (b"\xff" * 100, "which may not come here"),
+    ],
+)
+async def test_what_is_no_opening_is_refused_at_once(port: Open, sent: bytes, why: str) -> None:
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.send_bytes(sent)
+        status = await stream.status()
+        assert (status.code, why in status.message) == (INVALID, True), status.message
+        await stream.has_ended()
+
+
+async def test_another_version_of_the_frames_is_refused(port: Open) -> None:
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(ECHO, version=2)
+        status = await stream.status()
+        assert "has version 2 of the frames of streams, and this service version 1" in status.message
+
+
+@pytest.mark.parametrize(
+    ("sent", "why"),
+    [
+        (head_of(FrameKind.MESSAGE, Limits().request_bytes_max + 1), "it has at most"),
+        (frame_of(FrameKind.OPENING), "came where none may come"),
+        (frame_of(FrameKind.ALIVE), "which may not come here"),
+        (frame_of(FrameKind.END) + frame_of(FrameKind.MESSAGE, b"x"), "came where none may come"),
+    ],
+)
+async def test_a_frame_that_may_not_come_ends_the_stream(port: Open, sent: bytes, why: str) -> None:
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(HOLD)
+        await one.streams.held.acquire()
+        await stream.send_bytes(sent)
+        status = await stream.status()
+        assert (status.code, why in status.message) == (INVALID, True), status.message
+        await asyncio.wait_for(one.streams.cancelled.acquire(), 20)
+
+
+async def test_a_socket_without_an_opening_is_ended_after_a_while(port: Open) -> None:
+    async with port(limits=Limits(handshake_millis_max=50)) as one:
+        for begun in (b"", b"\x10", head_of(FrameKind.OPENING, 100) + b"x" * 99):
+            async with raw_stream(one.target) as stream:
+                await stream.send_bytes(begun)
+                status = await stream.status()
+                assert status.code == OVERDUE
+                assert "no whole StreamOpening came within 0.05 s" in status.message
+
+
+async def test_a_frame_that_is_never_finished_is_ended_after_a_while(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream_socket, "FRAME_SECONDS_MAX", 0.05)
+    monkeypatch.setattr(server, "ALIVE_SECONDS", 0.02)
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(ECHO)
+        await stream.send_bytes(head_of(FrameKind.MESSAGE, 1000) + b"x")
+        status = await stream.status()
+        assert status.code == OVERDUE
+        assert "6 bytes of a frame came, and not the rest within 0.05 s" in status.message
+
+
+async def test_only_so_many_sockets_without_an_opening_are_kept(port: Open) -> None:
+    async with port(limits=Limits(refusals_max=2)) as one, raw_stream(one.target) as a, raw_stream(one.target) as b:
+        for stream in (a, b):
+            await stream.send_bytes(b"\x01")
+        async with raw_stream(one.target) as stream:
+            assert (await stream.status()).code == OVERLOADED
+        assert one.server.refused_calls.count == 1
+        a.writer.transport.abort()
+        await until(lambda: len(one.server.sockets._unopened) == 1)
+        async with raw_stream(one.target) as stream:
+            await stream.begin(HOLD)
+            await asyncio.wait_for(one.streams.held.acquire(), 20)
+
+
+async def test_only_so_many_sockets_are_served_as_leave_files_for_the_process(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "connections_max", lambda: 2)
+    async with port() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
+        await first.begin(HOLD)
+        await one.streams.held.acquire()
+        assert (await second.status()).code == OVERLOADED
+
+
+async def test_a_socket_of_another_user_is_refused(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "is_of_this_user", lambda connected: False)
+    async with port() as one, raw_stream(one.target) as stream:
+        status = await stream.status()
+        assert status.code == grpc.StatusCode.PERMISSION_DENIED.value[0]
+        assert "another user" in status.message
+
+
+async def test_empty_messages_that_nobody_reads_count_with_the_memory_that_they_take(port: Open) -> None:
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(HOLD)
+        await one.streams.held.acquire()
+        stream.writer.write(frame_of(FrameKind.MESSAGE) * 100_000)
+        made = await paused(one)
+        assert len(made._messages) <= (2 * Limits().unread_bytes_max) // 5 + Limits().unread_bytes_max // 64
