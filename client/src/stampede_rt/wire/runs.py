@@ -30,10 +30,22 @@ _TIMES_TAG = 1 << 3 | 2  # field 1, packed
 _ORIGIN_TAG = bytes((8 << 3 | 2,))
 _PAYLOADS_TAG = 6 << 3 | 2
 _TAGS_BEFORE_PAYLOADS = frozenset(field << 3 | 2 for field in range(1, 6))
+_FIXED_FIELD_BYTES = {1 << 3 | 1: 9, 2 << 3 | 1: 9, 3 << 3 | 5: 5}  # one entry of a column that is not packed, by tag
 _SHORT_BYTES = 4096  # shorter runs are parsed whole, which is faster than a look for their payloads
+_FIELDS_LOOKED_AT_MAX = 4096
 _COLUMN_BYTES_MAX = 23  # of one item in three columns, if the encoder did not pack them and each entry has a tag
 _ATTRIBUTE_FRAMING_BYTES_MAX = 16
 _FRAMING_BYTES_MAX = 64
+_REST_BYTES_MAX = (
+    RUN_ITEMS_MAX * _COLUMN_BYTES_MAX
+    + CONTENT_TYPE_BYTES_MAX
+    + ATTRIBUTES_BYTES_MAX * (1 + _ATTRIBUTE_FRAMING_BYTES_MAX)
+    + _FRAMING_BYTES_MAX
+)
+"""The most bytes of a run without its payloads. A longer run that does not end with its payloads is refused.
+
+A parser would copy all of it in one step, up to 20 MiB, while all other callers wait.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +102,13 @@ def run_parts(
 
 
 def parse_run(raw: bytes | memoryview) -> RunColumns:
-    """Check a producer's run and return its columns. Raises MalformedRun, ItemTooLarge."""
+    """Check a producer's run and return its columns. Raises MalformedRun, ItemTooLarge.
+
+    Copies at most _REST_BYTES_MAX.
+    """
     columns_end, payload_bytes = _payloads_of(raw)
+    if columns_end > _REST_BYTES_MAX:
+        raise _too_long(len(raw))
     try:
         run = item_pb2.ItemRun.FromString(bytes(raw[:columns_end]))
     except DecodeError as error:
@@ -108,14 +125,20 @@ def _payloads_of(raw: bytes | memoryview) -> tuple[int, int]:
     """Return the end of the fields before the payloads, and the length of the payloads.
 
     So the parser need not copy the payloads. Returns the whole length and 0 for a short run, and for a run whose last
-    field is not the payloads: the caller parses such a run whole.
+    field is not the payloads: the caller parses such a run whole, or refuses it.
     """
     at, size = 0, len(raw)
     try:
-        while size > _SHORT_BYTES and (raw[at] == _PAYLOADS_TAG or raw[at] in _TAGS_BEFORE_PAYLOADS):
+        for _ in range(_FIELDS_LOOKED_AT_MAX if size > _SHORT_BYTES else 0):
+            tag = raw[at]
+            if tag in _FIXED_FIELD_BYTES:
+                at += _FIXED_FIELD_BYTES[tag]
+                continue
             length, value = decode_varint(raw, at + 1)
-            if raw[at] == _PAYLOADS_TAG:
+            if tag == _PAYLOADS_TAG:
                 return (at, length) if value + length == size else (size, 0)
+            if tag not in _TAGS_BEFORE_PAYLOADS:
+                break
             at = value + length
     except IndexError:  # it ends within a field: the parser says so
         pass
@@ -156,9 +179,13 @@ def _check_length(raw: bytes | memoryview, run: item_pb2.ItemRun, *, items: int,
     attributes_bytes = attributes_length_bytes(run.attributes) + len(run.attributes) * _ATTRIBUTE_FRAMING_BYTES_MAX
     labels_bytes = len(run.content_type.encode()) + attributes_bytes
     if len(raw) > payload_bytes + items * _COLUMN_BYTES_MAX + labels_bytes + _FRAMING_BYTES_MAX:
-        raise MalformedRun(
-            f"the run has {len(raw)} bytes, more than its fields take; write each field of item.proto once"
-        )
+        raise _too_long(len(raw))
+
+
+def _too_long(length_bytes: int) -> MalformedRun:
+    return MalformedRun(
+        f"the run has {length_bytes} bytes, more than its fields take; write each field of item.proto once, and the payloads last"
+    )
 
 
 def _check_labels(run: item_pb2.ItemRun) -> None:

@@ -13,7 +13,8 @@ from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels import put_requests, requests
 from stampede_rt_channel_host.cluster.records import recorded_group
 from stampede_rt_channel_host.groups.messages import floor_from_message, floor_to_message, times_from_message
-from stampede_rt_channel_host.queues.incoming import EnqueueRun, enqueue_of
+from stampede_rt_channel_host.queues.incoming import enqueue_of
+from stampede_rt_channel_host.queues.incoming import read_request as read_enqueues
 from stampede_rt_channel_host.queues.requests import page_size_of, settlements_of, taker_of
 from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.messages import KnownValues, drawn_message, drawn_request
@@ -84,8 +85,8 @@ def subscribe(source: ByteSource) -> None:
 
 def enqueue(source: ByteSource) -> None:
     raw = drawn_request(source, queue_pb.EnqueueRequest.DESCRIPTOR, KNOWN)
-    for message in requests.parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest").runs:
-        run = enqueue_of(EnqueueRun.of(message), 1, 0.0)
+    for message in read_enqueues(raw).runs:
+        run = enqueue_of(message, 1, 0.0)
         sealed = run.seal(1, range(len(run.lengths)), 5 if run.is_stamped else None)
         assert len(item_pb2.ItemRun.FromString(sealed).payload_length_bytes) == len(run.lengths)
 

@@ -22,12 +22,15 @@ class Requests:
     """A stream of equal requests without end."""
 
     def __init__(self, request: bytes) -> None:
-        self.reads = 0
+        self.reads = self.let_go_calls = 0
         self._request = request
 
     async def read(self) -> Any:
         self.reads += 1
         return self._request
+
+    def let_go(self) -> None:
+        self.let_go_calls += 1
 
 
 async def turns() -> None:
@@ -37,28 +40,32 @@ async def turns() -> None:
 
 async def test_what_is_read_ahead_is_charged_until_it_is_taken_or_nobody_asks_any_more() -> None:
     memory, requests = MemoryBudget(2**30), Requests(bytes(2**20))
-    ahead = ReadAhead(requests.read, memory, unlimited())
+    ahead = ReadAhead(requests, memory, unlimited())
     await ahead.next()
     assert memory.used_bytes == 0
     ahead.start()
     await turns()
     assert memory.used_bytes == 4 * 2**20
-    await ahead.next()
+    await ahead.next()  # it may still have to wait for the turn of its caller
+    assert memory.used_bytes == 4 * 2**20
+    ahead.let_go()
     assert memory.used_bytes == 3 * 2**20
+    assert requests.let_go_calls
+    await ahead.next()
     ahead.close()
     assert memory.used_bytes == 0
 
 
 async def test_nothing_is_read_ahead_on_any_stream_when_the_hosts_memory_is_used_up() -> None:
     memory, requests = MemoryBudget(3 * 2**20), Requests(bytes(2**20))
-    streams = [ReadAhead(requests.read, memory, unlimited()) for _ in range(10)]
+    streams = [ReadAhead(requests, memory, unlimited()) for _ in range(10)]
     for one in streams:
         one.start()
     await turns()
     assert memory.used_bytes <= 3 * 2**20 + len(streams) * 2**20  # one request more on each
     before = requests.reads
     Charge(memory).set(3 * 2**20)
-    late = ReadAhead(requests.read, memory, unlimited())
+    late = ReadAhead(requests, memory, unlimited())
     late.start()
     await turns()
     assert requests.reads == before
@@ -70,7 +77,7 @@ async def test_nothing_is_read_ahead_on_any_stream_when_the_hosts_memory_is_used
 async def test_nothing_is_read_ahead_for_a_caller_whose_bytes_in_flight_are_used_up() -> None:
     account = Account("cam", dict.fromkeys(Quota, 2 * 2**20))
     requests = Requests(bytes(2**20))
-    ahead = [ReadAhead(requests.read, MemoryBudget(2**30), account) for _ in range(2)]
+    ahead = [ReadAhead(requests, MemoryBudget(2**30), account) for _ in range(2)]
     for one in ahead:
         one.start()
     await turns()

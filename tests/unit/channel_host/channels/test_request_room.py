@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX, REQUEST_BYTES_MAX
-from stampede_rt_channel_host.channels.request_room import INCOMPLETE_BYTES_MAX, RequestRoom, RequestRooms
+from stampede_rt_channel_host.channels.request_room import ROOM_BYTES, RequestRoom, RequestRooms
 
 
 class Uploads:
@@ -23,9 +23,12 @@ class Uploads:
         await turns()
 
     async def _take(self, name: str, caller: str, wanted_bytes: int) -> None:
-        async with self.room.taken(caller, wanted_bytes):
+        give_back = await self.room.take(caller, wanted_bytes)
+        try:
             self.under_way.append(name)
             await asyncio.Event().wait()
+        finally:
+            give_back()
 
     async def end(self, *names: str) -> None:
         for name in names:
@@ -101,4 +104,4 @@ async def test_large_requests_that_nobody_finishes_leave_room_for_those_in_which
         for number in range(40):
             await some.begin(f"joined {number}", "good", JOINED_BYTES_MAX)
         assert len(some.under_way) == 3 + 32, "one caller gets half of the other half"
-        assert some.room.used_bytes <= INCOMPLETE_BYTES_MAX
+        assert some.room.used_bytes <= ROOM_BYTES

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import pytest
@@ -18,6 +19,7 @@ from stampede_rt_channel_host.channels.request_room import RequestRooms
 from stampede_rt_channel_host.channels.whole_requests import WholeRequests
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota
+from stampede_rt_runtime.quotas.turns import Turns
 from tests.support.channel_host.rig import run_of, running_host
 
 
@@ -40,6 +42,50 @@ async def test_large_and_small_requests_come_whole_and_in_order() -> None:
     assert [await whole.read() for _ in requests] == requests
     assert await whole.read() is EOF
     assert room.used_bytes == 0
+
+
+async def test_a_joined_request_keeps_its_room_until_its_stream_lets_go_of_it() -> None:
+    large = b"\x0a" + bytes(3 * MESSAGE_BYTES_MAX)
+    whole, room = stream_of([*messages_of(large), *messages_of(large), b"\x0asmall"])
+    await whole.read()
+    assert room.used_bytes == len(large)
+    whole.let_go()
+    assert room.used_bytes == 0
+    await whole.read()
+    assert room.used_bytes == len(large)
+    await whole.read()  # the next request
+    assert room.used_bytes == 0
+
+
+async def test_a_caller_beyond_its_share_waits_for_a_turn_before_each_further_piece(monkeypatch: Any) -> None:
+    monkeypatch.setattr(whole_requests, "JOIN_SECONDS_MIN", 0.0)
+    monkeypatch.setattr(whole_requests, "BYTES_PER_SECOND_MIN", 2**40)  # the wait for a turn is no part of the limit
+    now, scheduled = 1, deque[Callable[[], None]]()
+    turns = Turns(lambda: now, lambda _, call: scheduled.append(call))
+    cam, other = (Account(name, DEFAULTS, turns=turns) for name in ("cam", "other"))
+    assert cam.turn is not None
+    assert other.turn is not None
+    other.turn.spend(1)
+    cam.turn.spend(10**9)
+    large, reads = b"\x0a" + bytes(3 * MESSAGE_BYTES_MAX), 0
+    left = iter(messages_of(large))
+
+    async def read() -> Any:
+        nonlocal reads
+        reads += 1
+        return next(left, EOF)
+
+    reading = asyncio.create_task(WholeRequests(read, RequestRoom(), cam).read())
+    for expected in (1, 2, 3, 4):
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert reads == expected
+        if expected < 4:
+            now += 10**9
+            scheduled.popleft()()
+            cam.turn.spend(10**9)
+            other.turn.spend(1)
+    assert await reading == large
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from stampede_rt.errors import ItemTooLarge, MalformedRun
 from stampede_rt.v1 import item_pb2
+from stampede_rt.wire import runs
 from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.delivered import RUN_ITEMS_MAX
 from stampede_rt.wire.run_slices import slice_run
@@ -117,6 +120,31 @@ def test_bytes_that_are_no_run_are_refused() -> None:
 def test_a_field_that_comes_twice_is_refused_since_the_bytes_of_both_would_be_kept(twice: item_pb2.ItemRun) -> None:
     with pytest.raises(MalformedRun, match="more than its fields take"):
         parse_run(twice.SerializeToString() + encode_run([b"one"], times=[1], content_type="text/plain"))
+
+
+def test_of_a_long_run_only_the_fields_before_its_payloads_are_copied_and_parsed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    parsed_bytes: list[int] = []
+
+    class Counting:
+        @staticmethod
+        def FromString(raw: bytes) -> item_pb2.ItemRun:  # noqa: N802
+            parsed_bytes.append(len(raw))
+            return item_pb2.ItemRun.FromString(raw)
+
+    large = item_pb2.ItemRun(payloads=bytes(4 * 2**20)).SerializeToString()
+    packed = encode_run([bytes(4 * 2**20)], times=[1], attributes={"k": "v"})
+    unpacked = bytes((1 << 3 | 1,)) + bytes(8) + bytes((3 << 3 | 5, 0, 0, 0x40, 0)) + large
+    twice = large + encode_run([b"one"], times=[1])
+    monkeypatch.setattr(runs, "item_pb2", SimpleNamespace(ItemRun=Counting))
+    for raw in (packed, unpacked):
+        assert parse_run(raw).lengths == [4 * 2**20]
+    for raw in (twice, large + bytes((6 << 3 | 2, 0)), b"\xf8\x01\x01" + large):
+        with pytest.raises(MalformedRun, match="each field of item.proto once, and the payloads last"):
+            parse_run(raw)
+    assert max(parsed_bytes) < 100
+    assert len(parsed_bytes) == 2
 
 
 @settings(max_examples=200)

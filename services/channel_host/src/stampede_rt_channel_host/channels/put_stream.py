@@ -73,7 +73,7 @@ class PutStream:
         self._rights = request_rights(_lose)
         self._work = CallerWork(self._account)
         whole = WholeRequests(context.read, store.memory.requests, self._account)
-        self._requests = ReadAhead(whole.read, store.memory, self._account)
+        self._requests = ReadAhead(whole, store.memory, self._account)
 
     async def run(self) -> None:
         """Serve until the caller has closed its side and every run is acked.
@@ -105,6 +105,7 @@ class PutStream:
     async def _take(self, received: _ReceivedRequest) -> None:
         if self._work.must_wait:
             await self._work.turn()
+        self._requests.let_go()  # from here to the first wait nothing else runs, and what waits counts as memory
         self._work.spend(READ_NANOS)
         while received.puts:
             if received.too_much:

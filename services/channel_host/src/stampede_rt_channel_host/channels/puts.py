@@ -11,7 +11,7 @@ from stampede_rt.errors import InvalidArgument, ItemTooLarge, Overloaded, Stampe
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.acks import ack_of, refused
-from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
+from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget, own_bytes
 from stampede_rt_channel_host.core.channel import ITEM_OVERHEAD_BYTES, ChannelCore, Offer, Pieces, PutOutcome
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged, Judging
@@ -62,7 +62,7 @@ class IncomingRun:
 
     def keep(self) -> None:
         """Copy the run's bytes if they are a view of the request, because the run has to wait."""
-        self._encoded = bytes(self._encoded)
+        self._encoded = own_bytes(self._encoded)
 
     @property
     def charged_bytes(self) -> int:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 from grpc.aio import EOF
 
@@ -19,29 +19,44 @@ AHEAD_REQUESTS_MAX = 1024
 AHEAD_BYTES_MAX = 4 * 2**20  # the last request may exceed this limit
 
 
+class Requests(Protocol):
+    """The whole requests of a stream."""
+
+    async def read(self) -> Any:
+        """The next request, or EOF."""
+
+    def let_go(self) -> None:
+        """Stop counting the bytes of the last request."""
+
+
 class ReadAhead:
     """Gives the requests of a stream in order. Reads further requests ahead while the last given one has to wait.
 
-    The requests read ahead count as memory of the host and as bytes in flight of the caller. At the bounds, or when the
-    host's memory or the caller's quota is used up, the host reads no more ahead. Flow control then slows the caller
-    down.
+    The requests read ahead count as memory of the host and as bytes in flight of the caller, until the stream lets go of
+    them. At the bounds, or when the host's memory or the caller's quota is used up, the host reads no more ahead. Flow
+    control then slows the caller down.
     """
 
-    def __init__(self, read: Callable[[], Awaitable[Any]], memory: MemoryBudget, account: Account) -> None:
-        self._read = read
+    def __init__(self, requests: Requests, memory: MemoryBudget, account: Account) -> None:
+        self._requests = requests
         self._memory = memory
         self._charge = Charge(memory)
         self._account = account
         self._in_flight = account.hold(Quota.BYTES_IN_FLIGHT)
         self._received: deque[tuple[Any, float]] = deque()  # the requests read ahead, each with its monotonic time
-        self._bytes = 0  # of these requests, and those that `keeping` adds
+        self._bytes = 0  # of these requests, of the one that `next` gave last, and those that `keeping` adds
+        self._given_bytes = 0  # of the request that `next` gave last, if it was read ahead
         self._task: asyncio.Task[None] | None = None
         self._failure: Exception | None = None
         self._wanted = False  # whether `next` has been called since `start`: the task then begins no further read
         self._news = asyncio.Event()
 
     async def next(self) -> tuple[Any, float]:
-        """The next request or EOF, and the monotonic time at which it came. Raises the errors of reading."""
+        """The next request or EOF, and the monotonic time at which it came. Raises the errors of reading.
+
+        Its bytes count until `let_go`, so that it may wait for the turn of its caller.
+        """
+        self.let_go()
         self._wanted = True  # a begun read cannot be cancelled: wait for it, and begin no other
         while not self._received and self._task is not None:
             self._news.clear()
@@ -49,10 +64,16 @@ class ReadAhead:
         if not self._received:
             if self._failure is not None:
                 raise self._failure
-            return await self._read(), time.monotonic()
+            return await self._requests.read(), time.monotonic()
         raw, received_s = self._received.popleft()
-        self._count(0 if raw is EOF else -len(raw))
+        self._given_bytes = 0 if raw is EOF else len(raw)
         return raw, received_s
+
+    def let_go(self) -> None:
+        """Stop counting the request that `next` gave last: it is judged now, and what is kept of it counts anew."""
+        self._requests.let_go()
+        self._count(-self._given_bytes)
+        self._given_bytes = 0
 
     @contextmanager
     def keeping(self, kept_bytes: int) -> Iterator[None]:
@@ -73,11 +94,12 @@ class ReadAhead:
     async def _read_on(self) -> None:
         try:
             while not self._wanted and self._has_room:
-                raw = await self._read()
+                raw = await self._requests.read()
                 self._received.append((raw, time.monotonic()))
                 if raw is EOF:
                     break
                 self._count(len(raw))
+                self._requests.let_go()
                 del raw  # so that the request is not kept in memory while the next one is read
         except Exception as error:  # noqa: BLE001  # `next` raises it
             self._failure = error
@@ -102,6 +124,7 @@ class ReadAhead:
     def close(self) -> None:
         """Stop reading, and forget the requests that were read ahead."""
         self._received.clear()
+        self.let_go()
         self._count(-self._bytes)
         if self._task is not None:
             self._task.cancel()

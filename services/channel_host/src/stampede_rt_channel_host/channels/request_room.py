@@ -1,38 +1,38 @@
-"""The memory of a host for large requests that are not yet complete."""
+"""The memory of a host for large requests, from their first piece until they are judged."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 from stampede_rt.wire.request_pieces import JOINED_BYTES_MAX
 
-INCOMPLETE_BYTES_MAX = 128 * 2**20
-CALLER_BYTES_MAX = INCOMPLETE_BYTES_MAX // 2
+ROOM_BYTES = 128 * 2**20
+CALLER_BYTES_MAX = ROOM_BYTES // 2
 
 
 class RequestRooms:
-    """The memory of a host for all incomplete requests. One caller gets at most half of it.
+    """The memory of a host for all requests that are not judged. One caller gets at most half of it.
 
     Requests up to JOINED_BYTES_MAX have one half, and larger ones have the other half. So producers that join small
     items in a request do not wait behind large requests that nobody finishes.
     """
 
     def __init__(self) -> None:
-        self._joined, self._large = (RequestRoom(INCOMPLETE_BYTES_MAX // 2, CALLER_BYTES_MAX // 2) for _ in range(2))
+        self._joined, self._large = (RequestRoom(ROOM_BYTES // 2, CALLER_BYTES_MAX // 2) for _ in range(2))
 
     @property
     def used_bytes(self) -> int:
         """The memory of the requests that have room."""
         return self._joined.used_bytes + self._large.used_bytes
 
-    def taken(self, caller: str, wanted_bytes: int) -> AbstractAsyncContextManager[None]:
-        """Wait until there is room for one request, and keep it for the duration of the block."""
+    async def take(self, caller: str, wanted_bytes: int) -> Callable[[], None]:
+        """Wait until there is room for one request. Returns a function that gives the room back. Call it once."""
         room = self._joined if wanted_bytes <= JOINED_BYTES_MAX else self._large
-        return room.taken(caller, wanted_bytes)
+        return await room.take(caller, wanted_bytes)
 
 
 class _WaitingRequest(NamedTuple):
@@ -44,7 +44,7 @@ class _WaitingRequest(NamedTuple):
 
 
 class RequestRoom:
-    """Memory for requests that are not yet complete. One caller gets at most `caller_bytes_max`.
+    """Memory for requests that are not judged. One caller gets at most `caller_bytes_max`.
 
     Requests get room in the order in which they came. Only a request whose caller has used up its part waits longer,
     while later requests of other callers get room.
@@ -56,20 +56,24 @@ class RequestRoom:
         self._of_callers: Counter[str] = Counter()
         self._waiting: deque[_WaitingRequest] = deque()
 
-    @asynccontextmanager
-    async def taken(self, caller: str, wanted_bytes: int) -> AsyncIterator[None]:
-        """Wait until there is room for one request, and keep it for the duration of the block."""
+    async def take(self, caller: str, wanted_bytes: int) -> Callable[[], None]:
+        """Wait until there is room for one request. Returns a function that gives the room back. Call it once."""
         waiting = _WaitingRequest(asyncio.get_running_loop().create_future(), caller, wanted_bytes)
         self._waiting.append(waiting)
         self._admit()
+        give_back = partial(self._give_back, waiting)
         try:
             await waiting.admitted
-            yield
-        finally:
-            if waiting.admitted.done() and not waiting.admitted.cancelled():
-                self._count(waiting, -wanted_bytes)
-            waiting.admitted.cancel()
-            self._admit()
+        except asyncio.CancelledError:
+            give_back()
+            raise
+        return give_back
+
+    def _give_back(self, waiting: _WaitingRequest) -> None:
+        if waiting.admitted.done() and not waiting.admitted.cancelled():
+            self._count(waiting, -waiting.wanted_bytes)
+        waiting.admitted.cancel()
+        self._admit()
 
     def _admit(self) -> None:
         """Give room to the waiting requests, in their order, until the next one does not fit."""

@@ -15,17 +15,23 @@ from typing import Any
 from grpc.aio import EOF
 
 from stampede_rt.errors import InvalidArgument, PermissionDenied, StampedeError
-from stampede_rt.v1 import channel_service_pb2, raw_run_pb2
+from stampede_rt.v1 import channel_service_pb2
 from stampede_rt.v1 import queue_service_pb2 as pb
 from stampede_rt_channel_host.channels.acks import refused
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead
-from stampede_rt_channel_host.channels.requests import parse
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.channels.whole_requests import WholeRequests, check_without_piece
+from stampede_rt_channel_host.channels.whole_requests import WholeRequests
 from stampede_rt_channel_host.core.queue import Enqueue
 from stampede_rt_channel_host.queues.access import check_queue_access
 from stampede_rt_channel_host.queues.hosted_queue import HostedQueue
-from stampede_rt_channel_host.queues.incoming import EnqueueRun, answer, check_forwards, check_number, enqueue_of
+from stampede_rt_channel_host.queues.incoming import (
+    EnqueueRun,
+    answer,
+    check_forwards,
+    check_number,
+    enqueue_of,
+    read_request,
+)
 from stampede_rt_channel_host.queues.queue_store import QueueStore
 from stampede_rt_channel_host.queues.requests import check_queue_id
 from stampede_rt_runtime.access.control import check_not_judged, current_account, own_name, request_rights
@@ -65,7 +71,7 @@ class EnqueueStream:
         self._rights = request_rights(_lose)
         self._work = CallerWork(self._account)
         whole = WholeRequests(context.read, store.memory.requests, self._account)
-        self._requests = ReadAhead(whole.read, store.memory, self._account)
+        self._requests = ReadAhead(whole, store.memory, self._account)
 
     async def run(self) -> None:
         """Serve until the caller has closed its side and every run is acked.
@@ -97,8 +103,7 @@ class EnqueueStream:
         """
         if raw is EOF:
             return None
-        request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")
-        check_without_piece(request)
+        request = read_request(raw)
         if request.queue_id:
             check_queue_id(request.queue_id)
             self._queue_id, self._epoch = request.queue_id, request.epoch
@@ -109,12 +114,13 @@ class EnqueueStream:
             raise InvalidArgument(
                 f"the request is larger than {REQUEST_BYTES_MAX} bytes and holds several runs; send fewer at once"
             )
-        return deque(map(EnqueueRun.of, request.runs)), received_s
+        return request.runs, received_s
 
     async def _take(self, runs: deque[EnqueueRun], received_s: float) -> None:
         if self._work.must_wait:
             await self._work.turn()
         failure = await self._failure_to_find()
+        self._requests.let_go()  # from here to the first wait nothing else runs, and what waits counts as memory
         self._work.spend(READ_NANOS)
         while runs:
             await self._add(await self._enqueue(runs, received_s, failure))

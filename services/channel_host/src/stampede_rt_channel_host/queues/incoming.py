@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,7 +13,11 @@ from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1 import item_pb2, raw_run_pb2
 from stampede_rt.wire.runs import origin_field, parse_run, seal_run, select_items
 from stampede_rt_channel_host.channels.acks import ack_of, refused
+from stampede_rt_channel_host.channels.long_requests import read_long
+from stampede_rt_channel_host.channels.memory import own_bytes
 from stampede_rt_channel_host.channels.read_ahead import left_nanos
+from stampede_rt_channel_host.channels.requests import parse
+from stampede_rt_channel_host.channels.whole_requests import check_without_piece
 from stampede_rt_channel_host.core.queue import Enqueue
 from stampede_rt_runtime.identity import Identity, Role
 
@@ -23,20 +28,42 @@ ORIGIN_BYTES_MAX = 4096
 class EnqueueRun(NamedTuple):
     """One run of a request. `wait_nanos` None: the run may wait without limit.
 
-    The object refers only to the bytes of the run, so that a waiting run does not keep the whole request in memory.
+    The object keeps not much more than the bytes of the run, so that a waiting run does not keep the whole request in
+    memory.
     """
 
     first_number: int
     wait_nanos: int | None
-    run: bytes
+    run: bytes | memoryview
     message_id: str
     origin: bytes
 
     @classmethod
-    def of(cls, message: raw_run_pb2.RawEnqueueRun) -> EnqueueRun:
-        """The run of a message."""
+    def of(cls, message: raw_run_pb2.RawEnqueueRun, run: bytes | memoryview) -> EnqueueRun:
+        """The run of a message, which may be a view of the request."""
         wait_nanos = message.wait_nanos if message.HasField("wait_nanos") else None
-        return cls(message.first_number, wait_nanos, message.run, message.message_id, message.origin)
+        return cls(message.first_number, wait_nanos, own_bytes(run), message.message_id, message.origin)
+
+
+class EnqueueRequest(NamedTuple):
+    """The fields of an EnqueueRequest. `queue_id` is empty if the request names no queue."""
+
+    queue_id: bytes
+    epoch: int
+    producer_id: int
+    runs: deque[EnqueueRun]
+
+
+def read_request(raw: bytes | bytearray) -> EnqueueRequest:
+    """Decode a whole request. Raises InvalidArgument if `raw` is no EnqueueRequest, or holds a piece of another one."""
+    long = read_long(raw, raw_run_pb2.RawEnqueueRequest, raw_run_pb2.RawEnqueueRun, "EnqueueRequest")
+    if long is not None:
+        runs = deque(EnqueueRun.of(message, run) for message, run in long.runs)
+        return EnqueueRequest(long.head.queue_id, long.head.epoch, long.head.producer_id, runs)
+    request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")
+    check_without_piece(request)
+    runs = deque(EnqueueRun.of(message, message.run) for message in request.runs)
+    return EnqueueRequest(request.queue_id, request.epoch, request.producer_id, runs)
 
 
 def enqueue_of(message: EnqueueRun, producer_id: int, received_s: float, owner: str = "") -> Enqueue:
