@@ -184,7 +184,8 @@ def _check_length(raw: bytes | memoryview, run: item_pb2.ItemRun, *, items: int,
 
 def _too_long(length_bytes: int) -> MalformedRun:
     return MalformedRun(
-        f"the run has {length_bytes} bytes, more than its fields take; write each field of item.proto once, and the payloads last"
+        f"the run has {length_bytes} bytes, more than its fields take; write each field of item.proto once, and the "
+        "payloads last"
     )
 
 
@@ -231,7 +232,7 @@ def encode_varint(value: int) -> bytes:
     return bytes(out)
 
 
-def decode_varint(raw: bytes | memoryview, at: int) -> tuple[int, int]:
+def decode_varint(raw: bytes | bytearray | memoryview, at: int) -> tuple[int, int]:
     """Return the number at position `at` in protobuf's form, and the position after it.
 
     Raises IndexError if the bytes end within the number, or if it is longer than protobuf allows.

@@ -75,7 +75,7 @@ async def test_a_caller_beyond_its_share_waits_for_a_turn_before_each_further_pi
         reads += 1
         return next(left, EOF)
 
-    reading = asyncio.create_task(WholeRequests(read, RequestRoom(), cam).read())
+    reading = asyncio.create_task(WholeRequests(read, RequestRooms(), cam).read())
     for expected in (1, 2, 3, 4):
         for _ in range(5):
             await asyncio.sleep(0)

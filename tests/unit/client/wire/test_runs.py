@@ -141,7 +141,7 @@ def test_of_a_long_run_only_the_fields_before_its_payloads_are_copied_and_parsed
     for raw in (packed, unpacked):
         assert parse_run(raw).lengths == [4 * 2**20]
     for raw in (twice, large + bytes((6 << 3 | 2, 0)), b"\xf8\x01\x01" + large):
-        with pytest.raises(MalformedRun, match="each field of item.proto once, and the payloads last"):
+        with pytest.raises(MalformedRun, match=r"each field of item\.proto once, and the payloads last"):
             parse_run(raw)
     assert max(parsed_bytes) < 100
     assert len(parsed_bytes) == 2

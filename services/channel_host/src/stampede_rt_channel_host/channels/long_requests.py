@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
 from stampede_rt.wire.runs import decode_varint
-from stampede_rt_channel_host.channels.requests import Message, parse
+from stampede_rt_channel_host.channels.requests import MessageType, parse
 
 SHORT_BYTES = 4096
 """Protobuf parses a request up to this length whole, which is faster. Longer requests are read field by field."""
@@ -34,23 +34,23 @@ class LongRequest(NamedTuple):
     runs: list[tuple[Any, memoryview]]
 
 
-def read_long(raw: bytes | bytearray, head: Message[Head], run: Message[Run], name: str) -> LongRequest | None:
+def read_long(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run], name: str) -> LongRequest | None:
     """Decode a request whose fields come in the order of their numbers, as all protobuf encoders write them.
 
     Returns None for a short request, and for any other form, which protobuf decodes or refuses. But protobuf does not
-    decode a request of several messages: it would copy up to 20 MiB in one step, while all other callers wait. Raises
-    InvalidArgument for such a request, and for a `name` that is invalid.
+    decode a request that came in pieces: it would copy up to 20 MiB in one step, while all other callers wait. Raises
+    InvalidArgument for such a request, and for bytes that are no message. `name`: what errors call the message.
     """
     found = _read(raw, head, run, name) if len(raw) > SHORT_BYTES else None
     if found is None and len(raw) > MESSAGE_BYTES_MAX:
         raise InvalidArgument(
-            f"the {len(raw)} bytes of a request in pieces are no valid {name} message whose fields come in the order of "
-            "their numbers; encode it from the .proto file, and leave out fields that the file does not have"
+            f"the {len(raw)} bytes of a request in pieces are no valid {name} message whose fields come in the order "
+            "of their numbers; encode it from the .proto file, and leave out fields that the file does not have"
         )
     return found
 
 
-def _read(raw: bytes | bytearray, head: Message[Head], run: Message[Run], name: str) -> LongRequest | None:
+def _read(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run], name: str) -> LongRequest | None:
     view, runs = memoryview(raw), []
     try:
         at = _end_of_head(raw)

@@ -42,7 +42,7 @@ def read_request(raw: bytes | bytearray) -> PutRequest:
     if long is not None:
         puts = deque(_put_of(put, run) for put, run in long.runs)
         return PutRequest(long.head.channel_id, long.head.epoch, long.head.producer_id, puts)
-    message: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, raw, "PutRequest")
+    message: raw_run_pb2.RawPutRequest = parse(raw_run_pb2.RawPutRequest, bytes(raw), "PutRequest")
     check_without_piece(message)
     puts = deque(_put_of(put, put.run) for put in message.puts)
     return PutRequest(message.channel_id, message.epoch, message.producer_id, puts)

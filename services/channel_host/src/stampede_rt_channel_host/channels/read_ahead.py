@@ -19,7 +19,7 @@ AHEAD_REQUESTS_MAX = 1024
 AHEAD_BYTES_MAX = 4 * 2**20  # the last request may exceed this limit
 
 
-class Requests(Protocol):
+class RequestSource(Protocol):
     """The whole requests of a stream."""
 
     async def read(self) -> Any:
@@ -32,12 +32,12 @@ class Requests(Protocol):
 class ReadAhead:
     """Gives the requests of a stream in order. Reads further requests ahead while the last given one has to wait.
 
-    The requests read ahead count as memory of the host and as bytes in flight of the caller, until the stream lets go of
-    them. At the bounds, or when the host's memory or the caller's quota is used up, the host reads no more ahead. Flow
-    control then slows the caller down.
+    The requests read ahead count as memory of the host and as bytes in flight of the caller, until the stream lets go
+    of them. At the bounds, or when the host's memory or the caller's quota is used up, the host reads no more ahead.
+    Flow control then slows the caller down.
     """
 
-    def __init__(self, requests: Requests, memory: MemoryBudget, account: Account) -> None:
+    def __init__(self, requests: RequestSource, memory: MemoryBudget, account: Account) -> None:
         self._requests = requests
         self._memory = memory
         self._charge = Charge(memory)

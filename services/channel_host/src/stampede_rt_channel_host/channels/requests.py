@@ -20,13 +20,14 @@ _SEQ_MAX = 2**64 - 1
 M = TypeVar("M", covariant=True)
 
 
-class Message(Protocol[M]):
+class MessageType(Protocol[M]):
     """A type of messages."""
 
-    def FromString(self, data: bytes, /) -> M: ...  # noqa: N802
+    def FromString(self, data: bytes, /) -> M:  # noqa: N802
+        """Decode a message."""
 
 
-def parse(kind: Message[M], raw: bytes, name: str) -> M:
+def parse(kind: MessageType[M], raw: bytes, name: str) -> M:
     """Decode a request. Raises InvalidArgument if the bytes are no such message."""
     try:
         return kind.FromString(raw)
@@ -36,7 +37,7 @@ def parse(kind: Message[M], raw: bytes, name: str) -> M:
         ) from error
 
 
-def opening_of(raw: Any, kind: Message[M], name: str) -> M:
+def opening_of(raw: Any, kind: MessageType[M], name: str) -> M:
     """Decode the first request of a stream. Raises InvalidArgument if it is missing, invalid, or without `open`."""
     request: Any = None if raw is EOF else parse(kind, raw, name)
     if request is None or not request.HasField("open"):

@@ -60,7 +60,7 @@ def read_request(raw: bytes | bytearray) -> EnqueueRequest:
     if long is not None:
         runs = deque(EnqueueRun.of(message, run) for message, run in long.runs)
         return EnqueueRequest(long.head.queue_id, long.head.epoch, long.head.producer_id, runs)
-    request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, raw, "EnqueueRequest")
+    request: raw_run_pb2.RawEnqueueRequest = parse(raw_run_pb2.RawEnqueueRequest, bytes(raw), "EnqueueRequest")
     check_without_piece(request)
     runs = deque(EnqueueRun.of(message, message.run) for message in request.runs)
     return EnqueueRequest(request.queue_id, request.epoch, request.producer_id, runs)
