@@ -31,7 +31,7 @@ class ServingLoop:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._asked_s: float | None = None  # when `has_hung` scheduled `_turned`; None: that call has run
+        self._scheduled_s: float | None = None  # when `has_hung` scheduled `_note_running`; None: that call has run
 
     def run_soon(self, call: Callable[[], None]) -> None:
         """Run `call` on the serving loop, after all earlier calls of this method. Does not wait."""
@@ -46,19 +46,19 @@ class ServingLoop:
 
         Schedules a callback on the loop. If the callback of an earlier call has not run yet, tells how long it waits.
         """
-        now_s, asked_s = time.monotonic(), self._asked_s  # read once: the other thread sets it
-        if asked_s is not None:
-            return now_s - asked_s > LOOP_SILENCE_SECONDS_MAX
-        self._asked_s = now_s
-        self._loop.call_soon_threadsafe(self._turned, now_s)
+        now_s, scheduled_s = time.monotonic(), self._scheduled_s  # read once: the other thread sets it
+        if scheduled_s is not None:
+            return now_s - scheduled_s > LOOP_SILENCE_SECONDS_MAX
+        self._scheduled_s = now_s
+        self._loop.call_soon_threadsafe(self._note_running, now_s)
         return False
 
-    def _turned(self, asked_s: float) -> None:
+    def _note_running(self, scheduled_s: float) -> None:
         """The callback that `has_hung` schedules: notes that the loop runs. Runs on the serving loop's own thread."""
-        late_s = time.monotonic() - asked_s
+        late_s = time.monotonic() - scheduled_s
         if late_s > LOOP_LATE_SECONDS:
             logger.warning("the event loop that serves channels was blocked", extra={"seconds": round(late_s, 3)})
-        self._asked_s = None
+        self._scheduled_s = None
 
 
 class LeaseThread:
