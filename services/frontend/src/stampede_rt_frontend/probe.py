@@ -33,8 +33,8 @@ _RETRY_SECONDS_MIN = 0.05  # for a supernode that is just starting; the pause do
 class Prober:
     """Keeps a roster up to date, with one task and one connection per supernode. Use it as an async context manager.
 
-    `explain` may give a better reason than gRPC for a failed connection to a supernode. `access` gets the keys of
-    client tokens, and the revoked serials.
+    `explain` may give a better reason than gRPC for a failed connection to a supernode. `access` gets the state of
+    access, such as the keys of client tokens.
     """
 
     def __init__(

@@ -46,7 +46,7 @@ class MemberList:
 class SupernodeRoster:
     """The supernodes that this front-end knows, by target.
 
-    Invariant: `_nodes` holds every seed and every listed member, at most SUPERNODES_MAX in all.
+    Invariant: `_nodes` holds the seeds and the listed members, in this order, but no more than SUPERNODES_MAX.
     """
 
     seeds: tuple[str, ...]
@@ -92,7 +92,7 @@ class SupernodeRoster:
             self._fail(self._nodes[target], why)
 
     def listed(self, members: MemberList) -> None:
-        """Take in a member list, unless a later one is known. Seeds stay. Other targets come and go with the list."""
+        """Take in a member list, unless a later list is known. Keeps the seeds, and drops other unlisted targets."""
         self._note_zones(members)
         position = (members.term, members.applied_index)
         if position < self._position or not members.members:

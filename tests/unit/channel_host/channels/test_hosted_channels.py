@@ -64,7 +64,7 @@ def test_the_consumption_of_one_caller_leaves_memory_for_the_consumption_of_othe
     memory.bytes_max = 2**40  # only shares refuse
     share = 2**22 // (2 * CONSUMPTION_SHARE)
     parts = iter([range(first, first + 64, 2) for first in range(2, 4096, 64)])
-    with pytest.raises(Overloaded, match=f"greedy has consumed out of order takes .* of at most {share}"):
+    with pytest.raises(Overloaded, match=f"out-of-order consumption of greedy takes .* of at most {share}"):
         deque((channel.consume(7, part, LEASE_NANOS, "greedy") for part in parts), 0)
     assert 0.8 * share < channel.channel.consumption_bytes_of("greedy") <= share
     channel.consume(7, [1], LEASE_NANOS, "greedy")  # in order

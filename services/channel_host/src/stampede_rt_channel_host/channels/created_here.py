@@ -1,4 +1,4 @@
-"""The share that one caller may have of the channels, or of the queues, that a host serves."""
+"""Limits the part of a host's channels, or of its queues, that one caller may have created."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from stampede_rt_runtime.quotas.limits import SHARED_NAMES
 
 
 class CreatedHere:
-    """How many of a host's channels, or queues, each caller has created. One caller may have at most 3/4 of `bound`.
+    """The number of a host's channels, or queues, that each caller has created: at most 3/4 of `bound` for one caller.
 
-    A directory may have more channels than one host serves, so the quota `channels` of a caller can be above `bound`.
-    Names that several callers share have no such limit.
+    The quota `channels` of a caller can be above `bound`, because a directory may have more channels than one host
+    serves. Callers that share one name (SHARED_NAMES) have no such limit.
     """
 
     def __init__(self, host_name: str, what: str, bound: int) -> None:
-        """`what`: the plural, such as "channels"."""
+        """`what`: the counted things as a plural, "channels" or "queues". `bound`: the most of them at the host."""
         self._host_name = host_name
         self._what = what
         self._limit = bound * 3 // 4
         self._count_of: Counter[str] = Counter()
 
     def check(self, created_by: str) -> None:
-        """Raises Overloaded if the host serves no further one of this caller."""
+        """Raises Overloaded if the host serves the most channels or queues of this caller already."""
         used = self._count_of[created_by]
         if created_by and created_by not in SHARED_NAMES and used >= self._limit:
             raise Overloaded(
@@ -33,7 +33,7 @@ class CreatedHere:
             )
 
     def note(self, created_by: str, step: int) -> None:
-        """Add `step`: 1 for one that the host serves from now on, -1 for one that it serves no more."""
+        """Count one more channel or queue of the caller (`step` 1), or one less (`step` -1)."""
         self._count_of[created_by] += step
         if not self._count_of[created_by]:
             del self._count_of[created_by]

@@ -8,9 +8,10 @@ DELETIONS_MAX = 1024
 
 
 class Deletions:
-    """The ids of the latest requests, at most DELETIONS_MAX.
+    """The ids of the latest requests that deleted a channel, at most DELETIONS_MAX.
 
-    Above the bound it forgets the oldest id of the caller with the most, so that one caller does not push out others.
+    For a further id, the oldest id of the caller with the most ids is dropped. So one caller does not push out the ids
+    of others.
     """
 
     def __init__(self) -> None:
@@ -20,7 +21,7 @@ class Deletions:
         return request_id in self._callers
 
     def note(self, request_id: bytes, caller: str) -> None:
-        """Remember a request of `caller`; "" for callers without a name of their own."""
+        """Remember a request of `caller`; empty for a caller without a name of its own."""
         self._callers[request_id] = caller
         if len(self._callers) > DELETIONS_MAX:
             [(largest, _)] = Counter(self._callers.values()).most_common(1)

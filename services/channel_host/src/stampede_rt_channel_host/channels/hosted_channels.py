@@ -158,7 +158,7 @@ class HostedChannel:
         self._charge = Charge(MemoryBudget(0))
         self._on_touched = _ignore
         yield from self.ending(error)
-        yield  # by now the interrupted calls have let go of the channel
+        yield  # afterwards the interrupted calls do not use the channel any more
         yield from self.channel.emptying()
 
     def collect(self, now: int) -> bool:

@@ -25,7 +25,7 @@ class IdOwners:
     def __init__(self) -> None:
         self._owners: OrderedDict[Key, str] = OrderedDict()  # the oldest key first; "": a member or an operator
         self._of_owner: dict[str, OrderedDict[Key, None]] = {}  # the same keys by owner, the oldest key first
-        self._unused: set[Key] = set()  # keys whose first action is under way
+        self._unused: set[Key] = set()  # keys whose first use is still under way
 
     def __len__(self) -> int:
         return len(self._owners)
@@ -34,10 +34,10 @@ class IdOwners:
     def using(self, thing_id: bytes, used_id: int, what: str, check: Callable[[], None]) -> Iterator[None]:
         """A context in which the caller acts under `used_id` at the channel or queue `thing_id`.
 
-        The first caller that uses an id owns the id. If this first action fails, the id has no owner again. `check`
-        raises PermissionDenied if the caller may not act at this thing; the caller then owns the id no more. Members of
-        the cluster and operators may act under every id. `what` is the word for the id in the error, such as
-        "consumer". Raises PermissionDenied.
+        The first caller that uses an id owns the id. If the block of this first use fails, the id has no owner again.
+        `check` raises PermissionDenied if the caller may not use the channel or queue at all; the caller then loses the
+        id. Members of the cluster and operators may act under every id. `what` is the word for the id in the error,
+        such as "consumer". Raises PermissionDenied.
         """
         key, caller = (thing_id, used_id), owner_name()
         owner = self._owners.get(key)

@@ -16,7 +16,7 @@ from stampede_rt_runtime.quotas.limits import Quota
 logger = logging.getLogger(__name__)
 
 CONSUMPTION_SHARE = 16
-"""Consumption may use 1/16 of the budget in addition to the budget. That of one caller may use half of this memory."""
+"""Consumption may use 1/16 of the budget in addition to the budget. One caller may use half of this memory."""
 
 
 class MemoryBudget:

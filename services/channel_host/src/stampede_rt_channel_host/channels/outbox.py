@@ -168,7 +168,7 @@ class Outbox:
         self._in_flight.set(self.queued_bytes)
 
     def _release_bytes(self, answer: _Answer) -> None:
-        """Count the bytes of an answer no more, and wake those that wait for room, if there is room now."""
+        """Count the bytes of an answer no more. If there is room now, end the waits in `room`, and call `on_room`."""
         self._count(-answer.kept_bytes)
         if self.has_room:
             self._room.set()

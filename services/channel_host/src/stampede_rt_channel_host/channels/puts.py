@@ -90,7 +90,7 @@ class IncomingRun:
         return False
 
     def resume(self, known: Judged, now: int) -> None:
-        """Continue a repeated run: offer only the items after those that were judged before."""
+        """Continue a repeated run: offer only the items that were neither accepted nor refused before."""
         offered = self.judging.judged_items
         if self.judging.resume(known) and not known.is_whole:
             self.offer = self.offer.rest(known.judged_items - offered, now)
@@ -214,7 +214,7 @@ class ChannelPuts:
 
     def count_unread(self, length_bytes: int, error: StampedeError, now: int) -> None:
         """Count a run of `length_bytes` bytes that the host could not read because of `error`."""
-        if isinstance(error, ItemTooLarge):  # the core counts such items apart from malformed ones
+        if isinstance(error, ItemTooLarge):  # the core does not count such items as malformed
             self._channel.put(Offer(times=None, durations=None, lengths=(length_bytes,)), now, _seal_nothing)
         else:
             self._channel.reject_malformed(1)

@@ -15,10 +15,10 @@ CALLER_BYTES_MAX = ROOM_BYTES // 2
 
 
 class RequestRooms:
-    """The memory of a host for all requests that are not judged. One caller gets at most half of it.
+    """The memory of a host for all requests that it has not judged yet. One caller gets at most half of it.
 
-    Requests up to JOINED_BYTES_MAX have one half, and larger ones have the other half. So producers that join small
-    items in a request do not wait behind large requests that nobody finishes.
+    One half of the memory is for requests up to JOINED_BYTES_MAX, and the other half for larger requests. So producers
+    that join small items in a request do not wait behind large requests whose pieces do not come.
     """
 
     def __init__(self) -> None:

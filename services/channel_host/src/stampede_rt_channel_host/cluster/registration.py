@@ -1,6 +1,6 @@
-"""Keeps this host in the directory: enters, renews its lease, stops serving in time, enters again.
+"""Keeps this host in the directory (paper, section 4.3).
 
-Paper, section 4.3.
+Registers the host, renews its lease, lets it stop serving before the lease ends, and registers it again.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ class HostedQueue:
                 self._follow_up()
 
     def refuse(self, run: Enqueue, error: StampedeError) -> None:
-        """Refuse a run that waits. `enqueue` then returns."""
+        """Refuse a run that waits for room. The call of `enqueue` that waits with the run then returns."""
         self.queue.refuse(run, error, self._now())
         self._follow_up()
 
@@ -207,7 +207,7 @@ class HostedQueue:
             if at % STREAMS_PER_PIECE == 0:
                 yield
         if not self._is_forgotten:
-            yield  # by now the interrupted streams have let go of the queue
+            yield  # afterwards the interrupted streams do not use the queue any more
             self.queue.resume(self._now())
             self._follow_up()
 
@@ -219,7 +219,7 @@ class HostedQueue:
         self._deadlines.disarm(self)
         self._charge.set(0)
         yield from self.ending(error)
-        yield  # by now the interrupted streams have let go of the queue
+        yield  # afterwards the interrupted streams do not use the queue any more
         yield from self.queue.emptying()
 
     def _follow_up(self) -> None:

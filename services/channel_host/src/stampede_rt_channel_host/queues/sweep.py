@@ -1,4 +1,4 @@
-"""Handles what is due in queues without calls, such as the ends of leases."""
+"""Does the work that is due in queues without calls, such as ending leases."""
 
 from __future__ import annotations
 
