@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, parse_interval
-from stampede_rt_channel_host.core.channel import ChannelCore, Query, Slice, index
+from stampede_rt_channel_host.core.channel import ChannelCore, Query, Slice, index, index_entries
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 
 ITEMS = 20_000
@@ -23,19 +24,19 @@ class SliceCounter:
 
 def count_slices(monkeypatch: pytest.MonkeyPatch) -> SliceCounter:
     """A counter for the rest of the test."""
-    counter, clipped = SliceCounter(), index._clipped
+    counter, clipped = SliceCounter(), index_entries.clipped
     slices_from = index.ChannelIndex.slices_from
 
     def counting(*args: Any) -> Iterator[Slice]:
         counter.slices += 1
         yield from clipped(*args)
 
-    def counting_from(self: index.ChannelIndex, floor: index.ItemKey) -> Iterator[Slice]:
+    def counting_from(self: index.ChannelIndex, floor: ItemKey) -> Iterator[Slice]:
         for part in slices_from(self, floor):
             counter.slices += 1
             yield part
 
-    monkeypatch.setattr(index, "_clipped", counting)
+    monkeypatch.setattr(index, "clipped", counting)
     monkeypatch.setattr(index.ChannelIndex, "slices_from", counting_from)
     return counter
 

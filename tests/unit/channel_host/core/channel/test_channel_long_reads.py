@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.channel import (
     pieces,
     subscribing,
 )
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY
 from stampede_rt_channel_host.core.channel.pieces import run_to_end
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 from tests.support.channel_host.large_channels import ITEMS, SliceCounter, count_slices, everything, filled, shuffled

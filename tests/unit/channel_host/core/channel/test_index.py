@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import random
 
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, ChannelIndex
+from stampede_rt_channel_host.core.channel.index import ChannelIndex
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY
 from stampede_rt_channel_host.core.channel.run import make_run
 from tests.support.channel_host.channel_cores import seqs_of, times_of
 

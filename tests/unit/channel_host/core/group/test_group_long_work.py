@@ -34,7 +34,7 @@ class Counter:
 @pytest.fixture
 def looked(monkeypatch: pytest.MonkeyPatch) -> Counter:
     counter = Counter()
-    for name in ("_clipped", "_clipped_by_seq"):
+    for name in ("clipped", "clipped_by_seq"):
         clipped = getattr(index, name)
 
         def counting(*args: Any, clipped: Any = clipped) -> Iterator[Slice]:

@@ -11,7 +11,7 @@ from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.aged_channel import FREED_ENTRIES_PER_CALL, AgedChannel
 from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS, ConsumerPlace, ConsumerStanding
 from stampede_rt_channel_host.core.channel.consumption import Consumed, check_consumption
-from stampede_rt_channel_host.core.channel.index import SEQ_END, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces, run_to_end
 from stampede_rt_channel_host.core.channel.reading import Pending

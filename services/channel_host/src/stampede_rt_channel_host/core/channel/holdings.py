@@ -12,7 +12,7 @@ from itertools import islice
 from stampede_rt_channel_host.core.channel import tally
 from stampede_rt_channel_host.core.channel.front import CountInFront, Front, before, oldest_bytes, oldest_items
 from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION, HeldItems
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.run import ABSENT, ITEM_OVERHEAD_BYTES, ColumnRun, OneRun, Run, Slice
 from stampede_rt_channel_host.core.channel.span_ends import end_of_newest, latest_end
 from stampede_rt_channel_host.core.channel.tally import NO_BLOCKS, Whole

@@ -18,63 +18,19 @@ from typing import Any
 
 from sortedcontainers import SortedKeyList
 
+from stampede_rt_channel_host.core.channel.index_entries import (
+    Entry,
+    IndexPart,
+    clipped,
+    clipped_by_seq,
+    index_of,
+    is_below,
+)
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import OneRun, Run, Slice
-
-ItemKey = tuple[int, int]
-"""The time and seq of an item. Keys sort in the order in which reads return items."""
-
-SEQ_END = 1 << 64
-"""A number greater than every seq."""
-
-FIRST_KEY: ItemKey = (-(1 << 64), 0)
-"""A key below the keys of all items."""
-
-LAST_KEY: ItemKey = (1 << 64, 0)
-"""A key above the keys of all items."""
 
 _BUCKET_ENTRIES_SCANNED = 8
 """The index scans up to this many entries with the same first time one after the other. Among more it bisects."""
-
-
-class IndexPart:
-    """An entry of a run of several items: positions `lo` up to `hi` of the run, exclusive.
-
-    A split changes `hi`. A trim that leaves items of the entry's first bucket changes `lo`. It does not change
-    `first_seq`, because the index finds the entry by this number.
-    """
-
-    __slots__ = ("first_seq", "first_time", "hi", "lo", "run")
-
-    def __init__(self, run: Run, lo: int, hi: int) -> None:
-        self.run = run
-        self.lo = lo
-        self.hi = hi
-        self.first_time = run.times[lo]
-        self.first_seq = run.first_seq + lo
-
-    @property
-    def last_time(self) -> int:
-        """The last item's time."""
-        return self.run.times[self.hi - 1]
-
-    def refer_to(self, run: Run) -> None:
-        """Refer to `run` instead of the present run. `run` must hold exactly the items of this entry."""
-        self.run, self.lo, self.hi = run, 0, len(run)
-
-
-Entry = IndexPart | OneRun
-"""One entry of the index. A run of one item is its own entry."""
-
-
-def index_of(entry: Entry, key: ItemKey) -> int:
-    """The position in the entry's run of its first item at or above `key`; `entry.hi` if there is none."""
-    time, seq = key
-    if entry.first_time > time:
-        return entry.lo
-    times = entry.run.times
-    bucket = bisect_left(times, time, entry.lo, entry.hi)
-    bucket_end = bisect_right(times, time, bucket, entry.hi)
-    return min(max(bucket, seq - entry.run.first_seq), bucket_end)
 
 
 class ChannelIndex:
@@ -170,11 +126,11 @@ class ChannelIndex:
             return
         before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
         if before is not None and before.last_time >= low[0]:
-            yield from _clipped(before, low, high)
+            yield from clipped(before, low, high)
         for entry in self._entries_from(low, high[0]):
             if entry.first_time == high[0] and entry.first_seq >= high[1]:
                 return
-            yield from _clipped(entry, low, high)
+            yield from clipped(entry, low, high)
 
     def _entries_from(self, low: ItemKey, last_time: int) -> Iterator[Entry]:
         """Entries that begin between `low`'s time and `last_time`, both inclusive, without most entries below `low`."""
@@ -227,10 +183,10 @@ class ChannelIndex:
         for entry in self._entries_down(high, low[0]):
             if (entry.last_time, entry.run.first_seq + entry.hi - 1) < low:
                 return
-            yield from _clipped(entry, low, high)
+            yield from clipped(entry, low, high)
         before = next(self._by_time.irange_key(None, low[0], (True, False), reverse=True), None)
         if before is not None and before.last_time >= low[0]:
-            yield from _clipped(before, low, high)
+            yield from clipped(before, low, high)
 
     def copy_from(self, low: ItemKey) -> ChannelIndex:
         """A new index of the items at or above `low`, by time only. Changes of this index do not affect the copy."""
@@ -242,9 +198,9 @@ class ChannelIndex:
         """The items with seqs from `low` up to `high`, exclusive, and keys at or above `floor`, in seq order."""
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         if before is not None:
-            yield from _clipped_by_seq(before, low, high, floor)
+            yield from clipped_by_seq(before, low, high, floor)
         for entry in self._by_seq.irange_key(low, high, (True, False)):
-            yield from _clipped_by_seq(entry, low, high, floor)
+            yield from clipped_by_seq(entry, low, high, floor)
 
     def seq_from(self, low: int, high: int, floor: ItemKey, entries_max: int) -> int:
         """The first seq from `low` on whose item is at or above the key `floor`. If no such seq is below `high`,
@@ -256,7 +212,7 @@ class ChannelIndex:
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
         for entry in islice(entries, entries_max):
-            for part in _clipped_by_seq(entry, low, high, floor):
+            for part in clipped_by_seq(entry, low, high, floor):
                 return part.first_seq
         beyond: Entry | None = next(entries, None)
         return high if beyond is None else beyond.first_seq
@@ -269,7 +225,7 @@ class ChannelIndex:
         before = next(self._by_seq.irange_key(None, low, (True, False), reverse=True), None)
         entries = chain(() if before is None else (before,), self._by_seq.irange_key(low, high, (True, False)))
         for entry in islice(entries, entries_max):
-            for part in _clipped_by_seq(entry, low, high, floor):
+            for part in clipped_by_seq(entry, low, high, floor):
                 if part.first_seq > low:
                     return low
                 low = part.end_seq
@@ -294,12 +250,12 @@ class ChannelIndex:
 
     def has_below(self, floor: ItemKey) -> bool:
         """Whether there is an entry, and all items of the first entry are below `floor`."""
-        return bool(self._by_time) and _is_below(self._by_time[0], floor)
+        return bool(self._by_time) and is_below(self._by_time[0], floor)
 
     def pop_below(self, floor: ItemKey) -> Entry | None:
         """Remove and return the first entry if all its items are below `floor`; else return None."""
         entry: Entry | None = self._by_time[0] if self._by_time else None
-        if entry is None or not _is_below(entry, floor):
+        if entry is None or not is_below(entry, floor):
             return None
         del self._by_time[0]
         if self._by_seq[0] is entry:
@@ -341,29 +297,3 @@ class ChannelIndex:
             self._by_seq.remove(entry)
             self._add(IndexPart(entry.run, at, entry.hi))
         return trimmed
-
-
-def _is_below(entry: Entry, floor: ItemKey) -> bool:
-    """Whether all items of the entry are below `floor`."""
-    if entry.first_time > floor[0]:
-        return False
-    return (entry.last_time, entry.run.first_seq + entry.hi - 1) < floor
-
-
-def _clipped(entry: Entry, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
-    """The items of the entry at or above `low` and below `high`: one slice, or none."""
-    lo = entry.lo if entry.first_time > low[0] else index_of(entry, low)
-    hi = entry.hi if entry.last_time < high[0] else index_of(entry, high)
-    if lo < hi:
-        yield Slice(entry.run, lo, hi)
-
-
-def _clipped_by_seq(entry: Entry, low: int, high: int, floor: ItemKey) -> Iterator[Slice]:
-    """The items of the entry with seqs from `low` up to `high`, exclusive, and keys at or above `floor`."""
-    first = entry.run.first_seq
-    lo = max(entry.lo, low - first)
-    hi = min(entry.hi, high - first)
-    if entry.first_time <= floor[0]:
-        lo = max(lo, index_of(entry, floor))
-    if lo < hi:
-        yield Slice(entry.run, lo, hi)

@@ -15,7 +15,7 @@ from stampede_rt_channel_host.core.channel.consumption import Consumers
 from stampede_rt_channel_host.core.channel.front import CountInFront, before
 from stampede_rt_channel_host.core.channel.held_items import AGE, BYTES, CONSUMPTION, COUNT
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 from stampede_rt.values.timeline import Match, ResolvedInterval
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.gathered import Gathered, emptying
-from stampede_rt_channel_host.core.channel.index import SEQ_END, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.pieces import Abandoned, Pieces
 from stampede_rt_channel_host.core.channel.run import ABSENT, Slice
 from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot

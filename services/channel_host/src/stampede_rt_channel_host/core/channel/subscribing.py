@@ -10,7 +10,7 @@ from itertools import chain, islice
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 from stampede_rt.errors import InvalidArgument, MalformedRun, StampedeError
 from stampede_rt.values.model import Reason
 from stampede_rt.values.timeline import Interval, Match, ResolvedInterval
-from stampede_rt_channel_host.core.channel.index import ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.run import Run, Slice
 from stampede_rt_channel_host.core.channel.waiting import Needs
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, SEQ_END
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END
 from stampede_rt_channel_host.core.channel.run import ABSENT
 
 if TYPE_CHECKING:

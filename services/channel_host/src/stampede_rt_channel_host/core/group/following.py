@@ -13,7 +13,7 @@ from itertools import islice
 from stampede_rt.values.model import Reason
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Pieces, Slice, pieces
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.group.ledger import Ledger, newest_gone, split_at
 from stampede_rt_channel_host.core.merging import Merge
 

@@ -14,7 +14,7 @@ from itertools import islice
 from stampede_rt_channel_host.core.channel import Slice
 from stampede_rt_channel_host.core.channel.held_items import CONSUMPTION
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.index import ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 
 LOOKED_AT_MAX = 4096
 """The most items or slices at which a search for the lowest owed seq looks."""

@@ -13,7 +13,7 @@ from itertools import islice
 
 from stampede_rt.values.timeline import clamp
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Position, Slice
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.selection import behind
 from stampede_rt_channel_host.core.group.ledger import Ledger
 from stampede_rt_channel_host.core.group.pairing import Pairing, Undecided

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stampede_rt.values.timeline import clamp
-from stampede_rt_channel_host.core.channel.index import LAST_KEY, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import LAST_KEY, ItemKey
 from stampede_rt_channel_host.core.group.tracks import Nearest, Track
 
 STEPS_MAX = 16

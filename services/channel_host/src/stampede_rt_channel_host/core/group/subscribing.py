@@ -16,7 +16,7 @@ from stampede_rt_channel_host.core.channel import (
     Slice,
     SubscriptionBatch,
 )
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, SEQ_END, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.group.following import CutFollower, Loss
 from stampede_rt_channel_host.core.group.visible import Horizon, VisibleHoldings, VisibleReading
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Slice
-from stampede_rt_channel_host.core.channel.index import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
+from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 
 TRACK_ITEMS_MAX = 65_536
 """The most item keys that a `FarTrack` holds."""
