@@ -28,6 +28,7 @@ from stampede_rt_channel_host.core.channel.consumer_places import (
     Place,
     PlaceTable,
 )
+from stampede_rt_channel_host.core.channel.front import CountInFront
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
 from stampede_rt_channel_host.core.channel.seq_set import BLOCK_SEQS, CountedSeqs, SeqSet
@@ -42,6 +43,8 @@ SEQS_PER_LOOK_MAX = 64 * BLOCK_SEQS
 """The most seqs that one call notes as collected."""
 RANGE_STEPS = 4
 """The count of the collected items in one range of consumed seqs takes as long as the work on this number of slices."""
+CONSUMERS_CHECKED_MAX = 512
+"""After this number of looks at single consumers, a call checks no further slice."""
 
 
 class Consumed(NamedTuple):
@@ -225,6 +228,29 @@ class Consumers:
             elif one.consumer_id:
                 table.enter_ended(one.consumer_id, clock - 1)
         table.trim()
+
+
+class BoundedCount:
+    """A `CountInFront` that counts like `count`, but stops at a limit of its work.
+
+    The limits are `slices` slices, and about CONSUMERS_CHECKED_MAX looks at single consumers. `held_back`: the count has
+    stopped at a limit.
+    """
+
+    __slots__ = ("_asked_to", "_consumers", "_count", "_left", "held_back")
+
+    def __init__(self, slices: int, count: CountInFront, consumers: Consumers) -> None:
+        self._count = count
+        self._left = slices
+        self._consumers = consumers
+        self._asked_to = consumers.looked_at + CONSUMERS_CHECKED_MAX
+        self.held_back = False
+
+    def __call__(self, part: Slice) -> int:
+        """See `CountInFront`."""
+        self._left -= 1
+        self.held_back = self._left < 0 or self._consumers.looked_at >= self._asked_to
+        return 0 if self.held_back else self._count(part)
 
 
 def _add_some(done: SeqSet, first: int, end: int, ranges_max: int) -> int:

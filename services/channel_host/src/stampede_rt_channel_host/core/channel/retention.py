@@ -11,13 +11,13 @@ by the clock alone. So a producer whose clock is ahead does not shorten the othe
 
 from __future__ import annotations
 
-from stampede_rt_channel_host.core.channel.consumption import Consumers
-from stampede_rt_channel_host.core.channel.front import CountInFront, before
+from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, BoundedCount, Consumers
+from stampede_rt_channel_host.core.channel.front import before
 from stampede_rt_channel_host.core.channel.held_items import AGE, BYTES, CONSUMPTION, COUNT
 from stampede_rt_channel_host.core.channel.holdings import Holdings
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, ItemKey
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
-from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
+from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 SLICES_CONSUMED_MAX = 64
 """The most slices that one call collects by consumption, so that a consumer that catches up delays no other caller."""
@@ -27,8 +27,6 @@ SLICES_AGED_MAX = 256
 """The most slices that one call checks for items that a consumer has still to consume. Only `max_age_unconsumed` needs
 this check.
 """
-CONSUMERS_CHECKED_MAX = 512
-"""After this number of looks at single consumers, a call checks no further slice."""
 
 
 class Retention:
@@ -244,7 +242,7 @@ class Retention:
         if consumers is None or self.limits.consumers is None or consumers.table.untaken or held.newest is None:
             return False
         count = consumers.done_with if consumers.table.live else before(held.newest)
-        bounded = _AtMost(SLICES_CONSUMED_MAX, count, consumers)
+        bounded = BoundedCount(SLICES_CONSUMED_MAX, count, consumers)
         front = held.front(bounded)
         self._has_more_consumed = bounded.held_back
         if front.items:
@@ -347,24 +345,3 @@ class Retention:
             return self._or_lease_end(max(held.bucket_end(held.oldest, following), own) + age)
         end = held.bucket_end(held.oldest, time if following is None else min(time, following))
         return self._or_lease_end(end + (self._age_of_oldest() or age))
-
-
-class _AtMost:
-    """Counts like `count`, but stops after `slices` slices or about CONSUMERS_CHECKED_MAX looks at consumers.
-
-    `held_back`: the count stopped at one of these limits.
-    """
-
-    __slots__ = ("_asked_to", "_consumers", "_count", "_left", "held_back")
-
-    def __init__(self, slices: int, count: CountInFront, consumers: Consumers) -> None:
-        self._count = count
-        self._left = slices
-        self._consumers = consumers
-        self._asked_to = consumers.looked_at + CONSUMERS_CHECKED_MAX
-        self.held_back = False
-
-    def __call__(self, part: Slice) -> int:
-        self._left -= 1
-        self.held_back = self._left < 0 or self._consumers.looked_at >= self._asked_to
-        return 0 if self.held_back else self._count(part)
