@@ -95,7 +95,7 @@ class PlaceTable:
         self._leases: Deadlines[Place] = Deadlines()
         self._orders = 0  # the last `order` given to a place
         self._ranges = 0  # the number of ranges of consumed seqs, of all places together
-        self._bytes_of: Counter[str] = Counter()  # the memory of each owner's places; only owners with a name
+        self._bytes_of: Counter[str] = Counter()  # the memory of places by `Place.owner`; without places that have none
 
     @property
     def footprint_bytes(self) -> int:
@@ -192,7 +192,10 @@ class PlaceTable:
         self._leases.arm(place, until)
 
     def set_owner(self, place: Place, owner: str) -> None:
-        """Set the caller that has the place; empty if it is not known. The place's memory counts for this caller."""
+        """Set the name of the caller that has the place; empty if it is not known.
+
+        The memory of the place counts for this caller.
+        """
         if place.owner != owner:
             place_bytes = CONSUMER_BYTES + CONSUMED_RANGE_BYTES * place.ranges
             self._add_bytes(place.owner, -place_bytes)
@@ -200,6 +203,7 @@ class PlaceTable:
             place.owner = owner
 
     def _add_bytes(self, owner: str, more_bytes: int) -> None:
+        """Add `more_bytes`, which may be below 0, to the memory of the owner's places."""
         if owner:
             self._bytes_of[owner] += more_bytes
             if not self._bytes_of[owner]:

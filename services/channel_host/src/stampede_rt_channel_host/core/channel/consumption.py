@@ -233,8 +233,8 @@ class Consumers:
 class BoundedCount:
     """A `CountInFront` that counts like `count`, but stops at a limit of its work.
 
-    The limits are `slices` slices, and about CONSUMERS_CHECKED_MAX looks at single consumers. `held_back`: the count has
-    stopped at a limit.
+    The limits are `slices` slices, and about CONSUMERS_CHECKED_MAX looks at single consumers. `held_back`: the count
+    has stopped at a limit.
     """
 
     __slots__ = ("_asked_to", "_consumers", "_count", "_left", "held_back")

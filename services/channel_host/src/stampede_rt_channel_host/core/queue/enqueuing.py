@@ -23,7 +23,7 @@ WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
 """The bounds of one queue's waiting runs. A single run may wait even if it is larger."""
 WAITING_BYTES_OF_ONE_MAX = WAITING_BYTES_MAX * 3 // 4
-"""The bytes of one caller's waiting runs in one queue. One run of each caller may wait in any case."""
+"""The most bytes of one caller's waiting runs in one queue. A single run of a caller may be larger."""
 OFFERED_PER_CALL_MAX = 512
 """After so many messages of waiting runs, one call judges no further run."""
 DROPPED_PER_RUN_MAX = 1024
@@ -105,7 +105,7 @@ class Enqueuing:
         self.retries = RetryWindow()
         self.message_ids = MessageIds()
         self.waiting_bytes = 0
-        self._waiting_of_owner: Counter[str] = Counter()  # bytes; only owners with a name
+        self._waiting_of_owner: Counter[str] = Counter()  # bytes by the caller's name; without callers that have none
         self.finished: list[Enqueue] = []
         self.has_more = False
         self._ending: StampedeError | None = None  # the error of `end_line`, until no run waits
@@ -167,7 +167,7 @@ class Enqueuing:
             self._remember(run, now)
 
     def refuse(self, run: Enqueue, error: StampedeError, now: int) -> None:
-        """Take a run out of the line, and refuse the rest of it because of `error`."""
+        """Take a run out of the line, and refuse its unjudged messages because of `error`. Idempotent."""
         if run in self._line:
             self._leave_line(run)
             self.fail(run, error, now)
@@ -272,6 +272,7 @@ class Enqueuing:
         self._count_waiting(run, -run.charged_bytes)
 
     def _count_waiting(self, run: Enqueue, more_bytes: int) -> None:
+        """Add `more_bytes`, which may be below 0, to the bytes of waiting runs of the queue and of the run's caller."""
         self.waiting_bytes += more_bytes
         if run.owner:
             self._waiting_of_owner[run.owner] += more_bytes

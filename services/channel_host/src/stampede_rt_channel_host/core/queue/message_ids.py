@@ -16,13 +16,13 @@ OVERHEAD_BYTES = 192
 KNOWN_BYTES_MAX = 16 * 2**20
 """The most bytes that the ids of one queue take: about 70,000 ids of 36 characters."""
 SHED_PARTS = 256
-"""Above the bound, the queue forgets at least this part of it in one go."""
+"""Above the bound, one step frees about 1/256 of the bound, so that such steps are rare."""
 
 
 class KnownMessage(NamedTuple):
     """An accepted message with an id: its seq, and the time of its acceptance.
 
-    `owner`: the caller that put it; empty if it has no name of its own.
+    `owner` is the name of the caller that put the message; empty if the caller has no name of its own.
     """
 
     message_id: str
@@ -36,9 +36,9 @@ class MessageIds:
 
     def __init__(self) -> None:
         self._known: OrderedDict[str, KnownMessage] = OrderedDict()  # in the order of acceptance
-        # The same by owner, and some that are forgotten already. Each owner with a known id has bytes.
+        # The known messages of each owner, in the order of acceptance, and some forgotten ones.
         self._of_owner: dict[str, deque[KnownMessage]] = {}
-        self._bytes_of_owner: Counter[str] = Counter()
+        self._bytes_of_owner: Counter[str] = Counter()  # the bytes of the known ids of each owner that has any
         self.footprint_bytes = 0
 
     def find(self, message_id: str, now: int) -> int | None:
@@ -49,7 +49,7 @@ class MessageIds:
     def record(self, message_id: str, seq: int, now: int, owner: str = "") -> None:
         """Note an accepted message with an id. The entry replaces an older entry with the same id.
 
-        `owner`: the name of the caller; empty if it has none of its own.
+        `owner` is the name of the caller; empty if the caller has no name of its own.
         """
         if message_id in self._known:
             self._forget(message_id)
@@ -61,7 +61,10 @@ class MessageIds:
             self._shed()
 
     def _shed(self) -> None:
-        """Forget the oldest ids of the owner with the most, so that not every message looks at all owners."""
+        """Forget the oldest ids of the owner whose ids take most bytes.
+
+        Forgets somewhat more than needed, because this method looks at all owners.
+        """
         owner = max(self._bytes_of_owner, key=self._bytes_of_owner.__getitem__)
         own, enough = self._of_owner[owner], KNOWN_BYTES_MAX - KNOWN_BYTES_MAX // SHED_PARTS
         while own and self.footprint_bytes > enough:

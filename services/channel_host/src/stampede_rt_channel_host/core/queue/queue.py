@@ -107,7 +107,7 @@ class QueueCore:
         self._follow_up(clock)
 
     def refuse(self, run: Enqueue, error: StampedeError, now: int) -> None:
-        """Take a run out of the line, and refuse the rest of it because of `error`. Idempotent."""
+        """Take a run out of the line, and refuse its unjudged messages because of `error`. Idempotent."""
         clock = self._tick(now)
         self._enqueuing.refuse(run, error, clock)
         self._follow_up(clock)
