@@ -15,7 +15,6 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_pb2, error_pb2, gatekeeper_service_pb2
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
-from stampede_rt_channel_host.channels import id_owners
 from stampede_rt_channel_host.core.channel import consumer_places
 from stampede_rt_channel_host.core.dedup import RetryWindow
 from stampede_rt_channel_host.core.judging import Judged
@@ -210,7 +209,7 @@ async def test_a_caller_with_its_share_of_consumer_places_gets_no_further_one(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(consumer_places, "PLACES_OF_ONE_MAX", 1)
-    monkeypatch.setattr(id_owners, "owner_name", lambda: "greedy")
+    monkeypatch.setattr(control, "owner_name", lambda: "greedy")
     channel = await rig.open(spec=channel_pb2.ChannelSpec(retention=channel_pb2.RetentionPolicy(consumers=3)))
     stub: Any = ChannelServiceStub(rig.connection)
     asked = [
@@ -220,7 +219,7 @@ async def test_a_caller_with_its_share_of_consumer_places_gets_no_further_one(
     with pytest.raises(grpc.aio.AioRpcError, match="greedy has 1 of the channel's 3 consumer places") as caught:
         await stub.Consume(asked[1], timeout=10)
     assert caught.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
-    monkeypatch.setattr(id_owners, "owner_name", lambda: "other")
+    monkeypatch.setattr(control, "owner_name", lambda: "other")
     await stub.Consume(asked[2], timeout=10)
 
 
@@ -235,7 +234,7 @@ async def test_the_memory_of_retries_knows_the_caller_of_each_producer(
         record(window, producer_id, first_number, outcome, owner)
 
     monkeypatch.setattr(RetryWindow, "record", noting)
-    monkeypatch.setattr(id_owners, "owner_name", lambda: "cam")
+    monkeypatch.setattr(control, "owner_name", lambda: "cam")
     channel = await rig.open()
     await channel.put(run_of(b"x"))
     async with running_queue_host() as queues:
