@@ -29,7 +29,7 @@ class Requests:
         self.reads += 1
         return self._request
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         self.let_go_calls += 1
 
 
@@ -48,7 +48,7 @@ async def test_what_is_read_ahead_is_charged_until_it_is_taken_or_nobody_asks_an
     assert memory.used_bytes == 4 * 2**20
     await ahead.next()  # it may still have to wait for the turn of its caller
     assert memory.used_bytes == 4 * 2**20
-    ahead.let_go()
+    ahead.release()
     assert memory.used_bytes == 3 * 2**20
     assert requests.let_go_calls
     await ahead.next()

@@ -49,7 +49,7 @@ async def test_a_joined_request_keeps_its_room_until_its_stream_lets_go_of_it() 
     whole, room = stream_of([*messages_of(large), *messages_of(large), b"\x0asmall"])
     await whole.read()
     assert room.used_bytes == len(large)
-    whole.let_go()
+    whole.release()
     assert room.used_bytes == 0
     await whole.read()
     assert room.used_bytes == len(large)

@@ -25,7 +25,7 @@ class RequestSource(Protocol):
     async def read(self) -> Any:
         """The next request, or EOF."""
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Stop counting the bytes of the last request."""
 
 
@@ -54,9 +54,9 @@ class ReadAhead:
     async def next(self) -> tuple[Any, float]:
         """The next request or EOF, and the monotonic time at which it came. Raises the errors of reading.
 
-        Its bytes count until `let_go`, so that it may wait for the turn of its caller.
+        Its bytes count until `release`, so that it may wait for the turn of its caller.
         """
-        self.let_go()
+        self.release()
         self._wanted = True  # a begun read cannot be cancelled: wait for it, and begin no other
         while not self._received and self._task is not None:
             self._news.clear()
@@ -69,9 +69,9 @@ class ReadAhead:
         self._given_bytes = 0 if raw is EOF else len(raw)
         return raw, received_s
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Stop counting the request that `next` gave last: it is judged now, and what is kept of it counts anew."""
-        self._requests.let_go()
+        self._requests.release()
         self._count(-self._given_bytes)
         self._given_bytes = 0
 
@@ -99,7 +99,7 @@ class ReadAhead:
                 if raw is EOF:
                     break
                 self._count(len(raw))
-                self._requests.let_go()
+                self._requests.release()
                 del raw  # so that the request is not kept in memory while the next one is read
         except Exception as error:  # noqa: BLE001  # `next` raises it
             self._failure = error
@@ -124,7 +124,7 @@ class ReadAhead:
     def close(self) -> None:
         """Stop reading, and forget the requests that were read ahead."""
         self._received.clear()
-        self.let_go()
+        self.release()
         self._count(-self._bytes)
         if self._task is not None:
             self._task.cancel()

@@ -48,7 +48,7 @@ class WholeRequests:
         Raises InvalidArgument if the pieces do not fit together, DeadlineExceeded if they come too slowly, and
         Overloaded if the caller's quota of bytes in flight is used up. See `RequestPiece`.
         """
-        self.let_go()
+        self.release()
         raw = await self._read()
         if raw is EOF or raw[:1] != PIECE_TAG:
             return raw
@@ -66,7 +66,7 @@ class WholeRequests:
             self._held = held.pop_all()
             return whole
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Give back the room of the last request: it is judged now, or something else counts its bytes."""
         self._held.close()
 
