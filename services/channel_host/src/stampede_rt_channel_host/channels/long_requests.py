@@ -28,7 +28,10 @@ Run = TypeVar("Run")
 
 
 class LongRequest(NamedTuple):
-    """A request without its runs, and for each run its message without the bytes of the run, and a view of them."""
+    """A decoded request. `head`: the message of the request, without its runs.
+
+    `runs`: for each run, the message of the run without the encoded items, and a view of the encoded items.
+    """
 
     head: Any
     runs: list[tuple[Any, memoryview]]
@@ -64,7 +67,7 @@ def _read(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run]
             if not 0 <= place.stop <= at <= len(raw) or at - place.stop > _TAIL_BYTES_MAX:
                 return None
             message: Any = parse(run, bytes(view[begin:run_tag]) + bytes(view[place.stop : at]), name)
-            if message.run:  # a second one
+            if message.run:  # the message has two runs
                 return None
             runs.append((message, view[place]))
     except IndexError:  # the request ends within a field

@@ -125,9 +125,10 @@ class Charge:
 
 
 def own_bytes(run: bytes | memoryview) -> bytes | memoryview:
-    """A run that does not keep much more than its own bytes in memory.
+    """The run, copied if it is a view of a request that is much larger than the run.
 
-    A view of nearly the whole request stays as it is: a copy of 15 MiB takes several milliseconds.
+    So a run that is kept does not keep much more than its own bytes in memory. A view of nearly the whole request stays
+    as it is, because a copy of 15 MiB takes several milliseconds.
     """
     if isinstance(run, memoryview) and len(run) < len(run.obj) * 7 // 8:  # type: ignore[arg-type]
         return bytes(run)

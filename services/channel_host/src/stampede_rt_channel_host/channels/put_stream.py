@@ -105,7 +105,7 @@ class PutStream:
     async def _take(self, received: _ReceivedRequest) -> None:
         if self._work.must_wait:
             await self._work.turn()
-        self._requests.release()  # from here to the first wait nothing else runs, and what waits counts as memory
+        self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
         self._work.spend(READ_NANOS)
         while received.puts:
             if received.too_much:

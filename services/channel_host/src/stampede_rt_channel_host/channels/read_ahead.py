@@ -20,21 +20,21 @@ AHEAD_BYTES_MAX = 4 * 2**20  # the last request may exceed this limit
 
 
 class RequestSource(Protocol):
-    """The whole requests of a stream."""
+    """The source of the whole requests of a stream, such as `WholeRequests`."""
 
     async def read(self) -> Any:
         """The next request, or EOF."""
 
     def release(self) -> None:
-        """Stop counting the bytes of the last request."""
+        """Count the bytes of the last request no more. Idempotent."""
 
 
 class ReadAhead:
     """Gives the requests of a stream in order. Reads further requests ahead while the last given one has to wait.
 
-    The requests read ahead count as memory of the host and as bytes in flight of the caller, until the stream lets go
-    of them. At the bounds, or when the host's memory or the caller's quota is used up, the host reads no more ahead.
-    Flow control then slows the caller down.
+    The requests read ahead count as memory of the host and as bytes in flight of the caller. A request counts until
+    `release`, or until the next call of `next`. At the bounds, or when the host's memory or the caller's quota is used
+    up, the host reads no more ahead. Flow control then slows the caller down.
     """
 
     def __init__(self, requests: RequestSource, memory: MemoryBudget, account: Account) -> None:
@@ -54,7 +54,7 @@ class ReadAhead:
     async def next(self) -> tuple[Any, float]:
         """The next request or EOF, and the monotonic time at which it came. Raises the errors of reading.
 
-        Its bytes count until `release`, so that it may wait for the turn of its caller.
+        The bytes of the request count until `release`, so that the request may wait for the turn of its caller.
         """
         self.release()
         self._wanted = True  # a begun read cannot be cancelled: wait for it, and begin no other
@@ -70,7 +70,7 @@ class ReadAhead:
         return raw, received_s
 
     def release(self) -> None:
-        """Stop counting the request that `next` gave last: it is judged now, and what is kept of it counts anew."""
+        """Count the request that `next` gave last no more, because its runs are judged now. Idempotent."""
         self._requests.release()
         self._count(-self._given_bytes)
         self._given_bytes = 0

@@ -120,7 +120,7 @@ class EnqueueStream:
         if self._work.must_wait:
             await self._work.turn()
         failure = await self._failure_to_find()
-        self._requests.release()  # from here to the first wait nothing else runs, and what waits counts as memory
+        self._requests.release()  # the runs are judged without a wait; a run that has to wait counts anew
         self._work.spend(READ_NANOS)
         while runs:
             await self._add(await self._enqueue(runs, received_s, failure))
