@@ -132,7 +132,7 @@ class Channel(Reader):
         return await self._session.perform(self._state, advance_at)
 
     async def stats(self) -> ChannelStats:
-        """Return the channel's counters and bounds at one moment, and the offset of the host's clock.
+        """Return the channel's counters and bounds at one moment, the offset of the host's clock, and the transport.
 
         The offset says how far the host's clock is ahead of this machine's clock. Blocks for at most 10 s. Raises
         ChannelNotFound, Unavailable.
@@ -144,7 +144,11 @@ class Channel(Reader):
             sent_s, sent = monotonic_s(), time_ns()
             response = await endpoint.call(endpoint.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
             asked_at = sent + round((monotonic_s() - sent_s) / 2 * 1e9)
-            return channel_stats(response.status, clock_offset_nanos=response.status.host_time_unix_nano - asked_at)
+            return channel_stats(
+                response.status,
+                clock_offset_nanos=response.status.host_time_unix_nano - asked_at,
+                transport=await endpoint.transport(),
+            )
 
         return await self._session.perform(self._state, status_at)
 

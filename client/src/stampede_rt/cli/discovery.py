@@ -89,6 +89,7 @@ def run_info(arguments: argparse.Namespace) -> int:
         "waiting_gets": stats.waiting_gets,
         "waiting_puts": stats.waiting_puts,
         "clock_offset": format_duration(stats.clock_offset_nanos or 0) if people else stats.clock_offset_nanos,
+        "transport": stats.transport,
     }
     print_facts(facts, arguments.output)
     return 0

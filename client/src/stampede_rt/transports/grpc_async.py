@@ -23,8 +23,8 @@ from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, END_TIMEOUT_S, ENQUEUE_METHOD, PUT_METHOD
 from stampede_rt.transports.machine import this_machine
 from stampede_rt.transports.requests_async import Requests, spawn
-from stampede_rt.transports.socket_async import OpeningCall
-from stampede_rt.transports.socket_connecting_async import open_call
+from stampede_rt.transports.socket_async import OpeningCall, SocketCall
+from stampede_rt.transports.socket_connecting_async import connect
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import SocketRoute, opening_of
 from stampede_rt.transports.streams_async import BidiStream, ServerStream, closed, is_cancelled
@@ -141,9 +141,22 @@ class ServerEndpoint(Stubs):
         self._socket_calls.add(call)
         return call
 
+    async def transport(self) -> str:
+        """Return the transport of new streams in both directions. Connects to find out, so it may take 2 s.
+
+        Raises Unavailable if the program has chosen sockets, and none can be used.
+        """
+        connected = await connect(self.route, self._ask_for_sockets)
+        if connected is None:
+            return Transport.GRPC.value
+        connected.close()
+        return Transport.SOCKET.value
+
     async def _open_bidi(self, method: BidiMethod) -> Any:
-        opening = opening_of(method.name, self._metadata())
-        return await open_call(self.route, self._ask_for_sockets, method, opening) or self._begin(method)
+        connected = await connect(self.route, self._ask_for_sockets)
+        if connected is None:
+            return self._begin(method)
+        return await SocketCall.begun(connected, method, opening_of(method.name, self._metadata()))
 
     async def _ask_for_sockets(self) -> Sequence[gatekeeper_pb.DataEndpoint]:
         request = gatekeeper_pb.ListDataEndpointsRequest(machine=this_machine())

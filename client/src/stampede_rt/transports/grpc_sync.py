@@ -127,6 +127,17 @@ class ServerEndpoint(Stubs):
         endpoints: Sequence[gatekeeper_pb.DataEndpoint] = response.endpoints
         return endpoints
 
+    def transport(self) -> str:
+        """Return the transport of new streams in both directions. Connects to find out, so it may block for 2 s.
+
+        Raises Unavailable if the program has chosen sockets, and none can be used.
+        """
+        connected = connect(self.route, self._ask_for_sockets)
+        if connected is None:
+            return Transport.GRPC.value
+        connected.close()
+        return Transport.SOCKET.value
+
     def open_bidi(self, method: BidiMethod) -> BidiStream[Any]:
         """Open a stream in both directions."""
         return BidiStream(self.begin_bidi(method), self.target, self._watchdog)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from functools import partial
@@ -10,6 +11,7 @@ from typing import Any
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.grpc_quiet import grpc
+from stampede_rt.transports import forking
 from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import broken, error_of, silent
 from stampede_rt.transports.socket_limits import (
@@ -40,6 +42,18 @@ class SocketCall(asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         self._heard_s = self._loop.time()
         self._watch: asyncio.TimerHandle | None = None
+
+    @classmethod
+    async def begun(cls, connected: socket.socket, method: BidiMethod, opening: bytes) -> SocketCall:
+        """Return a stream over a new connection."""
+        forking.keep_out_of_children(connected)
+        call = cls(method, opening)
+        try:
+            await asyncio.get_running_loop().create_connection(lambda: call, sock=connected)
+        except BaseException:
+            connected.close()
+            raise
+        return call
 
     # what asyncio calls
 

@@ -7,22 +7,19 @@ import socket
 from collections.abc import Awaitable, Callable, Iterable
 
 from stampede_rt.errors import StampedeError
-from stampede_rt.transports import forking
-from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.machine import is_of_this_user
-from stampede_rt.transports.socket_async import SocketCall
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import LOCAL_PREFIX, SocketRoute
 from stampede_rt.v1 import gatekeeper_service_pb2 as pb
 
 
-async def open_call(
-    route: SocketRoute, ask: Callable[[], Awaitable[Iterable[pb.DataEndpoint]]], method: BidiMethod, opening: bytes
-) -> SocketCall | None:
-    """Return a new stream to the host; None: use gRPC. `ask` asks the gatekeeper for the host's sockets.
+async def connect(route: SocketRoute, ask: Callable[[], Awaitable[Iterable[pb.DataEndpoint]]]) -> socket.socket | None:
+    """Return a new connection to the host; None: use gRPC. `ask` asks the gatekeeper for the host's sockets.
 
     Waits for at most CONNECT_S_MAX, and once more if it asks. Raises Unavailable if the program has chosen sockets.
     """
+    if not route.may_lead:
+        return None
     why = ""
     if route.must_ask:
         try:
@@ -30,29 +27,23 @@ async def open_call(
         except StampedeError as error:
             why = str(error)
     for target in route.targets:
-        call = SocketCall(method, opening)
         try:
             async with asyncio.timeout(CONNECT_S_MAX):
-                await _connect(target, call)
+                return await _connected(target)
         except (OSError, TimeoutError) as error:
             why = f"{target}: {error or 'no answer'}"
-            continue
-        route.connected()
-        return call
     route.failed(why)
     return None
 
 
-async def _connect(target: str, call: SocketCall) -> None:
+async def _connected(target: str) -> socket.socket:
     made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    loop = asyncio.get_running_loop()
     try:
         made.setblocking(False)
-        await loop.sock_connect(made, target.removeprefix(LOCAL_PREFIX))
+        await asyncio.get_running_loop().sock_connect(made, target.removeprefix(LOCAL_PREFIX))
         if not is_of_this_user(made):
             raise PermissionError("the socket is one of another user")
-        forking.keep_out_of_children(made)
-        await loop.create_unix_connection(lambda: call, sock=made)
     except BaseException:
         made.close()
         raise
+    return made

@@ -27,12 +27,9 @@ def connect(route: SocketRoute, ask: Callable[[], Iterable[pb.DataEndpoint]]) ->
             why = str(error)
     for target in route.targets:
         try:
-            connected = _connected(target)
+            return _connected(target)
         except OSError as error:
             why = f"{target}: {error.strerror or error}"
-            continue
-        route.connected()
-        return connected
     route.failed(why)
     return None
 

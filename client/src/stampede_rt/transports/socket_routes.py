@@ -28,8 +28,6 @@ class SocketRoute:
         self._may_use = sys.platform == "linux" and transport is not Transport.GRPC and not is_secured
         self._targets: tuple[str, ...] | None = None  # None: unknown
         self._not_before_s = 0.0
-        self.used = Transport.GRPC
-        """The transport of the latest stream."""
 
     def learn(self, endpoints: Iterable[pb.DataEndpoint]) -> None:
         """Keep what the gatekeeper has answered."""
@@ -50,16 +48,11 @@ class SocketRoute:
         """The addresses to try, best first. Each is "unix:PATH" or "HOST:PORT"."""
         return self._targets or () if self._may_use else ()
 
-    def connected(self) -> None:
-        """Note that a stream goes over a socket."""
-        self.used = Transport.SOCKET
-
     def failed(self, why: str) -> None:
         """Note that no socket can be used. The next streams go over gRPC, and after a while the client asks again.
 
         Raises Unavailable if the program has chosen sockets.
         """
-        self.used = Transport.GRPC
         if self._targets != ():
             self._targets = None
             self._not_before_s = time.monotonic() + AGAIN_S

@@ -268,6 +268,7 @@ class ChannelStats:
     - `consumers` lists the taken places; `policy.consumers` counts all places.
     - `clock_offset_nanos`: how far the host's clock is ahead of this machine's clock. The error is at most half the
       round trip of the call. The offset is None in a list of channels.
+    - `transport`: how this program reaches the channel's data, "grpc" or "socket"; None in a list of channels.
     """
 
     accepted: int
@@ -289,6 +290,7 @@ class ChannelStats:
     policy: Policy = field(default_factory=Policy)
     consumers: Sequence[ConsumerStats] = ()
     clock_offset_nanos: int | None = None
+    transport: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -114,8 +114,10 @@ def supernode_info(record: directory_pb2.SupernodeRecord) -> SupernodeInfo:
     )
 
 
-def channel_stats(status: channel_pb2.ChannelStatus, clock_offset_nanos: int | None = None) -> ChannelStats:
-    """Return a channel's counters, as callers see them, and the host's clock offset if the caller has measured it."""
+def channel_stats(
+    status: channel_pb2.ChannelStatus, clock_offset_nanos: int | None = None, transport: str | None = None
+) -> ChannelStats:
+    """Return a channel's counters, as callers see them, and what the caller itself has found out."""
     counters = status.counters
     return ChannelStats(
         accepted=counters.accepted,
@@ -140,6 +142,7 @@ def channel_stats(status: channel_pb2.ChannelStatus, clock_offset_nanos: int | N
             for one in status.consumers
         ],
         clock_offset_nanos=clock_offset_nanos,
+        transport=transport,
     )
 
 

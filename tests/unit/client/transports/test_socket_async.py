@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import grpc
+import pytest
+
+from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
+from stampede_rt.status import encode_status, from_rpc_error
+from stampede_rt.transports import socket_async
+from stampede_rt.transports.grpc_options import MESSAGE_BYTES_MAX
+from stampede_rt.transports.socket_async import OpeningCall, SocketCall
+from stampede_rt.transports.socket_limits import UNREAD_BYTES_MAX
+from stampede_rt.wire.stream_frames import FrameKind, frame_of, head_of
+from tests.support.socket_pairs import OPENING, RAW, FarEnd
+
+
+@asynccontextmanager
+async def opened() -> AsyncIterator[tuple[SocketCall, FarEnd]]:
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+    near.setblocking(False)
+    with far:
+        call = await SocketCall.begun(near, RAW, OPENING)
+        end = FarEnd(far)
+        assert end.frame() == (FrameKind.OPENING, OPENING)
+        yield call, end
+        call.cancel()
+        await asyncio.sleep(0)
+
+
+async def failure_of(call: SocketCall) -> grpc.RpcError:
+    with pytest.raises(grpc.RpcError) as raised:
+        await asyncio.wait_for(anext(call), 20)
+    return raised.value
+
+
+async def test_requests_and_responses_go_over_the_socket_until_the_regular_end() -> None:
+    async with opened() as (call, far):
+        done: asyncio.Future[SocketCall] = asyncio.get_running_loop().create_future()
+        call.add_done_callback(done.set_result)
+        await call.write(b"question")
+        assert far.message() == b"question"
+        far.socket.sendall(frame_of(FrameKind.ALIVE) + frame_of(FrameKind.MESSAGE, b"a") + frame_of(FrameKind.STATUS))
+        assert [response async for response in call] == [b"a"]
+        assert await done is call
+        with pytest.raises(grpc.RpcError):
+            await call.write(b"late")
+
+
+async def test_an_error_of_the_service_arrives_with_its_details() -> None:
+    async with opened() as (call, far):
+        status = encode_status(InvalidArgument("not so", metadata={"field": "x"}))
+        far.socket.sendall(frame_of(FrameKind.MESSAGE, b"last") + frame_of(FrameKind.STATUS, status))
+        assert await anext(call) == b"last"
+        for _ in range(2):
+            error = from_rpc_error(await failure_of(call), "h1")
+            assert isinstance(error, InvalidArgument)
+            assert (error.message, error.metadata) == ("not so", {"field": "x"})
+
+
+async def test_a_lost_connection_is_an_outage() -> None:
+    async with opened() as (call, far):
+        far.socket.sendall(head_of(FrameKind.MESSAGE, 9) + b"half")
+        far.socket.close()
+        error = from_rpc_error(await failure_of(call), "h1")
+        assert isinstance(error, Unavailable)
+        assert error.message == "the connection to h1 broke (Socket closed: the host has closed it)"
+
+
+async def test_a_message_over_the_limit_ends_the_stream_at_its_head() -> None:
+    async with opened() as (call, far):
+        far.socket.sendall(head_of(FrameKind.MESSAGE, MESSAGE_BYTES_MAX + 1))
+        assert "it has at most" in str(await failure_of(call))
+
+
+async def test_a_host_without_any_sign_of_life_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket_async, "SILENCE_S_MAX", 0.05)
+    async with opened() as (call, _):
+        assert "no sign of life for 0.05 s" in str(await failure_of(call))
+
+
+async def test_responses_that_the_program_does_not_read_stay_at_the_host_and_are_no_silence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(socket_async, "SILENCE_S_MAX", 0.05)
+    async with opened() as (call, far):
+        far.socket.setblocking(False)
+        sent = bytearray(frame_of(FrameKind.MESSAGE, bytes(100_000)) * 20)
+        loop = asyncio.get_running_loop()
+        sending = asyncio.create_task(loop.sock_sendall(far.socket, sent))
+        await asyncio.sleep(0.2)  # longer than the allowed silence
+        assert call._unread_bytes <= 2 * UNREAD_BYTES_MAX + 100_000
+        assert not sending.done()
+        for _ in range(20):
+            assert len(await asyncio.wait_for(anext(call), 20)) == 100_000
+        await sending
+
+
+async def test_a_cancel_ends_the_reading_as_that_of_a_call_of_grpc_does() -> None:
+    async with opened() as (call, far):
+        asyncio.get_running_loop().call_soon(call.cancel)
+        with pytest.raises(asyncio.CancelledError):
+            await anext(call)
+        await asyncio.sleep(0)
+        assert far.frame() is None
+
+
+async def test_a_stream_whose_opening_fails_or_is_cancelled_ends_with_the_reason() -> None:
+    async def failing() -> SocketCall:
+        raise Unavailable("no way")
+
+    failed = OpeningCall(failing())
+    done = asyncio.Event()
+    failed.add_done_callback(lambda _: done.set())
+    with pytest.raises(StampedeError, match="no way"):
+        await anext(aiter(failed))
+    await asyncio.wait_for(done.wait(), 20)
+    cancelled = OpeningCall(asyncio.Event().wait())
+    asyncio.get_running_loop().call_soon(cancelled.cancel)
+    with pytest.raises(asyncio.CancelledError):
+        await anext(aiter(cancelled))

@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+import gc
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+
+import grpc
+import pytest
+
+from stampede_rt.errors import InvalidArgument, Unavailable
+from stampede_rt.status import encode_status, from_rpc_error
+from stampede_rt.transports import socket_sync
+from stampede_rt.transports.grpc_options import MESSAGE_BYTES_MAX
+from stampede_rt.transports.socket_sync import SocketCall
+from stampede_rt.wire.stream_frames import FrameKind, frame_of, head_of
+from tests.support.socket_pairs import OPENING, RAW, FarEnd
+
+LARGE = bytes(200_000)
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[socket.socket, FarEnd]]:
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+    with far:
+        yield near, FarEnd(far)
+
+
+def opened(pair: tuple[socket.socket, FarEnd], *, in_turn: bool = True) -> tuple[SocketCall, FarEnd]:
+    near, far = pair
+    call = SocketCall(near, RAW, OPENING, in_turn=in_turn)
+    assert far.frame() == (FrameKind.OPENING, OPENING)
+    return call, far
+
+
+def failure_of(call: SocketCall) -> grpc.RpcError:
+    with pytest.raises(grpc.RpcError) as raised:
+        next(call)
+    return raised.value
+
+
+def test_requests_and_responses_go_over_the_socket_until_the_regular_end(
+    pair: tuple[socket.socket, FarEnd],
+) -> None:
+    call, far = opened(pair)
+    call.send(b"question")
+    assert far.message() == b"question"
+    far.socket.sendall(frame_of(FrameKind.ALIVE) + frame_of(FrameKind.MESSAGE, b"a") + frame_of(FrameKind.MESSAGE))
+    assert [next(call), next(call)] == [b"a", b""]
+    far.send(FrameKind.STATUS)
+    assert list(call) == []
+    assert list(call) == []
+    assert far.frame() is None  # the client has closed its socket
+
+
+def test_an_error_of_the_service_arrives_with_its_details_after_the_messages_before_it(
+    pair: tuple[socket.socket, FarEnd],
+) -> None:
+    call, far = opened(pair)
+    status = encode_status(InvalidArgument("not so", metadata={"field": "x"}))
+    far.socket.sendall(frame_of(FrameKind.MESSAGE, b"last") + frame_of(FrameKind.STATUS, status))
+    far.socket.close()
+    call.send(b"into nowhere")  # the status tells why
+    assert next(call) == b"last"
+    for _ in range(2):
+        error = from_rpc_error(failure_of(call), "h1")
+        assert isinstance(error, InvalidArgument)
+        assert (error.message, error.metadata, error.from_service) == ("not so", {"field": "x"}, True)
+
+
+@pytest.mark.parametrize("sent", [b"", head_of(FrameKind.MESSAGE, 9) + b"half"])
+def test_a_lost_connection_is_an_outage(pair: tuple[socket.socket, FarEnd], sent: bytes) -> None:
+    call, far = opened(pair)
+    far.socket.sendall(sent)
+    far.socket.close()
+    error = from_rpc_error(failure_of(call), "h1")
+    assert isinstance(error, Unavailable)
+    assert error.message == "the connection to h1 broke (Socket closed: the host has closed it)"
+
+
+def test_a_message_over_the_limit_ends_the_stream_at_its_head(pair: tuple[socket.socket, FarEnd]) -> None:
+    call, far = opened(pair)
+    far.socket.sendall(head_of(FrameKind.MESSAGE, MESSAGE_BYTES_MAX + 1))
+    assert "it has at most" in str(failure_of(call))
+    assert far.frame() is None
+
+
+def test_a_host_without_any_sign_of_life_is_given_up(
+    pair: tuple[socket.socket, FarEnd], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket_sync, "SILENCE_S_MAX", 0.05)
+    call, _ = opened(pair)
+    error = from_rpc_error(failure_of(call), "h1")
+    assert isinstance(error, Unavailable)
+    assert "h1 cannot be reached (no sign of life for 0.05 s)" in error.message
+
+
+def test_a_host_that_takes_no_request_and_gives_no_sign_of_life_is_given_up(
+    pair: tuple[socket.socket, FarEnd], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket_sync, "SILENCE_S_MAX", 0.05)
+    call, _ = opened(pair)
+    call.send(bytes(2**20))
+    assert "no sign of life" in str(failure_of(call))
+
+
+def test_a_large_request_waits_as_long_as_a_busy_host_gives_signs_of_life(
+    pair: tuple[socket.socket, FarEnd], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket_sync, "SILENCE_S_MAX", 2.0)
+    call, far = opened(pair)
+    request = os.urandom(250_000)
+    sent = threading.Event()
+
+    def send() -> None:
+        for _ in range(4):
+            call.send(request)
+        sent.set()
+
+    threading.Thread(target=send, daemon=True).start()
+    for _ in range(5):
+        far.send(FrameKind.ALIVE)
+        assert not sent.wait(0.01)
+    assert [far.message() for _ in range(4)] == [request] * 4
+    assert sent.wait(20)
+
+
+def test_requests_of_several_threads_wait_for_a_slow_host_without_blocking_and_arrive_whole(
+    pair: tuple[socket.socket, FarEnd],
+) -> None:
+    call, far = opened(pair, in_turn=False)
+    requests = [bytes([number]) * 100_000 for number in range(20)]
+    senders = [threading.Thread(target=call.send, args=(request,)) for request in requests]
+    for sender in senders:
+        sender.start()
+    for sender in senders:
+        sender.join(20)
+    assert call.waiting_requests > 10
+    assert sorted(far.message() for _ in requests) == requests
+    call.send(b"last")
+    assert far.message() == b"last"
+
+
+def test_a_cancel_on_another_thread_ends_the_reading(pair: tuple[socket.socket, FarEnd]) -> None:
+    call, far = opened(pair)
+    threading.Timer(0.01, call.cancel).start()
+    assert failure_of(call).code() is grpc.StatusCode.CANCELLED  # type: ignore[attr-defined]
+    assert far.frame() is None
+
+
+def test_a_dropped_stream_closes_its_socket_and_ends_its_thread(pair: tuple[socket.socket, FarEnd]) -> None:
+    call, far = opened(pair, in_turn=False)
+    for _ in range(5):
+        call.send(LARGE)
+    assert call.waiting_requests
+    [sender] = [thread for thread in threading.enumerate() if thread.name == "stampede sends"]
+    del call
+    gc.collect()
+    sender.join(20)
+    assert not sender.is_alive()
+    while far.socket.recv(2**16):
+        pass
+
+
+def test_a_forked_child_neither_keeps_nor_ends_the_connection_of_its_parent(
+    pair: tuple[socket.socket, FarEnd],
+) -> None:
+    call, far = opened(pair)
+    child = os.fork()
+    if not child:
+        call.cancel()
+        time.sleep(60)
+        os._exit(0)
+    try:
+        far.send(FrameKind.MESSAGE, b"still here")
+        assert next(call) == b"still here"
+        call.send(b"too")
+        assert far.message() == b"too"
+        del call
+        gc.collect()
+        assert far.frame() is None  # although the child lives
+    finally:
+        os.kill(child, 9)
+        os.waitpid(child, 0)
