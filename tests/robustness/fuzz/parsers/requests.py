@@ -10,6 +10,7 @@ from stampede_rt.v1 import group_pb2, item_pb2, queue_pb2, raw_run_pb2
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
 from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt.wire.runs import parse_run, seal_run, select_items
+from stampede_rt.wire.stream_frames import FrameKind, FrameReader, frame_of
 from stampede_rt_channel_host.channels import put_requests, requests
 from stampede_rt_channel_host.cluster.records import recorded_group
 from stampede_rt_channel_host.groups.messages import floor_from_message, floor_to_message, times_from_message
@@ -111,7 +112,28 @@ def group_definition(source: ByteSource) -> None:
 
 
 REFUSED = (StampedeError,)
+
+
+def stream_frames(source: ByteSource) -> None:
+    """Frames are the same however their bytes are cut, and nothing of them is lost."""
+    limits = {FrameKind.OPENING: 64, FrameKind.MESSAGE: 300, FrameKind.END: 0}
+    stream = b"".join(
+        frame_of(source.choice(tuple(limits)), source.take(source.below(40))) for _ in range(source.below(6))
+    )
+    stream += source.take(source.below(20))
+    whole, found, reader = FrameReader(limits).feed(stream), [], FrameReader(limits)
+    at = 0
+    while at < len(stream):
+        size = 1 + source.below(9)
+        found += reader.feed(stream[at : at + size])
+        at += size
+    assert found == whole
+    kept = reader.unfinished_bytes
+    assert b"".join(frame_of(FrameKind(kind), body) for kind, body in found) == stream[: len(stream) - kept]
+
+
 TARGETS = (
+    Target("stream_frames", stream_frames, REFUSED),
     Target("item_run", item_run, REFUSED),
     Target("put_frames", put_frames, REFUSED),
     Target("get", get, REFUSED),

@@ -15,6 +15,7 @@ from tests.robustness.fuzz.drawing import ByteSource
 from tests.robustness.fuzz.messages import KnownValues, drawn_request, drawn_stream
 from tests.robustness.fuzz.ports.methods import Method
 from tests.robustness.fuzz.ports.outcome import BROKEN, Finding, Outcome
+from tests.robustness.fuzz.ports.socket_calls import called_over_socket
 
 DRAWN_BYTES = 1500
 STREAM_SECONDS = 0.05
@@ -39,6 +40,8 @@ class HostileCaller:
         self._credential = credential
         self._outcome = outcome
         self._random_source = random.Random(seed)
+        self.socket = ""
+        """The Unix socket of the port; half of the streams go there. Empty: there is none."""
 
     async def play(self, channel: grpc.aio.Channel) -> None:
         """One call."""
@@ -46,7 +49,12 @@ class HostileCaller:
         method = source.choice(self._methods)
         metadata = self._metadata(source)
         requests = self._requests(source, method)
-        code, details = await self._called(channel, method, requests, metadata, learns=source.chance(LEARNT_PERCENT))
+        if self.socket and method.takes_stream and source.chance(50):
+            call = called_over_socket(self.socket, method.path, requests, metadata, source, STREAM_SECONDS)
+            code, details = await call
+        else:
+            learns = source.chance(LEARNT_PERCENT)
+            code, details = await self._called(channel, method, requests, metadata, learns=learns)
         self._outcome.calls += 1
         self._outcome.inputs += len(requests)
         self._outcome.codes[code.name] += 1

@@ -17,6 +17,7 @@ from tests.robustness.fuzz.ports.garden import first_known, keep_garden
 from tests.robustness.fuzz.ports.hostile_caller import HostileCaller
 from tests.robustness.fuzz.ports.methods import methods_of
 from tests.robustness.fuzz.ports.outcome import Finding, Outcome
+from tests.robustness.fuzz.ports.socket_calls import socket_target
 
 GOOD = "good"
 MEMORY_GROWTH_MIB_MAX = 164  # the budget, and what the allocator may keep and gRPC may buffer (docs/security.md)
@@ -71,9 +72,12 @@ async def _attack(
     outcome, began = cluster.outcome, time.monotonic()
     methods = methods_of(outcome.port)
     channels = [cluster.channel(cluster.target.address, role) for role in ROLES]
+    has_socket = outcome.port == "host" and bool(cluster.metadata)
+    socket = await socket_target(channels[0], cluster.metadata) if has_socket else ""
 
     async def calls(number: int) -> None:
         caller = HostileCaller(methods, known, cluster.metadata, outcome, seed=f"{outcome.seed}/{number}")
+        caller.socket = socket
         while outcome.inputs < inputs and time.monotonic() - began < seconds and cluster.target.alive:
             await caller.play(channels[number % len(channels)])
             outcome.seconds = time.monotonic() - began
