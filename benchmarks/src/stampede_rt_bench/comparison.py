@@ -29,6 +29,7 @@ LIMITS: Mapping[str, System] = {
 }
 SYSTEMS: Mapping[str, System] = {
     "stampede": StampedeRt(),
+    "stampede-socket": StampedeRt("Stampede RT, sockets", "socket"),
     "redis": RedisStreams("tcp"),
     "redis-unix": RedisStreams("unix"),
     "nats": NatsCore(),

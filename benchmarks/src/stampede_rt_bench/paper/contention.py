@@ -52,7 +52,7 @@ class NewestByTurns(StampedeRt):
 
     def connect(self, served: Served, room: Room) -> StampedeClient:
         """Return a client with a new connection."""
-        return NewestClient(served.address, room)
+        return NewestClient(served.address, room, self.transport)
 
 
 class NewestClient(StampedeClient):

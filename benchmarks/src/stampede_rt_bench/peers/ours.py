@@ -21,9 +21,10 @@ LOOK_SECONDS = 0.05
 
 @dataclass(frozen=True)
 class StampedeRt:
-    """One channel of a separate host."""
+    """One channel of a separate host. `transport`: see `stampede_rt.connect`."""
 
     name: str = "Stampede RT"
+    transport: str = "grpc"
 
     @property
     def lacks(self) -> Mapping[str, str]:
@@ -51,14 +52,14 @@ class StampedeRt:
 
     def connect(self, served: Served, room: Room) -> StampedeClient:
         """Return a client with a new connection."""
-        return StampedeClient(served.address, room)
+        return StampedeClient(served.address, room, self.transport)
 
 
 class StampedeClient:
     """A client of the blocking public interface."""
 
-    def __init__(self, address: str, room: Room) -> None:
-        self._rt = st.connect(address)
+    def __init__(self, address: str, room: Room, transport: str) -> None:
+        self._rt = st.connect(address, transport=transport)
         self._channel = self._rt.channel(NAME, max_items=room.items_max)
 
     def put(self, payloads: Iterator[bytes]) -> None:

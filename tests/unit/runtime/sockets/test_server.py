@@ -120,6 +120,18 @@ async def test_streams_over_sockets_and_over_grpc_count_towards_the_same_limits(
         over_grpc.cancel()
 
 
+async def test_a_stream_that_is_closing_takes_no_more_messages(port: Open) -> None:
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(HOLD)
+        await one.streams.held.acquire()
+        [made] = one.server.sockets._streams
+        made.abort()
+        with pytest.raises(grpc.aio.InternalError):
+            await made.write(b"late")
+        made.look(1.0, is_local=True)
+        made.end(b"")
+
+
 async def test_a_close_cancels_the_method(port: Open) -> None:
     async with port() as one:
         async with raw_stream(one.target) as stream:

@@ -120,7 +120,7 @@ class StreamSocket(asyncio.Protocol):
             await self._came
         message = self._messages.popleft()
         self._unread_bytes -= len(message) + _MESSAGE_OVERHEAD_BYTES
-        if self._is_paused and self._unread_bytes <= self._limits.unread_bytes_max and not self._is_lost:
+        if self._is_paused and self._unread_bytes <= self._limits.unread_bytes_max and not self._is_closing:
             self._is_paused = False
             self._hangups.forget(self.socket)
             self._transport.resume_reading()
@@ -128,6 +128,8 @@ class StreamSocket(asyncio.Protocol):
 
     async def write(self, message: bytes) -> None:
         """Write a message. Returns when the system has taken it. Raises InternalError if the peer has gone."""
+        if self.is_over or self._is_closing:
+            raise InternalError("the stream has ended")
         if len(message) <= _JOINED_BYTES_MAX:
             self._write(frame_of(FrameKind.MESSAGE, message))
         else:
@@ -145,7 +147,7 @@ class StreamSocket(asyncio.Protocol):
             return
         self.is_over = True
         self._messages.clear()
-        if self._is_lost:
+        if self._is_closing:
             return
         if not self._is_full:  # else the peer reads nothing
             self._write(frame_of(FrameKind.STATUS, status))
@@ -166,7 +168,7 @@ class StreamSocket(asyncio.Protocol):
 
     def look(self, now_s: float, *, is_local: bool) -> None:
         """Give a sign of life if nothing else was written since the last look. End a stream that does not go on."""
-        if self._is_lost or self.is_over or not self.is_opened:
+        if self._is_closing or self.is_over or not self.is_opened:
             return
         if self._frame_since_s is not None and now_s - self._frame_since_s > FRAME_SECONDS_MAX:
             self._owner.failed(self, _unfinished(self._frames.unfinished_bytes))
@@ -180,6 +182,11 @@ class StreamSocket(asyncio.Protocol):
         if not (self._has_written or waiting_bytes or (is_local and _unread_by_peer(self.socket))):
             self._write(ALIVE)
         self._has_written = False
+
+    @property
+    def _is_closing(self) -> bool:
+        """Whether the connection is closed, or will be soon. From then on uvloop's transport takes no calls."""
+        return self._is_lost or self._transport.is_closing()
 
     def _take(self, kind: int, body: bytes) -> None:
         if not self.is_opened:
