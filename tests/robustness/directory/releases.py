@@ -95,11 +95,11 @@ class UpgradedMember(DirectoryMember):
         """The first who applies the new level sees whom it is meant for."""
         members = [self.world.members[one.member_id] for one in _applied_members(replica)]
         if unknown := [one.member.member_id for one in members if not one.was_newer]:
-            raise PromiseBroken(f"the level has risen above what {unknown[0]} has ever told to know")
+            raise PromiseBroken(f"the level has risen above what {unknown[0]} has ever reported to know")
 
     def _left_behind(self) -> None:
         if not self.was_newer and self._is_in():
-            raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever told to know")
+            raise PromiseBroken(f"the level has risen above what {self.member.member_id} has ever reported to know")
 
     def _is_in(self) -> bool:
         """Whether it is a member by what another one has applied, and not somebody who would like to be."""

@@ -5,7 +5,7 @@ by one and sometimes back again, while they are killed, split and hang, and newc
 may be off while the others are upgraded, and comes back with the release that it had. All the time somebody proposes
 the newer release's command straight to the log, which no supernode would do: the log must keep it out until all know
 it. No two states may come to differ, no command above the level may be in the log, and no member may be left behind by
-a level that it never told to know. In the end all run the newer release, and the command works.
+a level that it never reported to know. In the end all run the newer release, and the command works.
 """
 
 from __future__ import annotations
