@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 import resource
 import threading
-from pathlib import Path
 
 # malloc.h
 _M_TRIM_THRESHOLD = -1
@@ -36,6 +36,8 @@ UNUSED_BYTES_MAX = 64 * 2**20
 """If the unused memory is greater than its least amount so far by more than this, the process returns it to the system.
 """
 
+_STATM_BYTES_MAX = 256
+
 
 def give_back_memory() -> None:
     """From now on return freed memory to the system soon. Call it before other threads start."""
@@ -45,7 +47,8 @@ def give_back_memory() -> None:
         library.mallopt(_M_MMAP_THRESHOLD, OWN_MAPPING_BYTES)
         library.mallopt(_M_TRIM_THRESHOLD, KEPT_BYTES_MAX)
         library.mallopt(_M_ARENA_MAX, ARENAS_MAX)
-        threading.Thread(target=_trim_now_and_then, args=(library,), name="allocator", daemon=True).start()
+        statm = os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
+        threading.Thread(target=_trim_now_and_then, args=(library, statm), name="allocator", daemon=True).start()
 
 
 _FIELDS = ["arena", "ordblks", "smblks", "hblks", "hblkhd", "usmblks", "fsmblks", "uordblks", "fordblks", "keepcost"]
@@ -57,20 +60,24 @@ class _Mallinfo2(ctypes.Structure):
     _fields_ = tuple((name, ctypes.c_size_t) for name in _FIELDS)
 
 
-def _trim_now_and_then(library: ctypes.CDLL) -> None:
+def _trim_now_and_then(library: ctypes.CDLL, statm: int) -> None:
     """Return the memory of freed small blocks to the system when there is much of it. Runs without end, on a thread."""
-    least_bytes = _unused_bytes(library)
+    least_bytes = _unused_bytes(library, statm)
     wait = threading.Event().wait
     while not wait(TRIM_SECONDS):
-        unused_bytes = _unused_bytes(library)
+        unused_bytes = _unused_bytes(library, statm)
         if unused_bytes > least_bytes + UNUSED_BYTES_MAX:
             library.malloc_trim(0)
-            least_bytes = _unused_bytes(library)
+            least_bytes = _unused_bytes(library, statm)
         least_bytes = min(least_bytes, unused_bytes)
 
 
-def _unused_bytes(library: ctypes.CDLL) -> int:
-    """The resident memory outside malloc's used blocks: free blocks, code and other mappings (proc_pid_statm(5))."""
-    resident_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+def _unused_bytes(library: ctypes.CDLL, statm: int) -> int:
+    """The resident memory outside malloc's used blocks: free blocks, code and other mappings (proc_pid_statm(5)).
+
+    `statm`: the descriptor of the process's statm file. It stays open, because the process may have no descriptor left
+    when this function reads the file.
+    """
+    resident_bytes = int(os.pread(statm, _STATM_BYTES_MAX, 0).split()[1]) * resource.getpagesize()
     used = library.mallinfo2()
     return int(resident_bytes - used.uordblks - used.hblkhd)
