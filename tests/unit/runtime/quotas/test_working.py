@@ -189,6 +189,16 @@ def test_usable_time_never_goes_back() -> None:
     assert seen[-1] - seen[0] <= 110 * MS
 
 
+def test_a_failed_look_at_the_statistics_does_not_stop_the_usable_time_for_long() -> None:
+    passed, waited = 100_000 * MS, 60_000 * MS
+    usable = usable_time(lambda: passed, lambda: waited)
+    assert usable() == 40_000 * MS
+    passed, waited = 100_020 * MS, 0  # no descriptor was left
+    assert usable() == 40_020 * MS
+    passed, waited = 100_040 * MS, 60_010 * MS
+    assert usable() == 40_030 * MS
+
+
 def test_the_system_tells_how_long_a_thread_has_waited(monkeypatch: pytest.MonkeyPatch) -> None:
     before = usable_time()()
     assert usable_time()() >= before

@@ -44,7 +44,8 @@ def usable_time(
         nonlocal now, waited, ask_again_at
         passed = clock()
         if passed >= ask_again_at:
-            waited, ask_again_at = ask(), passed + ASK_NANOS
+            # A failed look gives 0, for example while no file descriptor is left. The former value then stays.
+            waited, ask_again_at = max(waited, ask()), passed + ASK_NANOS
         now = max(now, passed - waited)
         return now
 
@@ -52,7 +53,7 @@ def usable_time(
 
 
 def _waited_nanos() -> int:
-    """How long this thread was ready and had no processor. 0 if the system does not tell this."""
+    """How long this thread was ready and had no processor, in nanoseconds. 0 if the system does not say it."""
     try:
         return int(SCHEDULER_STATISTICS.read_bytes().split()[1])
     except (OSError, ValueError, IndexError):
