@@ -16,8 +16,9 @@ from stampede_rt.values.timeline import parse_interval
 from stampede_rt.wire.run_slices import RunSlicer, slice_run
 from stampede_rt.wire.runs import encode_run, seal_run
 from stampede_rt_channel_host.channels import frames
-from stampede_rt_channel_host.channels.frames import SharedMessages, get_error, get_responses
+from stampede_rt_channel_host.channels.frames import SharedDeliveries, get_error, get_responses
 from stampede_rt_channel_host.core.channel import ChannelCore, DeliveredSlice, Offer, Query, ReadAnswer
+from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 NOW = 1_700_000_000_000_000_000
 
@@ -79,29 +80,57 @@ def test_an_error_ends_a_call() -> None:
     assert message.is_last
 
 
-def test_readers_that_keep_up_share_one_message() -> None:
-    channel, stored = channel_of([3, 4])
-    one, other = channel.subscribe_all(NOW, start=parse_interval(0, 0).start), None
-    other = channel.subscribe_all(NOW, start=parse_interval(0, 0).start)
-    shared = SharedMessages()
-    first = shared.encode(channel.since(one, NOW, 10**6).slices, b"", without_payloads=False, readers=2)
-    second = shared.encode(channel.since(other, NOW, 10**6).slices, b"", without_payloads=False, readers=2)
-    assert first is second
-    assert first.payload_bytes == 7
+def delivered(lengths: Sequence[int]) -> tuple[Sequence[DeliveredSlice], list[bytes]]:
+    """What a reader from the beginning of a new channel gets, and the stored bytes."""
+    channel, stored = channel_of(lengths)
+    cursor = channel.subscribe_all(NOW, start=parse_interval(0, 0).start)
+    return channel.since(cursor, NOW, 10**6).slices, stored
+
+
+def test_readers_of_the_same_items_share_one_message_until_all_of_them_have_it() -> None:
+    slices, stored = delivered([3, 4])
+    shared = SharedDeliveries()
+    first = shared.encode(slices, b"", without_payloads=False, readers=3)
+    assert shared.kept_bytes > len(first.encoded)
+    assert shared.encode([*slices], b"", without_payloads=False, readers=3) is first
+    assert shared.encode(slices, b"", without_payloads=False, readers=3) is first
+    assert (shared.encodings, shared.kept_bytes) == (1, 0)
+    assert (first.payload_bytes, first.charge_bytes) == (7, 7 + 2 * ITEM_OVERHEAD_BYTES)
     assert [run.run for run in raw_run_pb2.RawSubscribeResponse.FromString(first.encoded).runs] == stored
 
 
+def test_a_message_for_a_single_reader_is_not_kept() -> None:
+    slices, _ = delivered([3])
+    shared = SharedDeliveries()
+    shared.encode(slices, b"", without_payloads=False, readers=1)
+    assert shared.kept_bytes == 0
+
+
+def test_kept_messages_are_bounded_in_bytes_and_the_newest_always_stays() -> None:
+    shared = SharedDeliveries(bytes_max=100_000)
+    small = [delivered([20_000])[0] for _ in range(5)]
+    for slices in small:
+        shared.encode(slices, b"", without_payloads=False, readers=2)
+        assert shared.kept_bytes <= 100_000
+    shared.encode(small[-1], b"", without_payloads=False, readers=2)
+    assert shared.encodings == 5
+    shared.encode(small[0], b"", without_payloads=False, readers=2)
+    assert shared.encodings == 6
+    large, _ = delivered([200_000])
+    first = shared.encode(large, b"", without_payloads=False, readers=3)
+    assert shared.encode(large, b"", without_payloads=False, readers=3) is first
+    assert 400_000 <= shared.kept_bytes < 410_000  # the message and the run of it, and nothing else
+
+
 def test_a_message_for_others_is_made_anew() -> None:
-    channel, stored = channel_of([3])
-    slices: Sequence[DeliveredSlice] = channel.since(
-        channel.subscribe_all(NOW, start=parse_interval(0, 0).start), NOW, 10**6
-    ).slices
-    shared = SharedMessages()
+    slices, stored = delivered([3])
+    shared = SharedDeliveries()
     plain = shared.encode(slices, b"", without_payloads=False, readers=2)
     bare = shared.encode(slices, b"", without_payloads=True, readers=2)
     news = pb.SubscribeResponse(gap=pb.SubscriptionGap(first_seq=1, last_seq=2))
     told = shared.encode(slices, news.SerializeToString(), without_payloads=False, readers=2)
     assert bare.payload_bytes == 0
+    assert bare.charge_bytes == plain.charge_bytes
     parsed = raw_run_pb2.RawSubscribeResponse.FromString(bare.encoded)
     assert parsed.runs[0].run == slice_run(stored[0], 0, 1, without_payloads=True)
     assert len({plain.encoded, bare.encoded, told.encoded}) == 3

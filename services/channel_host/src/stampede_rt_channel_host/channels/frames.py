@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -16,6 +17,8 @@ from stampede_rt.wire.run_slices import RunSlicer
 from stampede_rt_channel_host.core.channel import ColumnRun, DeliveredSlice, ReadAnswer, Slice, drained
 
 MESSAGE_BYTES_MAX = 2**20  # of runs in one message; a message with a single run may be larger
+SHARED_BYTES_MAX = 4 * 2**20  # of the deliveries that a host keeps for further readers
+KEPT_DELIVERY_BYTES = 1024  # the approximate memory of a kept delivery besides its bytes
 MESSAGE_RUNS_MAX = 512  # a limit, so that a message of many small runs is made within two milliseconds
 
 _LENGTH_DELIMITED = 2
@@ -80,32 +83,76 @@ def get_error(call_id: int, error: error_pb2.Error) -> Iterator[EncodedMessage]:
     yield EncodedMessage(b"".join((head, _GET_ERROR, _varint(len(encoded)), encoded)), 0, True)
 
 
-class SharedMessages:
-    """The last encoded message of a channel's subscriptions. All readers of the same items get the same bytes.
+class Delivery(NamedTuple):
+    """One message of a subscription, its payload bytes, and the bytes that it costs the reader's credit."""
 
-    Keeps one message at most.
+    encoded: bytes
+    payload_bytes: int
+    charge_bytes: int
+
+
+_Key = tuple[tuple[DeliveredSlice, ...], bytes, bool]  # runs compare by identity
+
+
+@dataclass(slots=True)
+class _Shared:
+    """A kept delivery, the bytes that it keeps in memory, and how many readers have not taken it yet."""
+
+    delivery: Delivery
+    kept_bytes: int
+    readers_left: int
+
+
+class SharedDeliveries:
+    """The latest deliveries of a host's subscriptions. All readers that are to get the same items get the same bytes.
+
+    Forgets a delivery when all readers of the channel have taken it. Forgets the oldest ones beyond SHARED_BYTES_MAX,
+    but never the newest one.
     """
 
-    __slots__ = ("_key", "_message")
-
-    def __init__(self) -> None:
-        self._key: tuple[Sequence[DeliveredSlice], bytes, bool] | None = None  # the arguments that made the message
-        self._message: EncodedMessage | None = None
+    def __init__(self, bytes_max: int = SHARED_BYTES_MAX) -> None:
+        self._bytes_max = bytes_max
+        self._shared: dict[_Key, _Shared] = {}
+        self.kept_bytes = 0
+        """The bytes of the kept messages, and of the runs that they keep in memory."""
+        self.encodings = 0
+        """The number of deliveries encoded so far."""
 
     def encode(
         self, slices: Sequence[DeliveredSlice], about: bytes, *, without_payloads: bool, readers: int
-    ) -> EncodedMessage:
+    ) -> Delivery:
         """A SubscribeResponse with the runs `slices` and the encoded fields `about`.
 
-        Keeps the message if `readers`, the number of the channel's subscriptions, is above 1.
+        `readers`: the number of the channel's subscriptions, this one included.
         """
-        key = (slices, about, without_payloads)
-        if key == self._key and self._message is not None:  # runs compare by identity
-            return self._message
+        key = (tuple(slices), about, without_payloads)
+        shared = self._shared.get(key)
+        if shared is None:
+            delivery = self._encode(slices, about, without_payloads)
+            if readers > 1:
+                self._keep(key, delivery, readers - 1)
+            return delivery
+        shared.readers_left -= 1
+        if not shared.readers_left:
+            self._forget(key)
+        return shared.delivery
+
+    def _encode(self, slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> Delivery:
+        self.encodings += 1
         payload_bytes = 0 if without_payloads else sum(one.slice.payload_bytes for one in slices)
-        message = EncodedMessage(_subscribe_response(slices, about, without_payloads), payload_bytes, False)
-        self._key, self._message = (key, message) if readers > 1 else (None, None)
-        return message
+        charge_bytes = sum(one.slice.charge_bytes for one in slices)
+        return Delivery(_subscribe_response(slices, about, without_payloads), payload_bytes, charge_bytes)
+
+    def _keep(self, key: _Key, delivery: Delivery, readers_left: int) -> None:
+        run_bytes = sum(len(run.body) for run in {one.slice.run for one in key[0]})
+        kept_bytes = len(delivery.encoded) + run_bytes + KEPT_DELIVERY_BYTES
+        while self._shared and self.kept_bytes + kept_bytes > self._bytes_max:
+            self._forget(next(iter(self._shared)))
+        self._shared[key] = _Shared(delivery, kept_bytes, readers_left)
+        self.kept_bytes += kept_bytes
+
+    def _forget(self, key: _Key) -> None:
+        self.kept_bytes -= self._shared.pop(key).kept_bytes
 
 
 def _subscribe_response(slices: Sequence[DeliveredSlice], about: bytes, without_payloads: bool) -> bytes:

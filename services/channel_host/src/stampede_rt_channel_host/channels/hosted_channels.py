@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from stampede_rt.errors import StampedeError
 from stampede_rt.wire.run_slices import slice_run
-from stampede_rt_channel_host.channels.frames import SharedMessages
+from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.memory import Charge, MemoryBudget
 from stampede_rt_channel_host.channels.observers import ChannelObserver, Observers
 from stampede_rt_channel_host.channels.puts import ChannelPuts
@@ -44,11 +44,13 @@ class HostedChannel:
         may_serve: Callable[[], bool] = lambda: True,
         begin: Callable[[Pieces[None]], None] = run_to_end,
         limits: TimeLimits | None = None,
+        deliveries: SharedDeliveries | None = None,
     ) -> None:
         """Set up the channel of `record`.
 
         The channel calls `on_touched` at every change. `may_serve` says whether the host has its lease. `begin` does
-        long work that nobody waits for (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host.
+        long work that nobody waits for (`PieceScheduler.begin`). `limits` bounds the waits of all gets of the host,
+        and `deliveries` has the messages that readers of the host share.
         Raises InvalidArgument if the record's policy is not possible.
         """
         self.record = record
@@ -73,7 +75,7 @@ class HostedChannel:
         self.group_gets: dict[object, None] = {}  # blocked gets through groups
         # Streams of cut events, and of matches for another channel's items. An empty dict takes less memory than a set.
         self.group_readers: dict[object, None] = {}
-        self.messages = SharedMessages()
+        self.deliveries = deliveries or SharedDeliveries()
         self.delivered_bytes = 0
         self.due: int | None = None  # when the sweep looks at the channel; `Deadlines` sets it
         self.order = next(_orders)  # decides between channels that are due at the same time

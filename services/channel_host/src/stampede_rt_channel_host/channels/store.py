@@ -19,6 +19,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.created_here import CreatedHere
 from stampede_rt_channel_host.channels.deletions import Deletions
+from stampede_rt_channel_host.channels.frames import SharedDeliveries
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.id_owners import IdOwners
 from stampede_rt_channel_host.channels.memory import MemoryBudget
@@ -68,6 +69,7 @@ class ChannelStore:
         self.lease_held = lease_held
         self.scheduler = PieceScheduler()
         self.limits = TimeLimits(self.scheduler.begin)
+        self.deliveries = SharedDeliveries()
         self._identity = identity
         self._directory = directory
         self._clock = clock
@@ -284,7 +286,14 @@ class ChannelStore:
             raise Overloaded(f"host {self._identity.name} has {CHANNELS_MAX} channels, the limit; use another host")
         self._created_here.check(record.created_by)
         hosted = HostedChannel(
-            record, self.memory, self.now, self.sweep.touch, self._may_serve, self.scheduler.begin, self.limits
+            record,
+            self.memory,
+            self.now,
+            self.sweep.touch,
+            self._may_serve,
+            self.scheduler.begin,
+            self.limits,
+            self.deliveries,
         )
         hosted.registration = self._registrations
         self._channels[record.channel_id] = hosted

@@ -7,12 +7,13 @@ no delay, and a busy stream sends large messages.
 from __future__ import annotations
 
 import asyncio
+from functools import lru_cache
 
 from stampede_rt.errors import InvalidArgument, Overloaded, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message
 from stampede_rt_channel_host.channels.credit import Credit, requests_of
-from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, EncodedMessage
+from stampede_rt_channel_host.channels.frames import MESSAGE_BYTES_MAX, Delivery
 from stampede_rt_channel_host.channels.group_access import Cursor, GroupAccess
 from stampede_rt_channel_host.channels.hosted_channels import SUBSCRIPTIONS_MAX, HostedChannel
 from stampede_rt_channel_host.channels.observers import ChangeObserver
@@ -34,6 +35,7 @@ from stampede_rt_runtime.rpc import Context
 
 # after this time without a message, the reader gets a progress message; the contract says at least every 5 s
 PROGRESS_SECONDS = 4.0
+CURSORS_KEPT = 64  # encoded cursors, each of about 100 bytes
 WRITE_SECONDS_MAX = 30.0  # if the reader takes nothing for this time during a write, the subscription ends
 
 
@@ -178,11 +180,12 @@ class Subscription(ChangeObserver):
         self.listen()
         now = self._store.now()
         part = cursor.take(now, min(self._credit.left, MESSAGE_BYTES_MAX))
-        message = None if part.is_empty else self._message_of(part, cursor, now, without_payloads=without_payloads)
-        if message is not None:
+        if not part.is_empty:
+            delivery = self._delivery_of(part, cursor, now, without_payloads=without_payloads)
+            del part  # so that the runs are not kept in memory while the message is written
             self._work.spend(WRITE_NANOS)
-            await self._write(message.encoded)
-            self._hosted.count_delivered(message.payload_bytes)
+            await self._write(delivery.encoded)
+            self._hosted.count_delivered(delivery.payload_bytes)
         elif part.more:
             await asyncio.sleep(0)
         elif self._owes_cursor and cursor.saved is not None:
@@ -193,24 +196,23 @@ class Subscription(ChangeObserver):
             progress = pb.SubscribeResponse(progress=self._progress(cursor, self._store.now()))
             await self._write(progress.SerializeToString() + self._cursor_bytes(cursor))
 
-    def _message_of(
-        self, part: SubscriptionBatch, cursor: Cursor, now: int, *, without_payloads: bool
-    ) -> EncodedMessage:
-        self._credit.spend(sum(one.slice.charge_bytes for one in part.slices))
-        return self._hosted.messages.encode(
+    def _delivery_of(self, part: SubscriptionBatch, cursor: Cursor, now: int, *, without_payloads: bool) -> Delivery:
+        delivery = self._hosted.deliveries.encode(
             part.slices,
             self._about(part, cursor, now),
             without_payloads=without_payloads,
             readers=len(self._hosted.subscriptions),
         )
+        self._credit.spend(delivery.charge_bytes)
+        return delivery
 
     def _about(self, part: SubscriptionBatch, cursor: Cursor, now: int) -> bytes:
         """The encoded fields before a message's runs: the gap, the progress if its counters changed, and the cursor."""
-        about = pb.SubscribeResponse()
+        if part.gap is None and cursor.skipped == self._sent_skipped:
+            return self._cursor_bytes(cursor)
+        about = pb.SubscribeResponse(progress=self._progress(cursor, now))
         if part.gap is not None:
             about.gap.CopyFrom(_gap(part.gap))
-        if part.gap is not None or cursor.skipped != self._sent_skipped:
-            about.progress.CopyFrom(self._progress(cursor, now))
         return about.SerializeToString() + self._cursor_bytes(cursor)
 
     def _cursor_bytes(self, cursor: Cursor) -> bytes:
@@ -220,7 +222,7 @@ class Subscription(ChangeObserver):
         if saved is None or saved == self._sent_cursor:
             return b""
         self._sent_cursor = saved
-        return pb.SubscribeResponse(cursor=saved_to(saved)).SerializeToString()
+        return _encoded_cursor(saved)
 
     def _progress(self, cursor: Cursor, now: int) -> pb.SubscriptionProgress:
         progress = cursor.progress(now)
@@ -267,6 +269,12 @@ def open_cursor(channel: ChannelCore, opening: pb.SubscribeOpen, now: int) -> Pi
     if is_newest(opening):
         return _Newest(channel, channel.subscribe_newest(now, **where))
     return _All(channel, (yield from channel.subscribing_all(now, **where)))
+
+
+@lru_cache(maxsize=CURSORS_KEPT)
+def _encoded_cursor(saved: SavedCursor) -> bytes:
+    """The cursor as an encoded response. Readers at the same place need the same bytes."""
+    return pb.SubscribeResponse(cursor=saved_to(saved)).SerializeToString()
 
 
 def _gap(gap: Gap) -> pb.SubscriptionGap:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
 from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY, SEQ_END, ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
+from stampede_rt_channel_host.core.channel.shared_batches import SharedBatches
 from stampede_rt_channel_host.core.channel.snapshot import ChannelSnapshot
 from stampede_rt_channel_host.core.channel.span_ends import latest_end
 from stampede_rt_channel_host.core.channel.tally import Tally
@@ -40,7 +41,7 @@ class HeldItems:
         "_newest_items_most", "_newest_longest", "_on_gone", "_reported_to", "_snapshots", "_stored_bytes",
         "_stored_items", "_tally", "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor",
         "freed_entries", "index", "items", "last_cause", "newest", "newest_collected", "newest_consumed", "oldest",
-        "overlap_nanos", "payload_bytes",
+        "overlap_nanos", "payload_bytes", "shared_batches",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -78,6 +79,8 @@ class HeldItems:
         self._kept_body_bytes = 0  # the bodies of all runs with an entry in the index
         self._cut = cut
         self.freed_entries = 0
+        self.shared_batches: SharedBatches | None = None
+        """The batches that readers have taken since the last change of the items, for other readers at the same places."""
 
     @property
     def next_seq(self) -> int:

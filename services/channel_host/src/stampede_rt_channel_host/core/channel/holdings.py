@@ -110,7 +110,7 @@ class Holdings(HeldItems):
 
     def _count_in(self, items: int, payload_bytes: int, low: int) -> None:
         """Count new items, the earliest of them at `low`, in all sums. Close a block of the tally if it is full."""
-        self._following = (None, None)
+        self._following, self.shared_batches = (None, None), None
         if self.items - self._tally.items >= tally.BLOCK_ITEMS and self.newest is not None and low >= self.newest:
             end = self.newest, self.next_seq
             self._tally.close(end, self.items - self._tally.items, self.payload_bytes - self._tally.payload_bytes)
@@ -203,7 +203,7 @@ class Holdings(HeldItems):
         last = front.last
         if last is None:
             return
-        self.last_cause = cause
+        self.last_cause, self.shared_batches = cause, None
         if cause == CONSUMPTION:  # consumption does not move the frontier: earlier items may still come
             before = self.newest_consumed
             self.newest_consumed = last.last_time if before is None else max(before, last.last_time)

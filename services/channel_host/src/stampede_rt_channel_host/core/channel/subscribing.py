@@ -14,6 +14,7 @@ from stampede_rt_channel_host.core.channel.item_keys import FIRST_KEY, LAST_KEY,
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.run import Slice
+from stampede_rt_channel_host.core.channel.shared_batches import SharedBatch, SharedBatches
 from stampede_rt_channel_host.core.channel.values import DeliveredSlice, Gap, SavedCursor, SubscriptionBatch
 from stampede_rt_channel_host.core.merging import Merge
 
@@ -23,6 +24,8 @@ GAP_ENTRIES_MAX = 1024
 So a reader that is far behind does not delay other callers. Such a reader gets several gaps.
 """
 
+
+_NOTHING = SubscriptionBatch()
 
 Range = tuple[int, int]
 """The seqs from the first up to the end, exclusive."""
@@ -200,8 +203,30 @@ def _itself(one: Range) -> Range:
 def since(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
     """The next part of a subscription: a gap if the next items are missing, then slices.
 
-    The slices end before the next gap, or at about `limit_bytes`.
+    The slices end before the next gap, or at about `limit_bytes`. Readers at the same place get the same batch.
     """
+    owed = cursor.owed(held.next_seq)
+    if owed is None:
+        return _NOTHING
+    place, is_last = owed[0], owed[1] == held.next_seq
+    if is_last and held.shared_batches is not None:
+        shared = held.shared_batches.find(place, limit_bytes)
+        if shared is not None:
+            cursor.delivered += shared.items
+            cursor.mark_done(shared.end_seq)
+            return shared.batch
+    before = cursor.delivered
+    batch = _next_batch(held, limits, cursor, limit_bytes)
+    if is_last and batch.gap is None and batch.slices:
+        charge_bytes = sum(one.slice.charge_bytes for one in batch.slices)
+        shared = SharedBatch(batch, cursor.delivered - before, charge_bytes, batch.slices[-1].slice.end_seq)
+        if held.shared_batches is None:
+            held.shared_batches = SharedBatches()
+        held.shared_batches.keep(place, limit_bytes, shared)
+    return batch
+
+
+def _next_batch(held: Holdings, limits: ChannelLimits, cursor: AllCursor, limit_bytes: int) -> SubscriptionBatch:
     gap: Gap | None = None
     slices: list[DeliveredSlice] = []
     while (owed := cursor.owed(held.next_seq)) is not None and limit_bytes > 0:
