@@ -80,7 +80,7 @@ class HeldItems:
         self._cut = cut
         self.freed_entries = 0
         self.shared_batches: SharedBatches | None = None
-        """The batches that readers have taken since the last change of the items, for other readers at the same places."""
+        """The batches that readers have taken since the last change of the items; None if there are none."""
 
     @property
     def next_seq(self) -> int:
