@@ -8,17 +8,19 @@ have one client token, and the attacker has another.
 from __future__ import annotations
 
 import argparse
-import asyncio
 import sys
 
 from stampede_rt_bench.tables import Table
 from tests.benchmarks.attacks.catalogue import CASES
-from tests.benchmarks.attacks.trial import Found, trial
+from tests.benchmarks.attacks.own_process import Unfinished, in_own_process
+from tests.benchmarks.attacks.trial import Found, run_trial
 
 COLUMNS = (
     "attack", "before", "RSS, MiB", "good calls, failed", "good put alone, p50 / p99, ms", "beside the attack",
     "p99 longer",
 )  # fmt: skip
+RUN_SECONDS_MAX = 180.0
+"""The longest time of one run beside four times the length of the attack. Then it is killed."""
 LOG_BYTES_USUAL = 2000  # of a cluster under attack that says nothing of it
 
 
@@ -38,10 +40,12 @@ def row(found: Found, attack: str) -> list[str]:
 
 
 def measure(name: str, seconds: float, runs: int) -> Found:
-    """The run whose ratio is the median. Tells of each run on standard error."""
-    every = [asyncio.run(trial(name, seconds)) for _ in range(runs)]
-    for found in every:
+    """The run whose ratio is the median. Tells of each run on standard error. Raises Unfinished."""
+    every = []
+    for _ in range(runs):
+        found = in_own_process(run_trial, name, seconds, seconds=RUN_SECONDS_MAX + 4 * seconds)
         print("  ".join(row(found, name)), *found.beside.failures[:1], sep="  ", file=sys.stderr, flush=True)
+        every.append(found)
     return sorted(every, key=lambda found: found.p99_ratio)[len(every) // 2]
 
 
@@ -58,15 +62,19 @@ def main() -> int:
     if unknown := set(options.names) - set(CASES):
         parser.error(f"there is no attack {', '.join(sorted(unknown))}; there are {', '.join(CASES)}")
     table, unmeasured = Table(COLUMNS), []
-    for name in options.names or CASES:
+    names = options.names or [*CASES]
+    for number, name in enumerate(names, start=1):
+        print(f"{number} of {len(names)}: {name}", file=sys.stderr, flush=True)
         try:
             found = measure(name, options.seconds, options.runs)
-        except (TimeoutError, AssertionError) as error:
-            print(f"{name} was not measured: {error!r}", file=sys.stderr, flush=True)
+        except Unfinished as error:
+            print(f"{name} was not measured: {error}", file=sys.stderr, flush=True)
             unmeasured.append(name)
             continue
         table.rows.append(row(found, f"`{name}`: {CASES[name].text}" if options.markdown else name))
     print(table.markdown() if options.markdown else table.render())
+    if unmeasured:
+        print(f"not measured: {', '.join(unmeasured)}", file=sys.stderr)
     return 1 if unmeasured else 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import resource
 import secrets
 import statistics
@@ -45,8 +46,15 @@ class Good:
     failures: list[str] = field(default_factory=list)
 
     def quantile_ms(self, percent: int) -> float:
-        """Of a put."""
-        return statistics.quantiles(self.puts_ms or [0.0], n=100, method="inclusive")[percent - 1]
+        """Of a put; infinite if no put came to an end."""
+        if len(self.puts_ms) < 2:
+            return max(self.puts_ms, default=math.inf)
+        return statistics.quantiles(self.puts_ms, n=100, method="inclusive")[percent - 1]
+
+    def note(self, put_ms: float) -> None:
+        """Count a put that did not succeed, if it was the longest."""
+        if put_ms > max(self.puts_ms, default=0.0):
+            self.puts_ms.append(put_ms)
 
 
 @dataclass
@@ -121,6 +129,11 @@ async def field_for(name: str) -> AsyncIterator[Field]:
         yield one
     finally:
         await asyncio.to_thread(one.cluster.__exit__, None, None, None)
+
+
+def run_trial(name: str, seconds: float) -> Found:
+    """A trial in a loop of its own."""
+    return asyncio.run(trial(name, seconds))
 
 
 async def trial(name: str, seconds: float) -> Found:
@@ -219,11 +232,15 @@ async def _make_and_delete(rt: Any, good: Good) -> None:
 
 
 async def _put_and_read(channel: Any, good: Good) -> None:
-    began_s = time.perf_counter()
+    began_s, is_put = time.perf_counter(), False
     good.calls += 2
     try:
         await channel.put(b"x" * 100, timeout=CALL_SECONDS)
         good.puts_ms.append((time.perf_counter() - began_s) * 1000)
+        is_put = True
         await channel.newest(timeout=CALL_SECONDS)
     except st.StampedeError as error:
         good.failures.append(str(error))
+    finally:
+        if not is_put:  # it failed, or the trial ended meanwhile
+            good.note((time.perf_counter() - began_s) * 1000)

@@ -1,0 +1,43 @@
+"""Does work in a process of its own, which ends with the work or is killed: what hangs holds up nothing else."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+
+R = TypeVar("R")
+_SPAWNED = multiprocessing.get_context("spawn")
+
+
+class Unfinished(Exception):
+    """The work failed, or its process was killed; the text says why."""
+
+
+def in_own_process(work: Callable[..., R], *arguments: Any, seconds: float) -> R:
+    """Return what `work` returns. It is a function of a module. Raises Unfinished."""
+    receiver, sender = _SPAWNED.Pipe(duplex=False)
+    process = _SPAWNED.Process(target=_do, args=(sender, work, arguments))
+    process.start()
+    sender.close()
+    try:
+        if not receiver.poll(seconds):
+            raise Unfinished(f"it was killed after {seconds:.0f} s")
+        failure, found = receiver.recv()
+    except EOFError:
+        process.join()
+        raise Unfinished(f"its process ended with status {process.exitcode}") from None
+    finally:
+        process.kill()  # the services that it started end with it
+        process.join()
+    if failure:
+        raise Unfinished(failure)
+    return found  # type: ignore[no-any-return]
+
+
+def _do(sender: Connection, work: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    try:
+        sender.send(("", work(*arguments)))
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is told
+        sender.send((repr(error), None))
