@@ -162,3 +162,19 @@ async def test_an_enqueue_waits_for_its_turn_before_it_is_judged(rig: QueueRig) 
     await waits_in_line(turn, queue.status)
     assert (await queue.status()).counters.accepted == 1
     await heavy.connection.close()
+
+
+async def test_a_get_that_is_too_long_is_refused_at_once_and_does_not_wait_for_its_turn(host: Host) -> None:
+    left = await host.open("left")
+    heavy = Heavy(host.target, host.accounts)
+    call: Any = heavy.connection.stream_stream("/stampede_rt.v1.ChannelService/Get")()
+    request = pb.GetRequest(call_id=1, channel_id=left.channel_id, epoch=1, interval=between(MIN_INSTANT, MAX_INSTANT))
+    await call.write(request.SerializeToString())
+    await call.read()
+    turn = heavy.overspend()
+    await call.write(bytes(200_000))
+    async with asyncio.timeout(WAIT_SECONDS):
+        assert await call.code() is grpc.StatusCode.INVALID_ARGUMENT
+    assert "has 200000 bytes" in await call.details()
+    assert not turn.has_line
+    await heavy.connection.close()

@@ -116,6 +116,14 @@ class Stream:
         return "ipv4:1.2.3.4:5"
 
 
+async def test_a_long_message_that_was_read_counts_for_its_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+    spent: list[object] = []
+    monkeypatch.setattr(CallerWork, "received", lambda work, message: spent.append(message))
+    context = PacedContext(Stream(), TurnGate(), TurnGate(), ONE)  # type: ignore[arg-type]
+    assert await context.read() == b"request"
+    assert spent == [b"request"]
+
+
 @pytest.mark.parametrize("operation", ["read", "write"])
 async def test_streams_whose_messages_are_through_at_once_go_on_a_few_in_each_turn(operation: str) -> None:
     turns, reads, writes, done = Turns(), TurnGate(), TurnGate(), list[Any]()

@@ -21,7 +21,7 @@ import grpc
 from stampede_rt_runtime.access.control import current_account, current_work
 from stampede_rt_runtime.handlers import behavior_of, is_stream, with_behavior
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
-from stampede_rt_runtime.quotas.working import WRITE_NANOS, charged
+from stampede_rt_runtime.quotas.working import WRITE_NANOS, CallerWork, charged
 from stampede_rt_runtime.rpc import Context
 
 STREAMS_PER_TURN = 16
@@ -78,10 +78,12 @@ class PacedContext:
         self._reads = reads
         self._writes = writes
         self._caller = caller or unlimited()
+        self._work = CallerWork(self._caller)
 
     async def read(self) -> Any:
         """The next message, or EOF. Returns when the message is there and the gate admits the stream."""
         message = await self._context.read()
+        self._work.received(message)
         if not self._reads.admits(self._caller):
             await self._reads.turn(self._caller)
         return message

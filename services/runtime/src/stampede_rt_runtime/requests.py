@@ -18,7 +18,7 @@ import grpc
 
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.status import abort
-from stampede_rt_runtime.access.control import current_account
+from stampede_rt_runtime.access.control import current_account, current_work
 from stampede_rt_runtime.handlers import behavior_of
 from stampede_rt_runtime.quotas.accounts import Account, unlimited
 from stampede_rt_runtime.rpc import Context
@@ -81,6 +81,7 @@ def _with_one_request(method: str, behavior: Callable[..., Any], parse: Parse | 
         try:
             async with asyncio.timeout(REQUEST_SECONDS_MAX), _turn_to_read():
                 raw = await context.read()
+                current_work().received(raw)
         except TimeoutError:
             raise DeadlineExceeded(
                 f"no whole request of {method} came within {REQUEST_SECONDS_MAX:g} s; send it when the call begins"

@@ -6,15 +6,25 @@ import asyncio
 import inspect
 from collections.abc import Coroutine
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import grpc.aio
 import pytest
 
 from stampede_rt_runtime.quotas import working
 from stampede_rt_runtime.quotas.accounts import Account, Accounts, unlimited
 from stampede_rt_runtime.quotas.limits import DEFAULTS, Quota, QuotaSetting, QuotaTable
 from stampede_rt_runtime.quotas.turns import Turns
-from stampede_rt_runtime.quotas.working import CALL_NANOS, CallerWork, charged, loop_turns, usable_time
+from stampede_rt_runtime.quotas.working import (
+    CALL_NANOS,
+    LONG_BYTES,
+    NANOS_PER_BYTE,
+    CallerWork,
+    charged,
+    loop_turns,
+    usable_time,
+)
 
 MS = 1_000_000
 
@@ -54,6 +64,25 @@ async def test_a_caller_that_leaves_its_line_does_not_hold_up_those_behind_it() 
     waiting[0].cancel()
     async with asyncio.timeout(10):
         await asyncio.gather(*waiting[1:])
+
+
+class Spent:
+    """A turn that keeps what is spent."""
+
+    def __init__(self) -> None:
+        self.nanos: list[int] = []
+
+    def spend(self, nanos: int) -> None:
+        self.nanos.append(nanos)
+
+
+@pytest.mark.parametrize("length_bytes", [0, LONG_BYTES, LONG_BYTES + 1, 2**18])
+async def test_the_bytes_of_a_long_message_count_for_its_caller(length_bytes: int) -> None:
+    account: Any = SimpleNamespace(turn=Spent())
+    CallerWork(account).received(bytes(length_bytes))
+    assert account.turn.nanos == ([length_bytes * NANOS_PER_BYTE] if length_bytes > LONG_BYTES else [])
+    CallerWork(unlimited()).received(bytes(length_bytes))
+    CallerWork(account).received(grpc.aio.EOF)
 
 
 async def test_what_nobody_is_bound_by_never_waits() -> None:

@@ -48,6 +48,12 @@ class GetCall:
     refusal: StampedeError | None = None
 
 
+def check_length(raw: bytes) -> None:
+    """Raises InvalidArgument for a request of more than REQUEST_BYTES_MAX."""
+    if len(raw) > REQUEST_BYTES_MAX:
+        raise InvalidArgument(f"the get request has {len(raw)} bytes; it has at most {REQUEST_BYTES_MAX}")
+
+
 class GetPlans:
     """The plans of one stream, at most PLANS_MAX. If a further plan comes, all kept plans are dropped first."""
 
@@ -55,9 +61,7 @@ class GetPlans:
         self._plans: dict[bytes, GetPlan] = {}
 
     def read(self, raw: bytes) -> GetCall:
-        """Decode one request. Raises InvalidArgument if the bytes are no request, or more than REQUEST_BYTES_MAX."""
-        if len(raw) > REQUEST_BYTES_MAX:
-            raise InvalidArgument(f"the get request has {len(raw)} bytes; it has at most {REQUEST_BYTES_MAX}")
+        """Decode one request, whose length was checked. Raises InvalidArgument if the bytes are no request."""
         call_id, rest = _split(raw)
         plan = self._plans.get(rest)
         return GetCall(call_id, plan) if plan is not None else self._read_new(raw, rest)

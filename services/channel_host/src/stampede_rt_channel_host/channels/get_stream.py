@@ -18,7 +18,7 @@ from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.wire.reads import reason_to_message, resolved_to_message
 from stampede_rt_channel_host.channels.frames import get_error, get_responses
-from stampede_rt_channel_host.channels.get_plans import GetCall, GetPlan, GetPlans
+from stampede_rt_channel_host.channels.get_plans import GetCall, GetPlan, GetPlans, check_length
 from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.outbox import COUNTED_BYTES_MAX, Outbox
@@ -111,6 +111,7 @@ class GetStream:
         """
         try:
             while (raw := await self._context.read()) is not EOF:
+                check_length(raw)  # before the turn, for which 1280 requests of 200 KiB waited
                 if self._work.must_wait:
                     await self._work.turn()
                 self._work.spend(READ_NANOS)

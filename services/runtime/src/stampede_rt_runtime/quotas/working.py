@@ -18,6 +18,11 @@ CALL_NANOS = 400_000
 """The approximate time that gRPC takes to read a message, to write a message, and for a call. The measured steps do not
 contain this time.
 """
+LONG_BYTES = 4096
+NANOS_PER_BYTE = 1
+"""A message from LONG_BYTES on takes gRPC this much more. With grpcio 1.85.1, 262,000 bytes took 0.4 ms, and 200 bytes 0.03
+ms: the kernel and gRPC copy each byte, and Python once more.
+"""
 SCHEDULER_STATISTICS = Path("/proc/thread-self/schedstat")
 ASK_NANOS = 10_000_000  # the interval between two looks at the scheduler's statistics, each of which takes about 20 us
 
@@ -89,6 +94,11 @@ class CallerWork:
         """Count time that gRPC takes for the caller: READ_NANOS, WRITE_NANOS or CALL_NANOS."""
         if self._turn is not None:
             self._turn.spend(nanos)
+
+    def received(self, message: Any) -> None:
+        """Count the time that the bytes of a long message took, before the stream or call does anything with it."""
+        if self._turn is not None and isinstance(message, bytes) and len(message) > LONG_BYTES:
+            self._turn.spend(len(message) * NANOS_PER_BYTE)
 
 
 def charged(account: Account, work: Coroutine[Any, Any, Result]) -> Coroutine[Any, Any, Result]:
