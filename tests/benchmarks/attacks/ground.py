@@ -29,12 +29,16 @@ CHANNELS: list[grpc.aio.Channel] = []  # one that nobody holds is closed
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """The addresses of a cluster with one host and one supernode, and the attacker's token or secret."""
+    """The addresses of a cluster with one host and one supernode, and the attacker's token or secret.
+
+    `flooded`: where long messages go instead of the host; empty: to the host.
+    """
 
     frontend: str
     supernode: str
     host: str
     secret: str
+    flooded: str = ""
 
     @property
     def metadata(self) -> tuple[tuple[str, str], ...]:

@@ -25,12 +25,13 @@ from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_local.process import ServiceProcess
 from tests.benchmarks.attacks.attacker import UNDER_WAY
 from tests.benchmarks.attacks.catalogue import CASES
-from tests.benchmarks.attacks.ground import GOOD_CHANNEL, Ground
+from tests.benchmarks.attacks.ground import GOOD_CHANNEL, OPTIONS, Ground
 
 MEMORY_BUDGET = "64MiB"
 FILES_SOFT = 1024
 ROUNDS_PER_CHANNEL = 20
 GOOD_CLIENTS, PERIOD_SECONDS, CALL_SECONDS = 2, 0.01, 10.0
+ECHOED = b"x" * 150
 SAMPLE_SECONDS = 0.05
 LEASE_LOST = "the lease has ended"
 UNDER_WAY_SECONDS = 60.0
@@ -79,8 +80,10 @@ class Found:
 class Field:
     """A cluster with one host and one supernode, whose host has a small budget of memory and few open files."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, bare: str = "", *, good_go_there: bool = False) -> None:
+        """`bare`: the address of a bare server that the attack floods instead of the host; see `bare.py`."""
         self.found = Found(name)
+        self.bare, self.good_go_there = bare, good_go_there
         self.cluster = LocalCluster(hosts=1, supernodes=1, on_line=self._hear)
         self.cluster.hosts[0].arguments += ["--memory-bytes-max", MEMORY_BUDGET]
 
@@ -96,6 +99,7 @@ class Field:
             supernode=self.cluster.supernodes[0].address,
             host=self.cluster.hosts[0].address,
             secret=self.token("attacker"),
+            flooded=self.bare,
         )
 
     def token(self, name: str) -> str:
@@ -116,12 +120,12 @@ class Field:
 
 
 @asynccontextmanager
-async def field_for(name: str) -> AsyncIterator[Field]:
+async def field_for(name: str, bare: str = "", *, good_go_there: bool = False) -> AsyncIterator[Field]:
     """The cluster, ready."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (FILES_SOFT, hard))  # its processes inherit it
     try:
-        one = Field(name)
+        one = Field(name, bare, good_go_there=good_go_there)
         await asyncio.to_thread(one.cluster.__enter__)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
@@ -131,17 +135,17 @@ async def field_for(name: str) -> AsyncIterator[Field]:
         await asyncio.to_thread(one.cluster.__exit__, None, None, None)
 
 
-def run_trial(name: str, seconds: float) -> Found:
+def run_trial(name: str, seconds: float, bare: str = "", good_go_there: bool = False) -> Found:
     """A trial in a loop of its own."""
-    return asyncio.run(trial(name, seconds))
+    return asyncio.run(trial(name, seconds, bare, good_go_there=good_go_there))
 
 
-async def trial(name: str, seconds: float) -> Found:
+async def trial(name: str, seconds: float, bare: str = "", *, good_go_there: bool = False) -> Found:
     """Good clients alone, then for that long beside the attack once it is under way, then the memory that stays.
 
     Then alone again, so that other load of the machine counts in both.
     """
-    async with field_for(name) as one:
+    async with field_for(name, bare, good_go_there=good_go_there) as one:
         found = one.found
         async with st.aio.connect(one.cluster.address, secret=await asyncio.to_thread(one.token, "good")) as rt:
             await rt.channel(GOOD_CHANNEL, max_age="10s")
@@ -211,6 +215,9 @@ async def _good_clients(one: Field, good: Good, meanwhile: Any) -> None:
 
 
 async def _good_client(one: Field, good: Good) -> None:
+    if one.good_go_there:
+        await _bare_client(one.bare, good)
+        return
     async with st.aio.connect(one.cluster.address, secret=await asyncio.to_thread(one.token, "good")) as rt:
         channel = await rt.channel(GOOD_CHANNEL)
         await _put_and_read(channel, Good())  # not counted, because it opens the connection to the host
@@ -219,6 +226,20 @@ async def _good_client(one: Field, good: Good) -> None:
             await _put_and_read(channel, good)
             if asks and number % ROUNDS_PER_CHANNEL == 0:
                 await _make_and_delete(rt, good)
+            await asyncio.sleep(PERIOD_SECONDS)
+
+
+async def _bare_client(target: str, good: Good) -> None:
+    """The messages of a put and of a read, on a stream of a bare server."""
+    async with grpc.aio.insecure_channel(target, options=OPTIONS) as connection:
+        call: Any = connection.stream_stream("/bare/Echo")()
+        while True:
+            for times_ms in (good.puts_ms, []):
+                began_s = time.perf_counter()
+                await call.write(ECHOED)
+                await call.read()
+                times_ms.append((time.perf_counter() - began_s) * 1000)
+                good.calls += 1
             await asyncio.sleep(PERIOD_SECONDS)
 
 
