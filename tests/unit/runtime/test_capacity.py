@@ -19,7 +19,7 @@ WATCH = "/stampede_rt.v1.DirectoryService/Watch"
 PING = "/stampede_rt.v1.DirectoryService/Ping"
 RAFT = "/stampede_rt.v1.RaftService/Exchange"
 RENEW = "/stampede_rt.v1.DirectoryService/RenewHostLease"
-LIMITS = Limits(concurrent_rpcs_max=3, streams_max=2, reserved_rpcs_max=2)
+LIMITS = Limits(concurrent_rpcs_max=4, streams_max=2, reserved_rpcs_max=2)
 
 
 class Parts(grpc.GenericRpcHandler):
@@ -92,7 +92,23 @@ def test_single_calls_leave_streams_no_more_room_than_there_is() -> None:
     slots = Slots(LIMITS)
     for _ in range(LIMITS.concurrent_rpcs_max):
         slots.take(is_stream=False, for_members=False)
-    with pytest.raises(Overloaded, match="3 calls are under way"):
+    with pytest.raises(Overloaded, match="4 calls are under way"):
         slots.take(is_stream=False, for_members=False)
-    with pytest.raises(Overloaded, match="3 calls are under way"):
+    with pytest.raises(Overloaded, match="4 calls are under way"):
         slots.take(is_stream=True, for_members=False)
+
+
+def test_single_calls_of_one_caller_leave_slots_for_others() -> None:
+    """One client with calls whose requests it did not finish took all slots of a port for ten seconds."""
+    slots = Slots(Limits(concurrent_rpcs_max=8, streams_max=4, reserved_rpcs_max=2))
+    given = [slots.take(is_stream=number < 2, for_members=False, subject="greedy") for number in range(6)]
+    for is_stream in (False, True):
+        with pytest.raises(Overloaded, match="greedy has 6 calls under way at this port, the most for one caller"):
+            slots.take(is_stream=is_stream, for_members=False, subject="greedy")
+    slots.take(is_stream=False, for_members=True, subject="greedy")
+    slots.take(is_stream=False, for_members=False, subject="good")
+    slots.take(is_stream=True, for_members=False)
+    for give_back in given:
+        give_back()
+    assert (slots.streams, slots.singles, slots.reserved) == (1, 1, 1)
+    assert dict(slots._of_caller) == {"good": 1}

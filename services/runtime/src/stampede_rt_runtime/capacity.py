@@ -7,6 +7,7 @@ calls.
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
@@ -29,16 +30,19 @@ from stampede_rt_runtime.rpc import Context
 class Slots:
     """The slots of a port: `concurrent_rpcs_max` for calls of anybody, and `reserved_rpcs_max` more (see `Limits`).
 
-    At most `streams_max` of the first may be streams. The reserved slots are for the methods of `is_for_members`.
+    At most `streams_max` of the first may be streams, and one caller gets at most three quarters of them. The reserved
+    slots are for the methods of `is_for_members`.
     """
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self.streams = self.singles = self.reserved = 0
+        self._of_caller: Counter[str] = Counter()  # the slots of each caller that has quotas
 
-    def take(self, *, is_stream: bool, for_members: bool) -> Callable[[], None]:
-        """Take a slot. Returns a function that gives it back; call that function once. Raises Overloaded if no slot is
-        free.
+    def take(self, *, is_stream: bool, for_members: bool, subject: str = "") -> Callable[[], None]:
+        """Take a slot. Returns a function that gives it back; call that function once.
+
+        `subject`: the caller in quotas; empty if it has none. Raises Overloaded if no slot is free for the caller.
         """
         limits = self._limits
         if for_members and self.reserved < limits.reserved_rpcs_max:
@@ -53,10 +57,23 @@ class Slots:
                 f"{limits.concurrent_rpcs_max} calls are under way at this port, as many as it serves; try "
                 "again in a moment"
             )
+        elif subject and self._of_caller[subject] >= (share := limits.concurrent_rpcs_max * 3 // 4):
+            raise Overloaded(
+                f"{subject} has {share} calls under way at this port, the most for one caller; make fewer calls at the "
+                "same time",
+                metadata={"subject": subject, "used": str(share), "limit": str(share)},
+            )
         else:
             kind = "streams" if is_stream else "singles"
-        setattr(self, kind, getattr(self, kind) + 1)
-        return lambda: setattr(self, kind, getattr(self, kind) - 1)
+        self._count(kind, subject, +1)
+        return lambda: self._count(kind, subject, -1)
+
+    def _count(self, kind: str, subject: str, step: int) -> None:
+        setattr(self, kind, getattr(self, kind) + step)
+        if subject and kind != "reserved":
+            self._of_caller[subject] += step
+            if not self._of_caller[subject]:
+                del self._of_caller[subject]
 
 
 # The host counts the refused items of these streams.
@@ -112,7 +129,7 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
             try:
                 for quota in quotas:
                     account.check(quota)
-                give_back = self._slots.take(is_stream=streams, for_members=for_members)
+                give_back = self._slots.take(is_stream=streams, for_members=for_members, subject=account.subject)
             except Overloaded as error:
                 self._refused.note(error)
                 await abort(context, error)

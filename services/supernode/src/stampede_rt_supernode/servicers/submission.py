@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import random
 import time
-from collections.abc import Awaitable, Callable
+from collections import Counter
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 from stampede_rt import errors
@@ -18,6 +20,8 @@ from stampede_rt_supernode.replication.interface import Ambiguous, LogUnavailabl
 ATTEMPT_SECONDS_MAX = 2.0
 BACKOFF_SECONDS_MIN = 0.02
 BACKOFF_SECONDS_MAX = 0.5
+UNDER_WAY_OF_ONE_MAX = 500
+"""The most commands of one caller that may wait for the log at this supernode. The log accepts 1000 of all callers."""
 
 T = TypeVar("T")
 R = TypeVar("R", bound=Success)
@@ -31,6 +35,7 @@ class Submission:
         self._replica = replica
         self._time_unix_nano = time_unix_nano
         self._closed = False
+        self._under_way: Counter[str] = Counter()  # the commands of each caller with a name
 
     def close(self) -> None:
         """Repeat nothing from now on.
@@ -54,8 +59,31 @@ class Submission:
         `as_of_index`, `caller`: see Command. Raises the error of the directory's refusal. Raises VersionMismatch if the
         command needs a higher feature level than the cluster's. Raises Unavailable with reason AMBIGUOUS if the log did
         not say whether the operation is done. If it is certainly not done, the reason is NO_QUORUM, or SHUTTING_DOWN if
-        this supernode stops or its state has diverged.
+        this supernode stops or its state has diverged. Raises Overloaded if the caller has too many commands under way.
         """
+        with self._counted(caller):
+            return await self._submit(operation, kind, op_id, seconds, as_of_index, caller)
+
+    @contextmanager
+    def _counted(self, caller: str) -> Iterator[None]:
+        """Count a command of the caller, unless it has no name of its own. Raises Overloaded if too many wait."""
+        if caller and self._under_way[caller] >= UNDER_WAY_OF_ONE_MAX:
+            raise errors.Overloaded(
+                f"{UNDER_WAY_OF_ONE_MAX} changes of {caller} are under way at this supernode, the most for one caller; "
+                "make fewer changes at the same time",
+                metadata={"subject": caller, "limit": str(UNDER_WAY_OF_ONE_MAX)},
+            )
+        self._under_way[caller] += 1
+        try:
+            yield
+        finally:
+            self._under_way[caller] -= 1
+            if not self._under_way[caller]:
+                del self._under_way[caller]
+
+    async def _submit(
+        self, operation: Operation, kind: type[R], op_id: bytes, seconds: float, as_of_index: int, caller: str
+    ) -> R:
         now = self._time_unix_nano()
         command = Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index, caller=caller)
         encoded = encode_command(command)
