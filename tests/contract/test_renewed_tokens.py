@@ -78,10 +78,97 @@ async def test_streams_go_on_with_the_renewed_token_without_a_gap(rig: Rig, file
             await message.ack()
 
 
-async def test_a_stream_whose_token_nobody_renews_ends(rig: Rig, file: TokenFile) -> None:
-    await file.write(2 * S)
-    rt = await rig.connect(secret=file.path)
-    channel = await rt.channel(rig.name())
-    async with await opened(channel.subscribe()) as items:
-        with pytest.raises(st.PermissionDenied, match="the token of renewed has ended"):
+class Waits:
+    """Everything for which a client can wait, under way over the streams of one connection."""
+
+    def __init__(self, rig: Rig, rt: Any, peer: Any) -> None:
+        self.rig, self.rt, self.peer, self.name = rig, rt, peer, rig.name()
+        self.streams: list[Any] = []
+        self.waiting: dict[str, asyncio.Future[Any]] = {}
+
+    async def begin(self) -> None:
+        """Begin all waits. Each `waiting` awaits what `bring` brings."""
+        rt = self.rt
+        channel, full = (
+            await rt.channel(self.name),
+            await rt.channel(f"{self.name}/full", max_items=1, max_age="1h", on_full="block"),
+        )
+        group, queue = await rt.group(self.name, [channel]), await rt.queue(self.name)
+        await full.put(b"first")
+        for kind, opening in {
+            "subscription": channel.subscribe(),
+            "cuts": group.subscribe(),
+            "matches": group.match(channel, "1ms"),
+            "names": rt.watch(f"{self.name}/new"),
+            "peers": rt.watch_peers(f"{self.name}/peer"),
+        }.items():
+            stream = await opened(opening)
+            self.streams.append(stream)
+            await stream.__aenter__()
+            self.waiting[kind] = asyncio.ensure_future(anext(aiter(stream)))
+        for kind, wait in {
+            "get": channel.newest(timeout=30),
+            "get in group": group[self.name].newest(timeout=30),
+            "queue": queue.get(timeout=30),
+            "mailbox": self.peer.mailbox.get(timeout=30),
+            "full put": full.put(b"second", timeout=30),
+        }.items():
+            self.waiting[kind] = asyncio.ensure_future(wait)
+
+    async def bring(self, own: Any, **proof: Any) -> None:
+        """Bring something to each wait, by the caller `own`, whose connections have the arguments `proof`."""
+        channel = await own.channel(self.name)
+        for _ in range(2):  # the second item makes the first one visible in the group
+            await channel.put(b"x")
+        await (await own.queue(self.name)).put(b"x")
+        await own.channel(f"{self.name}/new")
+        await (await own.channel(f"{self.name}/full")).configure(max_items=2)
+        await own.send(self.peer.name, b"x")
+        other = await self.rig.connect(name=f"{self.name}/peer", **proof)
+        await other.mailbox.get(timeout=0)
+
+    async def check(self) -> None:
+        """Check what each wait got."""
+        found = dict(zip(self.waiting, await asyncio.gather(*self.waiting.values()), strict=True))
+        payloads = {found[kind].payload for kind in ("subscription", "get", "get in group", "queue", "mailbox")}
+        assert payloads == {b"x"}
+        assert found["full put"].payload == b"second"
+
+    async def close(self) -> None:
+        for stream in self.streams:
+            await stream.__aexit__(None, None, None)
+
+
+async def ticking(own: Any, rt: Any, name: str, until_unix_nano: float) -> None:
+    """Follow a channel over `rt` until that time, and until the stream has opened again."""
+    channel = await own.channel(name)
+    async with await opened((await rt.channel(name)).subscribe()) as items:
+        while st.now() < until_unix_nano or not items.reconnects:
+            await channel.put(b"tick")
             await anext(aiter(items))
+
+
+@pytest.mark.parametrize("renewed", [True, False])
+async def test_everything_that_waits_goes_on_with_the_renewed_token_and_ends_without_one(
+    rig: Rig, file: TokenFile, renewed: bool
+) -> None:
+    own = await rig.connect()
+    await file.write(3 * S)
+    ends = st.now() + 3 * S
+    rt, peer = await rig.connect(secret=file.path), await rig.connect(secret=file.path, name=rig.name())
+    await peer.mailbox.get(timeout=0)
+    waits = Waits(rig, rt, peer)
+    async with asyncio.timeout(50):
+        await waits.begin()
+        if renewed:
+            await file.write(3600 * S)
+            await ticking(own, rt, f"{waits.name}/tick", ends + 1.5 * S)  # a host looks for ended tokens each second
+            assert not [kind for kind, one in waits.waiting.items() if one.done()]
+            await waits.bring(own)
+            await waits.check()
+        else:
+            ended = await asyncio.gather(*waits.waiting.values(), return_exceptions=True)
+            refused = {kind: str(one) for kind, one in zip(waits.waiting, ended, strict=True)}
+            assert [type(one) for one in ended] == [st.PermissionDenied] * len(ended), refused
+            assert all("the token of renewed has ended" in one for one in refused.values()), refused
+    await waits.close()

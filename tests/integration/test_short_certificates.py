@@ -18,6 +18,8 @@ from stampede_rt_local.certificates import ClusterCertificates
 from stampede_rt_local.cluster import LocalCluster
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
+from tests.contract.queues.rig import Rig
+from tests.contract.test_renewed_tokens import Waits, ticking
 from tests.support.waiting import wait_until
 
 SHORT = timedelta(seconds=4)
@@ -59,6 +61,27 @@ def test_streams_end_with_their_certificate_and_go_on_with_the_renewed_one(
 
             wait_until(goes_on, "the subscription has come back over a new connection")
             assert set(heard) == {b"next"}
+
+
+async def test_everything_that_waits_goes_on_with_the_renewed_certificate(
+    cluster: LocalCluster, certificates: ClusterCertificates
+) -> None:
+    rig = Rig(cluster.address, None)
+    own = await rig.connect(tls=cluster.tls_files())
+    files, ends = certificates.issue(Role.CLIENT, "waits", lifetime=SHORT), st.now() + SHORT.total_seconds() * 10**9
+    rt, peer = await rig.connect(tls=files), await rig.connect(tls=files, name=rig.name())
+    await peer.mailbox.get(timeout=0)
+    waits = Waits(rig, rt, peer)
+    async with asyncio.timeout(50):
+        await waits.begin()
+        certificates.issue(Role.CLIENT, "waits")
+        await ticking(own, rt, f"{waits.name}/tick", ends + 1.5 * 10**9)  # a host looks for ended ones each second
+        assert not [kind for kind, one in waits.waiting.items() if one.done()]
+        await waits.bring(own, tls=cluster.tls_files())
+        await waits.check()
+    await waits.close()
+    for connection in rig.connections:
+        await connection.aclose()
 
 
 def test_a_connection_that_has_outlived_its_certificate_is_good_for_nothing_more(
