@@ -28,7 +28,7 @@ class TokenFile:
 
     async def write(self, valid_nanos: int) -> None:
         """Put a new token into the place of the file."""
-        token = await asyncio.to_thread(self._operator.new_token, "renewed", valid_nanos)
+        token = await asyncio.to_thread(self._operator.new_token, "tester-renewed", valid_nanos)
         new = self.path.with_suffix(".new")
         new.touch(mode=0o600)
         new.write_text(token)
@@ -170,5 +170,5 @@ async def test_everything_that_waits_goes_on_with_the_renewed_token_and_ends_wit
             ended = await asyncio.gather(*waits.waiting.values(), return_exceptions=True)
             refused = {kind: str(one) for kind, one in zip(waits.waiting, ended, strict=True)}
             assert [type(one) for one in ended] == [st.PermissionDenied] * len(ended), refused
-            assert all("the token of renewed has ended" in one for one in refused.values()), refused
+            assert all("the token of tester-renewed has ended" in one for one in refused.values()), refused
     await waits.close()

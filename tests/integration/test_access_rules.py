@@ -213,6 +213,12 @@ def test_an_operator_is_told_what_a_rule_would_do_and_why_something_is_denied(
     said = capsys.readouterr().out
     assert "may not put channel video/1: the rule: deny cam put video/1" in said
     assert "Rules limit clients only. If cam is an operator or a part of the cluster, it may." in said
+    for words in (("cam", "put", "video/*"), ("cam-*", "put", "video/1")):  # it answered as for a thing of that name
+        assert operator.run("acl", "check", *words) == 2
+        assert "* is a pattern; name one" in capsys.readouterr().err
+    operator.add("cam", "send", "robot", "--kind", "peer")
+    assert operator.run("acl", "check", "cam", "send", "robot") == 3
+    assert "It may send peer robot (--kind peer)." in capsys.readouterr().out
     assert operator.run("acl", "check", "@cluster", "put", "video/1") == 0
     assert "@cluster may put channel video/1: no rule limits it" in capsys.readouterr().out
     assert operator.run("acl", "rm", "cam", "put", "video/1", "--deny", "--dry-run") == 0

@@ -209,11 +209,14 @@ def test_settings_are_listed_with_the_defaults_and_checked_for_one_caller(operat
     assert found["bytes-in-flight"] == (64 * 2**20, "cam-*")
     assert found["subscriptions"] == (2048, "(default)")
     assert operator.says("quota", "rm", "cam-*", "streams") == "1 limit of cam-* is removed.\n"
-    assert operator.says("quota", "rm", "cam-9") == "0 limits of cam-9 are removed.\n"
+    assert operator.says("quota", "rm", "cam-9") == "No such limit was set for cam-9.\n"
 
 
 def test_a_mistake_is_named_with_the_way_out(operator: Operator) -> None:
     assert "is a pattern; name one caller" in operator.says("quota", "check", "cam-*", status=2)
+    for asked in (("set", "10.0.0.3", "streams=3"), ("check", "10.0.0.3")):  # it was taken for a client's name
+        assert "10.0.0.3 is an address; write @10.0.0.3" in operator.says("quota", *asked, status=2)
+    assert "no caller that matches 'nobody' uses any quota" in operator.says("quota", "use", "nobody")
     for words, complaint in (
         (("cam", "x=3"), "there is no quota 'x'; there are streams, "),
         (("cam", "streams=3MiB"), "write it as streams=100, or streams=unlimited"),

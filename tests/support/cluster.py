@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 
 from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_runtime.access.rules import VERBS_OF
+from tests.support.operator import operating
 
 LINES_SHOWN = 12
+TESTER = "tester"
 
 
 def cluster_fixture(
@@ -29,6 +35,24 @@ def cluster_fixture(
     return cluster
 
 
+def judges_tests() -> bool:
+    """Whether the tests run as a client whom rules judge (`make test-acl`)."""
+    return bool(os.environ.get("STAMPEDE_TEST_ACL"))
+
+
+def with_rules(cluster: LocalCluster, folder: Path) -> Path:
+    """Make rules that allow the tests everything that some verb allows, and return the file of a token for them."""
+    with operating(cluster) as operator:
+        for kind, verbs in VERBS_OF.items():
+            operator.add(f"{TESTER}*", ",".join(sorted(verbs)), "*", "--kind", kind)
+        operator.add("*", "*", "no-test-uses-this/*", "--deny")
+        operator.keep_rules()
+        file = folder / "token"
+        file.touch(mode=0o600)
+        file.write_text(operator.token(TESTER))
+    return file
+
+
 @contextmanager
 def running_cluster(planned: LocalCluster | None = None, **settings: Any) -> Iterator[LocalCluster]:
     """Yield a running LocalCluster, `planned` or made with `settings`.
@@ -37,8 +61,10 @@ def running_cluster(planned: LocalCluster | None = None, **settings: Any) -> Ite
     pytest shows them if a test failed.
     """
     made = planned or LocalCluster(**settings)
-    with pytest.MonkeyPatch.context() as patch, made:
+    with pytest.MonkeyPatch.context() as patch, made, tempfile.TemporaryDirectory() as folder:
         patch.setenv("STAMPEDE_SECRET_FILE", str(made.secret_file))
+        if judges_tests():
+            patch.setenv("STAMPEDE_SECRET_FILE", str(with_rules(made, Path(folder))))
         try:
             yield made
         finally:

@@ -44,6 +44,10 @@ class Operator:
         self._change("RemoveAccessRule", rule)
         self._rules.remove(rule)
 
+    def keep_rules(self) -> None:
+        """Leave the rules so far as they are at the end."""
+        self._rules.clear()
+
     def take_back(self) -> None:
         for rule in tuple(self._rules):
             self.rm(*rule)
@@ -64,8 +68,13 @@ class Operator:
 
 @contextmanager
 def operating(cluster: LocalCluster) -> Iterator[Operator]:
-    """Yield an operator, and remove its rules at the end. The cluster's secret is in the environment."""
-    with reached(cluster.address, None) as supernodes:
+    """Yield an operator, and remove its rules at the end.
+
+    A cluster without certificates knows the operator by its secret. In one with certificates the environment names the
+    operator's.
+    """
+    secret = cluster.secret.text if cluster.certificates is None else None
+    with reached(cluster.address, None, secret=secret) as supernodes:
         made = Operator(cluster, supernodes)
         try:
             yield made

@@ -15,6 +15,18 @@ VERBS = (
     "read", "put", "consume", "advance", "create", "configure", "delete", "take", "send", "register", "list",
 )  # fmt: skip
 KINDS = ("channel", "group", "queue", "peer")
+KINDS_OF = {
+    "read": ("channel", "group"), "put": ("channel",), "consume": ("channel",), "advance": ("channel",),
+    "create": ("channel", "group", "queue"), "configure": ("channel", "group", "queue"),
+    "delete": ("channel", "group", "queue"), "take": ("queue", "peer"), "send": ("queue", "peer"),
+    "register": ("peer",), "list": KINDS,
+}  # fmt: skip
+_EXPLANATION = """The verbs of each kind of thing:
+{verbs}
+A mailbox counts as its peer. Whoever registers a peer may take from its mailbox.
+
+In WHO and NAME "*" stands for any characters, also "/", and "?" for one. A rule that denies overrides all rules that
+allow. Without any rule clients may do everything. Rules do not limit operators, and holders of the cluster's secret."""
 NOT_ALLOWED = 3  # the exit status of `check` if a client may not do something
 EFFECTS_SHOWN = 20  # rows of a table of effects
 
@@ -22,7 +34,14 @@ EFFECTS_SHOWN = 20  # rows of a table of effects
 def add_verbs(subparsers: Any) -> None:
     """Add the noun of this module and its verbs."""
     text = "rules of access, which say who may do what; for operators and holders of the cluster's secret"
-    noun = subparsers.add_parser("acl", help=text, description=text)
+    listed = (f"  {kind:<9}{', '.join(verb for verb in VERBS if kind in KINDS_OF[verb])}" for kind in KINDS)
+    noun = subparsers.add_parser(
+        "acl",
+        help=text,
+        description=text,
+        epilog=_EXPLANATION.format(verbs="\n".join(listed)),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     verbs = noun.add_subparsers(dest="acl_verb", metavar="VERB", required=True, parser_class=VerbParser)
     _add_change(
         add_verb(verbs, "add", "add a rule; from the first rule on, clients may do only what a rule allows", run_add)
@@ -128,14 +147,17 @@ def run_check(arguments: argparse.Namespace) -> int:
     from stampede_rt.v1 import access_pb2
     from stampede_rt.v1 import access_service_pb2 as pb
 
-    kind = arguments.kind or _kind_with(arguments.action)
-    request = pb.CheckAccessRequest(
-        who=arguments.who,
-        verb=getattr(access_pb2, f"ACCESS_VERB_{arguments.action.upper()}"),
-        kind=getattr(access_pb2, f"ACCESS_KIND_{kind.upper()}"),
-        name=arguments.name,
-    )
-    answer = _asked(arguments, "CheckAccess", request)
+    for text, what in ((arguments.who, "client"), (arguments.name, "thing")):
+        if set(text) & set("*?"):
+            raise InvalidArgument(f"{text} is a pattern; name one {what}")
+    kind, *others = (arguments.kind,) if arguments.kind else KINDS_OF[arguments.action]
+    verb = getattr(access_pb2, f"ACCESS_VERB_{arguments.action.upper()}")
+    answers = {}
+    for one in (kind, *others):
+        asked = getattr(access_pb2, f"ACCESS_KIND_{one.upper()}")
+        request = pb.CheckAccessRequest(who=arguments.who, verb=verb, kind=asked, name=arguments.name)
+        answers[one] = _asked(arguments, "CheckAccess", request)
+    answer = answers.pop(kind)
     if answer.HasField("rule"):
         why = f"the rule: {_text(answer.rule)}"
     else:
@@ -147,14 +169,14 @@ def run_check(arguments: argparse.Namespace) -> int:
         print(f"A client with the name {arguments.who} {may} {arguments.action} {kind} {arguments.name}: {why}.")
         if not answer.allowed:
             print(f"Rules limit clients only. If {arguments.who} is an operator or a part of the cluster, it may.")
+        for one, other in answers.items():
+            if other.allowed != answer.allowed:
+                may = "may" if other.allowed else "may not"
+                print(f"It {may} {arguments.action} {one} {arguments.name} (--kind {one}).")
     else:
         rule = _rule_row(answer.rule) if answer.HasField("rule") else None
         print_facts({"allowed": answer.allowed, "rule": rule, "why": why}, arguments.output)
     return 0 if answer.allowed else NOT_ALLOWED
-
-
-def _kind_with(verb: str) -> str:
-    return {"take": "queue", "send": "queue", "register": "peer"}.get(verb, "channel")
 
 
 def _rule(arguments: argparse.Namespace) -> Any:

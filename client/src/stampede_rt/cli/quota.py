@@ -7,11 +7,12 @@ import re
 import secrets
 import sys
 from collections.abc import Iterable
+from ipaddress import ip_address
 from typing import Any
 
 from stampede_rt.cli.arguments import VerbParser, add_verb
 from stampede_rt.cli.output import bytes_text, print_behind, print_facts, print_rows
-from stampede_rt.errors import StampedeError
+from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.escaping import escaped
 
 QUOTAS = (
@@ -68,12 +69,22 @@ def _limit(text: str) -> tuple[str, int]:
     return quota, int(match[1]) * _UNITS[match[2] or ""]
 
 
+def _check_who(who: str) -> None:
+    """Raise InvalidArgument for an address without its "@", which would be the name of a client."""
+    try:
+        ip_address(who)
+    except ValueError:
+        return
+    raise InvalidArgument(f"{who} is an address; write @{who}")
+
+
 def run_set(arguments: argparse.Namespace) -> int:
     """Set limits."""
     from stampede_rt.administration.running_cluster import reached  # here and below: gRPC takes 0.1 s to load
     from stampede_rt.v1 import quota_pb2
     from stampede_rt.v1 import quota_service_pb2 as pb
 
+    _check_who(arguments.who)
     request = pb.SetQuotasRequest(request_id=secrets.token_bytes(16))
     for quota, limit in arguments.limits:
         request.settings.append(quota_pb2.QuotaSetting(who=arguments.who, kind=_kind(quota), limit=limit))
@@ -101,6 +112,8 @@ def run_rm(arguments: argparse.Namespace) -> int:
         print_behind(cluster.parts_behind(answer.version, of_rules=True))
     if arguments.output != "table":
         print_facts({"removed": answer.removed}, arguments.output)
+    elif not answer.removed:
+        print(f"No such limit was set for {arguments.who}.")
     else:
         what = f"{answer.removed} limit{'' if answer.removed == 1 else 's'} of {arguments.who}"
         print(f"{what} {'is' if answer.removed == 1 else 'are'} removed.")
@@ -122,6 +135,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     """Print the limits of one caller."""
     from stampede_rt.v1 import quota_service_pb2 as pb
 
+    _check_who(arguments.who)
     answer = _asked(arguments, "CheckQuotas", pb.CheckQuotasRequest(subject=arguments.who))
     rows = [
         _limit_row(one.kind, one.limit) | {"set_for": one.setting.who if one.HasField("setting") else DEFAULT}
@@ -149,8 +163,9 @@ def run_use(arguments: argparse.Namespace) -> int:
         for part in told
         for use in part.uses
     ]
+    nobody = f"no caller that matches {arguments.who!r} uses any quota" if arguments.who else "no caller uses any quota"
     rows.sort(key=lambda row: (-row["refused"], row["who"], row["at"], row["quota"]))
-    _print(rows, arguments.output, ("who", "at", "quota", "used", "limit", "refused"), none="nobody uses anything")
+    _print(rows, arguments.output, ("who", "at", "quota", "used", "limit", "refused"), none=nobody)
     return 0
 
 
