@@ -10,7 +10,7 @@ cluster = cluster_fixture(hosts=1)
 
 
 def test_calls_after_such_an_interrupt_go_over_a_new_connection(cluster: LocalCluster) -> None:
-    with st.connect(cluster.address) as rt:
+    with st.connect(cluster.address, transport="grpc") as rt:
         channel = rt.channel("stuck/a", max_age="60s")
         other = rt.channel("stuck/b", max_age="60s")
         channel.put(b"0")

@@ -60,11 +60,12 @@ def world() -> Iterator[World]:
 @pytest.fixture(params=["aio", "sync"])
 async def rt(request: pytest.FixtureRequest, world: World) -> AsyncIterator[Any]:
     if request.param == "aio":
-        async with aio.connect(world.address) as made:
+        async with aio.connect(world.address, transport="grpc") as made:
             yield made
         return
     with ThreadPoolExecutor(8) as pool:
-        lifted = Lifted(await asyncio.to_thread(st.connect, world.address), pool)
+        made = await asyncio.to_thread(lambda: st.connect(world.address, transport="grpc"))
+        lifted = Lifted(made, pool)
         yield lifted
         await lifted.aclose()
 

@@ -240,10 +240,10 @@ def consume_request(handle: Any, consumer_id: int, seqs: Sequence[int], lease_na
 
 @contextmanager
 def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
-    """The synchronous client, connected twice."""
+    """The synchronous client, connected over both transports."""
     with (
-        st.connect(frontend) as one,
-        st.connect(frontend) as other,
+        st.connect(frontend, transport="grpc") as one,
+        st.connect(frontend, transport="socket") as other,
         ThreadPoolExecutor(THREADS_MAX) as pool,
     ):
         surface = BlockingSurface((one, other), target, pool)
@@ -255,9 +255,9 @@ def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
 
 @contextmanager
 def awaited_surface(frontend: str, target: str) -> Iterator[AwaitedSurface]:
-    """The asynchronous client, connected twice, on a loop of its own."""
+    """The asynchronous client, connected over both transports, on a loop of its own."""
     with asyncio.Runner() as runner:
-        connections = [runner.run(_connected(frontend)) for _ in range(2)]
+        connections = [runner.run(_connected(frontend, transport)) for transport in ("grpc", "socket")]
         surface = AwaitedSurface(connections, target, runner.get_loop())
         try:
             yield surface
@@ -267,5 +267,5 @@ def awaited_surface(frontend: str, target: str) -> Iterator[AwaitedSurface]:
                 runner.run(connection.aclose())
 
 
-async def _connected(frontend: str) -> Any:
-    return await aio.connect(frontend)
+async def _connected(frontend: str, transport: str) -> Any:
+    return await aio.connect(frontend, transport=transport)

@@ -1,4 +1,4 @@
-"""Whatever happens to a channel, the core, a client on the other side of gRPC and the oracle tell the same story.
+"""Whatever happens to a channel, the core, a client over either transport and the oracle tell the same story.
 
 `STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/test_paths_against_oracle.py` searches at length;
 `python -m tests.property core 0 100000` does so several times as fast.
@@ -48,7 +48,7 @@ def play_stories(surface: Surface, host: SteeredHost, examples: int) -> None:
 
 
 @pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
-def test_a_client_over_grpc_sees_what_the_oracle_says_in_every_story(surface: Surface, host: LoopbackHost) -> None:
+def test_a_client_sees_what_the_oracle_says_in_every_story(surface: Surface, host: LoopbackHost) -> None:
     play_stories(surface, host, EXAMPLES)
 
 

@@ -34,7 +34,8 @@ class Traffic:
     async def __aenter__(self) -> Traffic:
         assert self._cluster.frontend is not None
         files = self._cluster.caller_files(Role.CLIENT, CLIENT)
-        self._rt = await aio.connect(self._cluster.frontend.address, tls=files).__aenter__()
+        transport = self._random_source.choice(("best", "grpc"))
+        self._rt = await aio.connect(self._cluster.frontend.address, tls=files, transport=transport).__aenter__()
         return self
 
     async def __aexit__(self, *exc_info: object) -> None:

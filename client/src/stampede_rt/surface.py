@@ -216,9 +216,9 @@ def connect(
       file again when it has changed. On the cluster's own machine the client finds the secret by itself.
     - `zone`: the name of the caller's network or site. The client prefers supernodes of the same zone.
     - `tls`: the certificates, if the cluster asks for them.
-    - `transport`: how data goes between this program and the hosts. "grpc": always over gRPC. "socket": over sockets,
-      with an error where that is not possible. "best": over sockets where that is possible, else over gRPC. Default:
-      `$STAMPEDE_TRANSPORT`, else "grpc".
+    - `transport`: how data goes between this program and the hosts. "best": over sockets where that is possible, else
+      over gRPC. "grpc": always over gRPC. "socket": over sockets, with an error where that is not possible. Default:
+      `$STAMPEDE_TRANSPORT`, else "best".
 
     Blocks for at most 5 s.
     Raises Unavailable, PermissionDenied, VersionMismatch, WrongCluster, PeerExists, InvalidArgument.

@@ -22,7 +22,7 @@ class Transport(StrEnum):
 
 def parse_transport(given: str | None) -> Transport:
     """Return the choice that `connect(transport=...)` or else `$STAMPEDE_TRANSPORT` states. Raises InvalidArgument."""
-    stated = given if given is not None else os.environ.get(VARIABLE) or Transport.GRPC
+    stated = given if given is not None else os.environ.get(VARIABLE) or Transport.BEST
     try:
         return Transport(stated)
     except ValueError:
