@@ -62,7 +62,7 @@ func open(ctx context.Context, address, name string) (context.Context, channel) 
 	ctx = metadata.AppendToOutgoingContext(ctx, "stampede-cluster-id", bound.ClusterId)  // others refuse this client
 	directory := v1.NewDirectoryServiceClient(dial(bound.Supernodes[0].Endpoint.Target)) // the best one comes first
 	minute, request := int64(time.Minute), make([]byte, 16)
-	must(rand.Read(request)) // repeating a request id repeats the answer, not the deed
+	must(rand.Read(request)) // repeating a request id repeats the answer, not the operation
 	opened := must(directory.OpenChannel(ctx, &v1.OpenChannelRequest{
 		RequestId: request, Name: name, Create: true,
 		Spec: &v1.ChannelSpec{Retention: &v1.RetentionPolicy{MaxAgeNanos: &minute}},
@@ -70,7 +70,6 @@ func open(ctx context.Context, address, name string) (context.Context, channel) 
 	gatekeeper := v1.NewGatekeeperServiceClient(dial(opened.Host.Gatekeepers[0].Target))
 	place := must(gatekeeper.BindChannel(ctx, &v1.BindChannelRequest{
 		ChannelId: opened.Channel.ChannelId, Epoch: opened.Channel.Epoch,
-		Transports: []v1.Transport{v1.Transport_TRANSPORT_GRPC},
 	}))
 	data := v1.NewChannelServiceClient(dial(place.Endpoints[0].Target))
 	return ctx, channel{data, place.Channel.ChannelId, place.Channel.Epoch}

@@ -59,7 +59,7 @@ async function open(name) {
   });
   const gatekeeper = connect(v1.GatekeeperService, opened.host.gatekeepers[0].target);
   const { channel_id, epoch } = opened.channel;
-  const place = await call(gatekeeper, "BindChannel", { channel_id, epoch, transports: ["TRANSPORT_GRPC"] });
+  const place = await call(gatekeeper, "BindChannel", { channel_id, epoch });
   // Every request names the channel and the epoch; so they are kept together.
   return { data: connect(v1.ChannelService, place.endpoints[0].target), at: { channel_id, epoch: place.channel.epoch } };
 }

@@ -58,12 +58,20 @@ class Submission:
         """A state that differs ends the run (SimMember)."""
 
     async def submit(
-        self, operation: Operation, kind: type[R], *, op_id: bytes, seconds: float, as_of_index: int = 0
+        self,
+        operation: Operation,
+        kind: type[R],
+        *,
+        op_id: bytes,
+        seconds: float,
+        as_of_index: int = 0,
+        caller: str = "",
     ) -> R:
         stamp = self._member.clock.time_unix_nano()
-        encoded = encode_command(
-            Command(op_id=op_id, time_unix_nano=stamp, operation=operation, as_of_index=as_of_index)
+        command = Command(
+            op_id=op_id, time_unix_nano=stamp, operation=operation, as_of_index=as_of_index, caller=caller
         )
+        encoded = encode_command(command)
         deadline, ambiguous = self._world.now + seconds, False
         while (left := deadline - self._world.now) > 0:
             outcome = await wait(lambda resume, left=left: self._propose(encoded, min(left, 2.0), resume))
