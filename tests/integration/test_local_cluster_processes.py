@@ -13,9 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from stampede_rt_local import parent_watch, process
+from stampede_rt_local import process
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import LAST_LINES_MAX, ServiceFailed, ServiceProcess
+from stampede_rt_runtime import parent_watch
 from tests.support.processes import started
 
 READY_SECONDS = 20

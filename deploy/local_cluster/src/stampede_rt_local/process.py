@@ -90,7 +90,7 @@ class ServiceProcess:
         if self.alive:
             raise ServiceFailed(f"{self.name} is running already, as process {self.pid}")
         # With -P Python does not import modules of the user's present folder instead of ours.
-        command = [sys.executable, "-P", "-m", "stampede_rt_local.parent_watch", self._module, *self.arguments]
+        command = [sys.executable, "-P", "-m", "stampede_rt_runtime.parent_watch", self._module, *self.arguments]
         if self._namespace is not None:
             command = self._namespace.command(*command)
         self._run = _Run(command, self._hear_line, self._hear_exit)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
+import sys
 from collections.abc import Sequence
 
 from stampede_rt.cluster.addresses import is_loopback
@@ -17,7 +18,9 @@ from stampede_rt_channel_host.cluster.identity import (
     new_boot_incarnation,
 )
 from stampede_rt_channel_host.host import ChannelHost
+from stampede_rt_channel_host.process_arguments import process_arguments
 from stampede_rt_channel_host.settings import HostSettings
+from stampede_rt_channel_host.supervisor import Supervisor
 from stampede_rt_runtime.clock import SystemClock
 from stampede_rt_runtime.garbage import GarbageCollection
 from stampede_rt_runtime.identity import Role
@@ -179,12 +182,19 @@ def where_to_call(address: str, frontends: Sequence[str], certified: Sequence[st
     return address
 
 
-async def serve(settings: HostSettings) -> int:
-    """Serve until a stop signal. Returns the exit code. Raises the error that keeps the host from starting."""
+async def serve(settings: HostSettings, words: Sequence[str]) -> int:
+    """Serve until a stop signal. Returns the exit code. Raises the error that keeps the host from starting.
+
+    `words`: the arguments of this process, which a supervisor passes on to its host processes.
+    """
+    if settings.processes > 1:
+        base_name = settings.name or ("" if settings.tls_certificate else default_name())
+        return await Supervisor(process_arguments(settings, words, base_name)).run()
     async with GarbageCollection():
         return await _Service(settings).run()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `stampede host`; returns the exit code."""
-    return run_service(HostSettings, "host", argv, serve)
+    words = sys.argv[1:] if argv is None else argv
+    return run_service(HostSettings, "host", words, lambda settings: serve(settings, words))

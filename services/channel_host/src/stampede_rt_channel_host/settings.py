@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,9 +11,28 @@ from stampede_rt.cluster.addresses import ADDRESSES_MAX
 from stampede_rt.values.policy import NAME_GRAMMAR
 from stampede_rt_runtime.main import ServiceSettings
 from stampede_rt_runtime.settings import setting
-from stampede_rt_runtime.values import parse_address_text, parse_list, parse_size, parse_target
+from stampede_rt_runtime.values import parse_address, parse_address_text, parse_list, parse_size, parse_target
 
 MEMORY_BYTES_MIN = 2**20
+PROCESSES_MAX = 256
+PROCESS_MARK = "{process}"  # in the path of a certificate: the number of the process
+
+
+def parse_processes(text: str) -> int:
+    """A number of processes; `auto`: one for each core that this process may use. Raises ValueError."""
+    if text.strip().lower() == "auto":
+        return min(_cores(), PROCESSES_MAX)
+    if not (text.strip().isascii() and text.strip().isdigit()):
+        raise ValueError(f'a number from 1 to {PROCESSES_MAX}, or "auto"')
+    return int(text)
+
+
+def _cores() -> int:
+    """The number of cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # macOS and Windows do not have it
+        return os.cpu_count() or 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +83,20 @@ class HostSettings(ServiceSettings):
             metavar="SIZE",
             parse=parse_size,
             minimum=MEMORY_BYTES_MIN,
-            help="the most memory that all channels and queues may use together; beyond it the host refuses puts",
+            help="the most memory that all channels and queues may use together; beyond it the host refuses puts; "
+            "several processes have equal parts of it",
+        ),
+    )
+    processes: int = field(
+        default=1,
+        metadata=setting(
+            metavar="N",
+            parse=parse_processes,
+            minimum=1,
+            maximum=PROCESSES_MAX,
+            help='how many host processes to run; "auto": one for each core; with 2 or more the hosts are NAME-0, '
+            "NAME-1, ..., their ports count up from that of --listen and --advertise, and each has a folder of its own "
+            f"in --data-dir; {PROCESS_MARK} in --tls-certificate and --tls-key stands for the number",
         ),
     )
 
@@ -72,3 +105,25 @@ class HostSettings(ServiceSettings):
             raise ValueError(f"--frontend names {len(self.frontend)} front-ends; allowed: 1 to {ADDRESSES_MAX}")
         if self.name and not re.fullmatch(NAME_GRAMMAR, self.name):
             raise ValueError(f"--name is {self.name!r}; allowed: {NAME_GRAMMAR}")
+        if self.processes > 1:
+            self._check_processes()
+
+    def _check_processes(self) -> None:
+        """Check that each of the processes can have settings of its own. Raises ValueError."""
+        last = self.processes - 1
+        if self.name and not re.fullmatch(NAME_GRAMMAR, f"{self.name}-{last}"):
+            raise ValueError(f"--name is {self.name!r}, too long for a name of each process; take a shorter one")
+        for flag, text in (("--listen", self.listen), ("--advertise", self.advertise)):
+            if text and parse_address(text).port + last > 65535:
+                raise ValueError(f"{flag} {text} leaves no ports for {self.processes} processes; take a lower port")
+        if self.memory_bytes_max // self.processes < MEMORY_BYTES_MIN:
+            raise ValueError(
+                f"--memory-bytes-max leaves each of {self.processes} processes less than {MEMORY_BYTES_MIN} bytes; "
+                "give more memory, or run fewer processes"
+            )
+        for flag, path in (("--tls-certificate", self.tls_certificate), ("--tls-key", self.tls_key)):
+            if path is not None and PROCESS_MARK not in str(path):
+                raise ValueError(
+                    f"{flag} {path} names one file for {self.processes} processes, and a certificate names one host; "
+                    f"issue one for each, and write {PROCESS_MARK} for the number, as in host-h1-{PROCESS_MARK}.pem"
+                )

@@ -1,4 +1,4 @@
-"""Runs a service that ends with the process that started it: `python -m stampede_rt_local.parent_watch MODULE ...`.
+"""Runs a service that ends with the process that started it: `python -m stampede_rt_runtime.parent_watch MODULE ...`.
 
 Standard input is a pipe, and only the parent has its other end. When the parent ends in any way, also by SIGKILL, the
 kernel closes the pipe, and the service ends. (Linux's PR_SET_PDEATHSIG acts when the *thread* that forked ends, and

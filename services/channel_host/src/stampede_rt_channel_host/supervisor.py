@@ -1,0 +1,170 @@
+"""Runs several host processes on one machine: `stampede host --processes N` (decision 0161).
+
+The supervisor holds no channels. It starts the processes, starts a process that ended again, and ends them all when it
+gets a stop signal. Each process reads a pipe of which only the supervisor has the other end. So the processes end
+also if the supervisor is killed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+import sys
+import time
+from asyncio.subprocess import PIPE, Process
+from collections.abc import Iterator, Sequence
+
+from stampede_rt.escaping import escaped
+from stampede_rt_runtime.main import EXIT_FAILED
+
+logger = logging.getLogger(__name__)
+
+STOP_SECONDS_MAX = 6.0  # longer than a host may drain (2 * 2 s); after this time a process is killed
+PAUSE_SECONDS_MIN, PAUSE_SECONDS_MAX = 0.5, 30.0
+STEADY_SECONDS = 60.0  # a process that ran that long starts again after the shortest pause
+_STOP_SIGNALS = (signal.SIGTERM, signal.SIGINT)
+
+
+class RestartPauses:
+    """How long to wait before the next start of a process. Each pause is twice the one before."""
+
+    def __init__(self) -> None:
+        self._next_s = PAUSE_SECONDS_MIN
+
+    def after(self, ran_s: float) -> float:
+        """The pause in seconds after a run of `ran_s` seconds."""
+        if ran_s >= STEADY_SECONDS:
+            self._next_s = PAUSE_SECONDS_MIN
+        pause_s, self._next_s = self._next_s, min(2 * self._next_s, PAUSE_SECONDS_MAX)
+        return pause_s
+
+
+class Supervisor:
+    """The processes of one machine, of which each has its own arguments. Use it on one event loop."""
+
+    def __init__(self, arguments: Sequence[Sequence[str]]) -> None:
+        self._arguments = arguments
+        self._running: dict[int, Process] = {}  # by the number of the process
+        self._stopping = asyncio.Event()
+        self._exit_code = 0
+
+    async def run(self) -> int:
+        """Keep the processes running until a stop signal. Returns the exit status.
+
+        A process that refuses to start, before it was ever ready, ends all. The status is then that of this process.
+        """
+        with self._stop_signals():
+            keeping = [asyncio.create_task(self._keep(number)) for number in range(len(self._arguments))]
+            try:
+                await self._stopping.wait()
+                await asyncio.wait(keeping, timeout=STOP_SECONDS_MAX)
+            finally:
+                self._stopping.set()
+                self._kill_the_rest()
+                await asyncio.gather(*keeping)
+        return self._exit_code
+
+    async def _keep(self, number: int) -> None:
+        """Start one process, and start it again each time it ends, until the stop."""
+        pauses = RestartPauses()
+        was_ready = False
+        try:
+            while not self._stopping.is_set():  # paced by the pauses
+                started_s = time.monotonic()
+                status, is_ready = await self._run_once(number)
+                was_ready = was_ready or is_ready
+                if self._stopping.is_set() or (status > 0 and not was_ready):
+                    self._end(status)
+                    return
+                await self._pause(number, status, pauses.after(time.monotonic() - started_s))
+        except BaseException:
+            self._end(EXIT_FAILED)  # a defect of one task ends the whole service
+            raise
+
+    async def _run_once(self, number: int) -> tuple[int, bool]:
+        """Run the process to its end. Returns its exit status, and whether it was ready."""
+        try:
+            process = await self._start(number)
+        except OSError as error:  # such as a lack of memory or of process ids
+            logger.warning("a host process cannot start", extra={"number": number, "why": str(error)})
+            return EXIT_FAILED, False
+        was_ready = await self._pass_on_lines(process)
+        status = await process.wait()
+        del self._running[number]
+        return status, was_ready
+
+    async def _start(self, number: int) -> Process:
+        # With -P Python does not import modules of the user's present folder instead of ours.
+        watched = [sys.executable, "-P", "-m", "stampede_rt_runtime.parent_watch", "stampede_rt_channel_host"]
+        process = self._running[number] = await asyncio.create_subprocess_exec(
+            *watched,
+            *self._arguments[number],
+            stdin=PIPE,  # `parent_watch` reads it
+            stdout=PIPE,
+            start_new_session=True,  # only the supervisor gets Ctrl-C of the terminal
+        )
+        logger.info("started a host process", extra={"number": number, "pid": process.pid})
+        if self._stopping.is_set():  # the stop came during the start
+            _signal(process, signal.SIGTERM)
+        return process
+
+    async def _pass_on_lines(self, process: Process) -> bool:
+        """Print the lines that the process prints on stdout, until it ends. Returns whether there were any.
+
+        A host prints only its ready line.
+        """
+        assert process.stdout is not None
+        was_ready = False
+        while line := await process.stdout.readline():
+            was_ready = True
+            with contextlib.suppress(OSError):  # nobody reads the supervisor's output any more; the hosts still serve
+                sys.stdout.write(escaped(line.decode(errors="replace").rstrip("\n")) + "\n")
+                sys.stdout.flush()
+        return was_ready
+
+    async def _pause(self, number: int, status: int, pause_s: float) -> None:
+        logger.warning(
+            "a host process has ended; it is started again after a pause",
+            extra={"number": number, "exit_status": status, "pause_s": pause_s},
+        )
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._stopping.wait(), pause_s)
+
+    def _end(self, status: int) -> None:
+        """End all processes. The first status other than 0 becomes the exit status."""
+        if status < 0:  # the number of the signal that ended the process; SIGTERM may come before the host handles it
+            status = 0 if status == -signal.SIGTERM else EXIT_FAILED
+        self._exit_code = self._exit_code or status
+        if not self._stopping.is_set():
+            self._ask_to_stop()
+
+    def _ask_to_stop(self) -> None:
+        """Tell each process to stop. A second call tells them to end all calls at once."""
+        self._stopping.set()
+        for process in self._running.values():
+            _signal(process, signal.SIGTERM)
+            _signal(process, signal.SIGCONT)  # a frozen process gets no other signal
+
+    def _kill_the_rest(self) -> None:
+        for number, process in self._running.items():
+            logger.warning("a host process did not end in time; it is killed", extra={"number": number})
+            _signal(process, signal.SIGKILL)
+
+    @contextlib.contextmanager
+    def _stop_signals(self) -> Iterator[None]:
+        loop = asyncio.get_running_loop()
+        for number in _STOP_SIGNALS:
+            loop.add_signal_handler(number, self._ask_to_stop)
+        try:
+            yield
+        finally:
+            for number in _STOP_SIGNALS:
+                loop.remove_signal_handler(number)
+
+
+def _signal(process: Process, number: signal.Signals) -> None:
+    """Send a signal. Does nothing if the process has ended."""
+    with contextlib.suppress(ProcessLookupError):
+        process.send_signal(number)

@@ -1,0 +1,25 @@
+"""The pauses before a host process starts again."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.supervisor import (
+    PAUSE_SECONDS_MAX,
+    PAUSE_SECONDS_MIN,
+    STEADY_SECONDS,
+    RestartPauses,
+)
+
+
+def test_the_pauses_of_a_process_that_fails_at_once_grow_up_to_a_bound() -> None:
+    pauses = RestartPauses()
+    found = [pauses.after(0.1) for _ in range(10)]
+    assert found[:3] == [PAUSE_SECONDS_MIN, 2 * PAUSE_SECONDS_MIN, 4 * PAUSE_SECONDS_MIN]
+    assert found == sorted(found)
+    assert found[-1] == PAUSE_SECONDS_MAX
+
+
+def test_a_process_that_ran_for_long_starts_again_after_the_shortest_pause() -> None:
+    pauses = RestartPauses()
+    for _ in range(10):
+        pauses.after(0.1)
+    assert pauses.after(STEADY_SECONDS) == PAUSE_SECONDS_MIN
