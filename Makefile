@@ -86,6 +86,7 @@ bench: setup  ## items per second and latency beside bare gRPC
 bench-docs: setup  ## `stampede bench` into docs/benchmarks.md: some hours on a quiet machine; BENCH='--rounds 3' for less
 	mkdir -p out/bench
 	$(RUN)/stampede bench paper --out out/bench $(PAPER) > out/bench/paper.txt
+	-$(RUN)/stampede bench growth --out out/bench $(GROWTH)
 	-$(RUN)/stampede bench limits --out out/bench $(BENCH)
 	-$(RUN)/stampede bench peers --out out/bench $(BENCH)
 	$(RUN)/python tools/benchmark_docs.py out/bench

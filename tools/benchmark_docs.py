@@ -1,6 +1,7 @@
 """Put reports of `stampede bench` into docs/benchmarks.md, between their markers, and their charts into docs/images.
 
-`python tools/benchmark_docs.py FOLDER` takes `paper.txt`, `limits.md` and `peers.md`, if they are in the folder.
+`python tools/benchmark_docs.py FOLDER` takes `paper.txt`, `growth.md`, `limits.md` and `peers.md`, if they are in the
+folder.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def charts_of(folder: Path, name: str) -> list[str]:
 def main() -> int:
     """Fill the page. Returns 0, or 2 if the folder has no report."""
     folder, page, found = Path(sys.argv[1]), PAGE.read_text(), False
-    for name in ("paper", "limits", "peers"):
+    for name in ("paper", "growth", "limits", "peers"):
         report = report_of(folder, name)
         if report is None:
             print(f"{name}: no report in {folder}; its section stays as it is")

@@ -1,4 +1,4 @@
-"""`stampede bench`: measures the paper's figures, the limits of the machine, and the same work on other systems."""
+"""`stampede bench`: measures the paper's figures, growth, the machine's limits, and other systems at the same work."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from typing import Any
 from stampede_rt.cli.interrupts import unwinding
 from stampede_rt.escaping import TerminalParser, escaped
 from stampede_rt_bench.comparison import SYSTEMS, measure_limits, measure_peers
+from stampede_rt_bench.growth.command import measure_growth
+from stampede_rt_bench.growth.dimensions import DIMENSIONS
 from stampede_rt_bench.matching.comparing import compare
 from stampede_rt_bench.measuring import Effort
 from stampede_rt_bench.paper import contention, get_cost, interval_cost, memory_cost, skew, visibility
@@ -25,6 +27,9 @@ ITEMS_MAX = 10_000_000
 RUNS_MAX = 100
 FRAMES_MIN, FRAMES_MAX = 10, 100_000
 READERS_MAX = 256
+CHANNELS_MAX = 100_000
+SUBSCRIPTIONS_MAX = 4096
+GROUPS_MAX = 750  # of one channel, for one client
 SECONDS_MIN, SECONDS_MAX = 0.1, 600.0
 
 Figure = Callable[[Effort, Path], Table]
@@ -85,6 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_paper(kinds)
     _add_limits(kinds)
     _add_peers(kinds)
+    _add_growth(kinds)
     text = "our match beside the synchroniser of ROS message_filters, on the same recorded inputs"
     matching = kinds.add_parser("matching", help=text, description=text)
     matching.add_argument(
@@ -155,6 +161,41 @@ def _add_peers(kinds: Any) -> None:
     )
     _add_effort(peers, Path("out/bench"))
     peers.set_defaults(run=measure_peers)
+
+
+def _add_growth(kinds: Any) -> None:
+    text = "the cost of a put and a get as channels, items, readers, groups and payloads grow"
+    growth = kinds.add_parser("growth", help=text, description=f"Measure {text}.")
+    growth.add_argument(
+        "--of", action="append", choices=DIMENSIONS, metavar="NAME",
+        help=f"only the growth of this; may be repeated; {', '.join(DIMENSIONS)}",
+    )  # fmt: skip
+    most = {
+        "channels": (CHANNELS_MAX, 100_000, "the most channels of a host"),
+        "items": (ITEMS_MAX, ITEMS_MAX, "the most items in a channel; 10,000,000 take 4 GiB and some minutes"),
+        "readers": (SUBSCRIPTIONS_MAX, 1000, "the most readers of a channel"),
+        "groups": (GROUPS_MAX, 500, "the most groups of a channel"),
+    }
+    growth.add_argument(
+        "--operations", type=_between(1, 1_000_000), default=2000, metavar="N",
+        help="the puts and the gets of each run (default: 2,000; fewer of large payloads, and with groups)",
+    )  # fmt: skip
+    for name, (bound, default, what) in most.items():
+        growth.add_argument(
+            f"--{name}-max",
+            type=_between(1, bound),
+            default=default,
+            metavar="N",
+            help=f"{what} (default: {default:,})",
+        )
+    growth.add_argument(
+        "--runs", type=_between(1, RUNS_MAX), default=5, metavar="N", help="the runs of each figure (default: 5)"
+    )
+    growth.add_argument(
+        "--out", type=Path, default=Path("out/bench"), metavar="DIR",
+        help="the folder for the report (default: out/bench)",
+    )  # fmt: skip
+    growth.set_defaults(run=measure_growth)
 
 
 def _add_effort(parser: argparse.ArgumentParser, folder: Path) -> None:

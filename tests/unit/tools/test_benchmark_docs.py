@@ -23,7 +23,7 @@ def test_a_page_without_markers_is_refused() -> None:
 
 
 def test_the_page_has_markers_for_every_report() -> None:
-    for name in ("paper", "limits", "peers"):
+    for name in ("paper", "growth", "limits", "peers"):
         assert "a new report" in filled(PAGE.read_text(), name, "a new report", [])
 
 

@@ -1,0 +1,112 @@
+"""The cost of a put until the host has made the message of each reader."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+from typing import Any, cast
+
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.model import Policy
+from stampede_rt_bench.growth.own_channels import OwnChannels, cpu_us, get, put, run_of
+from stampede_rt_bench.measuring import NANOS_PER_US, PAYLOAD_BYTES, Spread, quiet
+from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.streams import OpenStream
+from stampede_rt_channel_host.channels.subscription import Subscription
+
+CREDIT_BYTES = 2**62
+
+
+class _Messages:
+    """Counts the messages that the host writes to all readers."""
+
+    def __init__(self) -> None:
+        self._missing = 0
+        self._all_came = asyncio.Event()
+
+    def expect(self, messages: int) -> None:
+        self._missing = messages
+        self._all_came.clear()
+
+    async def come(self) -> None:
+        """Wait for the expected messages."""
+        await self._all_came.wait()
+
+    def count(self) -> None:
+        self._missing -= 1
+        if not self._missing:
+            self._all_came.set()
+
+
+class _Stream:
+    """A stream to a reader that takes every message at once."""
+
+    def __init__(self, messages: _Messages) -> None:
+        self._messages = messages
+
+    async def read(self) -> bytes:
+        await asyncio.Event().wait()
+        raise AssertionError("nobody ends the wait")
+
+    async def write(self, message: bytes) -> None:
+        self._messages.count()
+
+
+class _Store:
+    """What a subscription needs of the store of a host."""
+
+    def __init__(self, own: OwnChannels) -> None:
+        self.scheduler = own.scheduler
+
+    def now(self) -> int:
+        return time.time_ns()
+
+    def find(self, channel_id: bytes, epoch: int) -> None:
+        """The channel never leaves."""
+
+
+def measure_readers(counts: Sequence[int], operations: int, runs: int) -> dict[int, dict[str, Spread]]:
+    """By the number of readers, the cost of a put, of it for a reader, and of a get of the newest item."""
+    return {count: asyncio.run(_with_readers(count, operations, runs)) for count in counts}
+
+
+async def _with_readers(count: int, operations: int, runs: int) -> dict[str, Spread]:
+    own, messages = OwnChannels(), _Messages()
+    channel = own.open(Policy(max_items=100))
+    messages.expect(count)  # the first message to each reader says that the subscription is open
+    readers = [asyncio.create_task(_read(own, channel, messages)) for _ in range(count)]
+    await messages.come()
+    try:
+        with quiet():
+            await _put(channel, messages, count, 10)
+            puts = max(3, 2 * operations // count)
+            costs_us = [await _put(channel, messages, count, puts) for _ in range(runs)]
+        return {
+            "put, until all readers have it": Spread.of(costs_us),
+            "of it for a reader": Spread.of([cost / count for cost in costs_us]),
+            "get of the newest": cpu_us(lambda _: get(channel), times=operations, runs=runs),
+        }
+    finally:
+        for reader in readers:
+            reader.cancel()
+        await asyncio.gather(*readers, return_exceptions=True)
+
+
+async def _read(own: OwnChannels, channel: HostedChannel, messages: _Messages) -> None:
+    task = asyncio.current_task()
+    assert task is not None
+    opening = pb.SubscribeRequest(open=pb.SubscribeOpen(epoch=1), credit_bytes=CREDIT_BYTES)
+    store, stream = cast(Any, _Store(own)), cast(Any, _Stream(messages))
+    await Subscription(channel, store, cast(Any, None), stream, OpenStream(task)).run(opening)
+
+
+async def _put(channel: HostedChannel, messages: _Messages, readers: int, puts: int) -> float:
+    """The microseconds of CPU time that a put takes until all readers have it."""
+    encoded = run_of(PAYLOAD_BYTES)
+    began = time.thread_time_ns()
+    for _ in range(puts):
+        messages.expect(readers)
+        put(channel, encoded)
+        await messages.come()
+    return (time.thread_time_ns() - began) / puts / NANOS_PER_US
