@@ -32,6 +32,7 @@ FILES_SOFT = 1024
 ROUNDS_PER_CHANNEL = 20
 GOOD_CLIENTS, PERIOD_SECONDS, CALL_SECONDS = 2, 0.01, 10.0
 ECHOED = b"x" * 150
+PUTS_ALONE_MIN = 20
 SAMPLE_SECONDS = 0.05
 LEASE_LOST = "the lease has ended"
 UNDER_WAY_SECONDS = 60.0
@@ -155,6 +156,8 @@ async def trial(name: str, seconds: float, bare: str = "", *, good_go_there: boo
             await _still(one)
             found.after_mib = one.memory_mib()
             await _good_clients(one, found.alone, asyncio.sleep(seconds / 2))
+    if len(found.alone.puts_ms) < PUTS_ALONE_MIN:
+        raise ValueError(f"good clients alone made {len(found.alone.puts_ms)} puts; measure for longer (--seconds)")
     return found
 
 
