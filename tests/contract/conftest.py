@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from stampede_rt.transports.single_thread_call import STREAMS_VARIABLE
 from stampede_rt_local.cluster import LocalCluster
 from tests.contract.memory import MemoryConnection
 from tests.contract.surfaces import Surface, connected
@@ -15,16 +16,29 @@ cluster = cluster_fixture(hosts=1, supernodes=1, scope="session")
 grouped_cluster = cluster_fixture(hosts=2, supernodes=1)
 
 
-@pytest.fixture(params=["grpc", "socket"], autouse=True)
+OVER_PUBLIC_STREAMS = ("puts", "reads", "resumed_streams", "subscriptions", "waiting")
+"""The test modules that also run over the public streams of gRPC, which the blocking client uses with some grpcio."""
+
+
+@pytest.fixture(params=["grpc", "grpc-public", "socket"], autouse=True)
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The transport that each client of a test must use."""
-    monkeypatch.setenv("STAMPEDE_TRANSPORT", request.param)
-    return str(request.param)
+    transport, _, streams = str(request.param).partition("-")
+    monkeypatch.setenv("STAMPEDE_TRANSPORT", transport)
+    monkeypatch.setenv(STREAMS_VARIABLE, streams)
+    return transport
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep one of the tests of the core in memory, which has no transport."""
-    items[:] = [item for item in items if not {"memory", "socket"} <= _parameters(item)]
+    """Keep one of the tests of the core in memory, which has no transport, and some over the public streams."""
+    items[:] = [item for item in items if _is_wanted(item)]
+
+
+def _is_wanted(item: pytest.Item) -> bool:
+    found = _parameters(item)
+    if "grpc-public" in found:
+        return "sync" in found and item.path.stem.removeprefix("test_") in OVER_PUBLIC_STREAMS
+    return not {"memory", "socket"} <= found
 
 
 def _parameters(item: pytest.Item) -> set[str]:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import pytest
+
 import stampede_rt as st
+from stampede_rt.transports.single_thread_call import STREAMS_VARIABLE, SingleThreadCall
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
 cluster = cluster_fixture(hosts=1)
 
 
-def test_calls_after_such_an_interrupt_go_over_a_new_connection(cluster: LocalCluster) -> None:
+@pytest.mark.parametrize("streams", ["", "public"])
+def test_calls_after_such_an_interrupt_go_over_a_new_connection(
+    cluster: LocalCluster, streams: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(STREAMS_VARIABLE, streams)
     with st.connect(cluster.address, transport="grpc") as rt:
         channel = rt.channel("stuck/a", max_age="60s")
         other = rt.channel("stuck/b", max_age="60s")
@@ -18,7 +25,9 @@ def test_calls_after_such_an_interrupt_go_over_a_new_connection(cluster: LocalCl
         assert channel.newest().payload == b"0"
         [endpoint] = [one for one in rt._session.endpoints._endpoints.values() if hasattr(one._of_thread, "gets")]
         exchange = endpoint.gets()
-        exchange._call._call._state.condition.acquire()  # as a KeyboardInterrupt within Condition.__enter__ leaves it
+        call = exchange._call
+        lock = call._mutex if isinstance(call, SingleThreadCall) else call._call._state.condition
+        lock.acquire()  # as a KeyboardInterrupt within Condition.__enter__ leaves it
         exchange.cancel()
         assert endpoint.is_stuck
         for handle in (channel, other):

@@ -162,7 +162,7 @@ class Subscription(BoundToProcess):
     async def _open_at(self, binding: Binding) -> None:
         self._begun.channel_id, self._begun.epoch = binding.subject_id, binding.epoch
         endpoint = self._session.endpoints.to(binding.target)
-        stream: BidiStream[channel_pb.SubscribeResponse] = endpoint.open_bidi(endpoint.channels.Subscribe)
+        stream: BidiStream[channel_pb.SubscribeResponse] = endpoint.open_read_bidi(endpoint.channels.Subscribe)
         try:
             await stream.send(channel_pb.SubscribeRequest(open=self._begun))
             responses = stream.__aiter__()

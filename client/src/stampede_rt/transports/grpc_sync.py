@@ -17,12 +17,13 @@ from stampede_rt.cluster.transport_choice import Transport
 from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
 from stampede_rt.security.tls import TlsMaterial
 from stampede_rt.status import from_rpc_error, raise_from_rpc_error
-from stampede_rt.transports import forking
+from stampede_rt.transports import forking, single_thread_call
 from stampede_rt.transports.bidi_methods import BidiMethod, BidiMethods
 from stampede_rt.transports.concurrency_sync import when_dropped, within_limit
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, ENQUEUE_METHOD, PUT_METHOD
 from stampede_rt.transports.machine import this_machine
+from stampede_rt.transports.single_thread_call import SingleThreadCall
 from stampede_rt.transports.socket_connecting_sync import connect
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import SocketRoute, opening_of
@@ -104,14 +105,16 @@ class ServerEndpoint(Stubs):
         except ValueError as error:
             raise closed(self.target) from error
 
-    def begin_bidi(self, method: BidiMethod, *, in_turn: bool = False) -> GrpcCall | SocketCall:
+    def begin_bidi(
+        self, method: BidiMethod, *, in_turn: bool = False, reads_on: bool = False
+    ) -> GrpcCall | SingleThreadCall | SocketCall:
         """Begin the call of a stream in both directions. Raises Unavailable once this endpoint is closed.
 
-        `in_turn`: see `SocketCall`.
+        `in_turn`: see `SocketCall`. `reads_on`: see `SingleThreadCall`.
         """
         connected = connect(self.route, self._ask_for_sockets)
         if connected is None:
-            return GrpcCall(partial(self.begin, method))
+            return self._begin_over_grpc(method, reads_on=reads_on)
         call = SocketCall(connected, method, opening_of(method.name, self._metadata()), in_turn=in_turn)
         with self._mutex:
             self._socket_calls.add(call)
@@ -120,6 +123,13 @@ class ServerEndpoint(Stubs):
             call.cancel()
             raise closed(self.target)
         return call
+
+    def _begin_over_grpc(self, method: BidiMethod, *, reads_on: bool) -> GrpcCall | SingleThreadCall:
+        try:
+            call = single_thread_call.begin(self._channel, method, self._metadata()) if reads_on else None
+        except ValueError as error:
+            raise closed(self.target) from error
+        return call or GrpcCall(partial(self.begin, method))
 
     def _ask_for_sockets(self) -> Sequence[gatekeeper_pb.DataEndpoint]:
         request = gatekeeper_pb.ListDataEndpointsRequest(machine=this_machine())
@@ -141,6 +151,10 @@ class ServerEndpoint(Stubs):
     def open_bidi(self, method: BidiMethod) -> BidiStream[Any]:
         """Open a stream in both directions."""
         return BidiStream(self.begin_bidi(method), self.target, self._watchdog)
+
+    def open_read_bidi(self, method: BidiMethod) -> BidiStream[Any]:
+        """Open a stream in both directions, for a caller that reads after it has sent."""
+        return BidiStream(self.begin_bidi(method, reads_on=True), self.target, self._watchdog)
 
     def gets(self) -> GetExchange:
         """Return this thread's open stream for gets."""
@@ -196,7 +210,7 @@ class _Exchange:
     def __init__(self, endpoint: ServerEndpoint, method: BidiMethod, *, in_turn: bool) -> None:
         self._endpoint = ref(endpoint)
         self._target = endpoint.target
-        self._call = endpoint.begin_bidi(method, in_turn=in_turn)
+        self._call = endpoint.begin_bidi(method, in_turn=in_turn, reads_on=True)
         self.broken = False
         self._forks = forking.forks()
         endpoint.opened(self)
