@@ -116,7 +116,7 @@ class Channel(Reader):
     async def advance(self, time: InstantLike) -> int:
         """Promise that no item earlier than `time` will come. From then on the host refuses such items.
 
-        Returns the latest instant that any producer has promised so far, in nanoseconds. Blocks for at most 10 s.
+        Returns the latest instant that any producer has promised so far, in nanoseconds. Blocks for at most 20 s.
         Raises InFuture, ChannelNotFound, Unavailable.
         """
         instant = parse_instant(time)
@@ -134,7 +134,7 @@ class Channel(Reader):
     async def stats(self) -> ChannelStats:
         """Return the channel's counters and bounds at one moment, the offset of the host's clock, and the transport.
 
-        The offset says how far the host's clock is ahead of this machine's clock. Blocks for at most 10 s. Raises
+        The offset says how far the host's clock is ahead of this machine's clock. Blocks for at most 20 s. Raises
         ChannelNotFound, Unavailable.
         """
 
@@ -166,7 +166,7 @@ class Channel(Reader):
         """Change the channel's policy while it runs, and return the policy after the change.
 
         A setting that you leave out stays as it is. With more `consumers` the channel gets new consumer places, which
-        keep all held items. With fewer, the channel removes the places whose leases end first. Blocks for at most 10 s.
+        keep all held items. With fewer, the channel removes the places whose leases end first. Blocks for at most 20 s.
         Raises InvalidArgument, ChannelNotFound, Unavailable.
         """
         policy = parse_policy(

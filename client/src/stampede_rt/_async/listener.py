@@ -75,7 +75,10 @@ class Listener(BackgroundStart, BoundToProcess):
         return f"<Listener of {self._name}{f', {state}' if state else ''}>"
 
     def cancel(self) -> None:
-        """Begin no further call. A call under way continues; `join` waits for it. Any thread may call this."""
+        """Begin no further call. A call under way continues; `join` waits for it.
+
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it.
+        """
         self._cancelled = True
         self._subscription.close()
 
@@ -126,7 +129,7 @@ class Listener(BackgroundStart, BoundToProcess):
             self._dropped_before, self._skipped_before = self.dropped, self.skipped
             self._reconnects_before = self.reconnects
             self._subscription = self._subscribe(True)
-            if self._cancelled:  # `cancel` closed only the subscription before
+            if self._cancelled:  # `cancel` closed only the former subscription
                 self._subscription.close()
 
     async def _call(self, item: Any) -> None:

@@ -26,7 +26,7 @@ from stampede_rt.values.timeline import DurationLike, Match, parse_interval
 
 
 class MatchSubscription(BoundToProcess):
-    """An iterator over `Matched` items (see `Group.match`), and a context manager. Any thread may call `close`.
+    """An iterator over `Matched` items (see `Group.match`), and a context manager. `close` ends the iteration.
 
     The host sends ahead as much as the reader takes in a tenth of a second, and at most 2 MiB. After the loss of a host
     the subscription continues by itself. Each step blocks until the next match. A step raises GroupNotFound once the
@@ -116,7 +116,10 @@ class MatchSubscription(BoundToProcess):
             raise StopAsyncIteration
 
     def close(self) -> None:
-        """End the subscription. Any thread may call it."""
+        """End the subscription.
+
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it.
+        """
         self._closed = True
         self._reconnecting.stop()
         stream = self._stream

@@ -35,7 +35,7 @@ class Settler:
         self._taker_id = taker_id
 
     async def settle(self, settlement: queue_pb2.Settlement, incarnation: int) -> queue_pb2.SettlementResult:
-        """Settle one delivery. Tries again until the host has answered, for at most 10 s.
+        """Settle one delivery. Tries again for 10 s until the host answers. Blocks for at most 20 s.
 
         Raises LeaseExpired, Unavailable.
 
@@ -48,13 +48,13 @@ class Settler:
             nonlocal tries
             tries += 1
             if binding.incarnation != incarnation:
-                raise LeaseExpired("the queue's host was lost with this message and all others; take the next message")
+                raise LeaseExpired("the queue's host was lost, with this and all other messages; go on taking")
             result = (await self._settle_at(binding, (settlement,), CALL_TIMEOUT_S))[0]
             if result.HasField("error"):
                 error = from_error_message(result.error)
                 once = settlement.WhichOneof("verdict") in _DONE_ONCE
                 if not (tries > 1 and once and isinstance(error, LeaseExpired)):
-                    raise error  # in the other case an earlier try has settled the message, but its answer was lost
+                    raise error  # otherwise: an earlier try may have settled the message, and its answer was lost
             return result
 
         return await attempt(self._locator, settle_at, CALL_TIMEOUT_S)
@@ -162,7 +162,7 @@ class Message(BoundToProcess):
     async def ack(self) -> None:
         """Acknowledge the message, so that it leaves the queue. With `copies` only this taker's copy leaves the queue.
 
-        You may repeat the call. Blocks for at most 10 s. Raises LeaseExpired if the lease has ended; another taker may
+        You may repeat the call. Blocks for at most 20 s. Raises LeaseExpired if the lease has ended; another taker may
         then have the message. Raises Unavailable if the host cannot be reached.
         """
         await self._settle(queue_pb2.Settlement(acknowledge=queue_pb2.Acknowledge()))
@@ -170,7 +170,7 @@ class Message(BoundToProcess):
     async def nack(self, delay: DurationLike | None = None) -> None:
         """Give the message back to its place in the queue. Any taker may get the message once `delay` has passed.
 
-        The host delivers later messages meanwhile. Blocks for at most 10 s. Raises LeaseExpired, Unavailable.
+        The host delivers later messages meanwhile. Blocks for at most 20 s. Raises LeaseExpired, Unavailable.
         """
         delay_nanos = duration_of("delay", delay, least=0) or 0
         await self._settle(queue_pb2.Settlement(give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos)))
@@ -179,13 +179,13 @@ class Message(BoundToProcess):
         """Give the message up for all takers.
 
         The message moves to the dead-letter queue of its queue. If there is none, the host deletes the message. The
-        dead letter carries `reason`, at most 1024 bytes of text. Blocks for at most 10 s. Raises LeaseExpired,
+        dead letter carries `reason`, at most 1024 bytes of text. Blocks for at most 20 s. Raises LeaseExpired,
         Unavailable.
         """
         await self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     async def extend(self, lease: DurationLike = "30s") -> None:
-        """Let the lease end `lease` from now. `lease` is at most one hour. Blocks for at most 10 s.
+        """Let the lease end `lease` from now. `lease` is at most one hour. Blocks for at most 20 s.
 
         Raises LeaseExpired, Unavailable, InvalidArgument.
         """
@@ -235,5 +235,5 @@ class Message(BoundToProcess):
             return
         try:
             await self.nack()
-        except StampedeError as failure:  # the block's own error goes on, because the caller needs it more
+        except StampedeError as failure:  # the program gets the error of the block, because that error says more
             error.add_note(f"the message could not be given back; it comes again when its lease ends: {failure}")

@@ -123,7 +123,7 @@ class MessageTaking:
         return self._reconnecting.connected and not self._taker.closed
 
     async def stats(self) -> QueueStats:
-        """Return the queue's counters at one moment. Blocks for at most 10 s. Raises QueueNotFound, Unavailable."""
+        """Return the queue's counters at one moment. Blocks for at most 20 s. Raises QueueNotFound, Unavailable."""
         return await stats_at(self._session, self._locator)
 
     async def pending(self, limit: int = 1000) -> list[PendingMessage]:
@@ -211,7 +211,7 @@ class Queue(MessageTaking, Reference):
     ) -> QueuePolicy:
         """Change the queue's policy while it runs, and return the new policy.
 
-        A setting that you leave out stays as it is. Blocks for at most 10 s. Raises InvalidArgument, QueueNotFound,
+        A setting that you leave out stays as it is. Blocks for at most 40 s. Raises InvalidArgument, QueueNotFound,
         Unavailable.
         """
         policy = parse_queue_policy(

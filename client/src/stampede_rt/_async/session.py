@@ -30,7 +30,7 @@ from stampede_rt.values.policy import flag_of, parse_name
 from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.records import channel_info, policy_to_spec
 
-CALL_TIMEOUT_S = 10.0  # for one call of the program, with all its tries
+CALL_TIMEOUT_S = 10.0  # a call of the program begins no try after this time; the last try may take as long again
 TRY_TIMEOUT_S = 5.0  # for one request to a host, if the client may ask somebody else afterwards
 
 Result = TypeVar("Result")

@@ -47,7 +47,7 @@ class _HostStream:
 
 
 class CutSubscription(BoundToProcess):
-    """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. Any thread may call `close`.
+    """An iterator over `Cut` events (see `Group.subscribe`), and a context manager. `close` ends the iteration.
 
     One host decides when an event is due. The other hosts then send their items up to the same cut. After the loss of a
     host, and after a change of the members, the subscription continues after the last event. Each step blocks until
@@ -140,7 +140,10 @@ class CutSubscription(BoundToProcess):
             raise StopIteration
 
     def close(self) -> None:
-        """End the subscription. Any thread may call it."""
+        """End the subscription.
+
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it.
+        """
         self._closed = True
         self._reconnecting.stop()
         self._hang_up()

@@ -1,5 +1,5 @@
 # Generated from ../_async by tools/generate.py; do not edit.
-"""Single puts. Each put goes over an open stream to the channel's host, and waits for its ack."""
+"""Single puts into a channel, queue or mailbox. Each goes over an open stream to the host, and waits for its ack."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ class Puts:
         `wait` bounds the wait for room. The client splits a long wait into several requests, so that it notices a host
         that hangs. The first request asks for a wait of at most `renew_s`, the others of at most RENEW_S.
 
-        `may_fill` False: as far as the handle knows, the channel drops its oldest items and is never full. The put then
-        uses the stream of all handles, and asks for no wait, because a wait would block the others. If the host says
-        that the channel is full, another program has changed the policy. This put is then repeated with its wait, and
-        the handle uses streams of its own from then on.
+        `may_fill` False: as far as the handle knows, the channel drops its oldest items and is never full. On asyncio
+        the put then uses a stream that all handles share, and asks for no wait, because a wait would block the others.
+        If the host says that the channel is full, another program has changed the policy. This put is then repeated
+        with its wait, and the handle uses streams of its own from then on.
         """
         if not (may_fill or self._has_been_full or PutExchange.one_at_a_time):
             try:
@@ -82,12 +82,12 @@ class Puts:
             except Full:
                 if (
                     part is left or monotonic_s() - asked_s < renew_s / 2
-                ):  # the host refused the put at once, so no put waits on this channel
+                ):  # the host refused the put at once: the policy lets no put wait for room
                     raise
             renew_s = RENEW_S
 
     def _put(self, numbers: ProducerNumbers, item: SingleItem, wait: Wait, *, shares: bool) -> channel_pb.PutAck:
-        """Put over a stream of this handle, or, if it `shares`, over one that all handles use."""
+        """Put over a stream of this handle; with `shares` over a stream that all handles use."""
         seconds = wait.seconds or 0.0
         number, ends_s = numbers.next(), monotonic_s() + seconds
 
@@ -111,7 +111,7 @@ class Puts:
 
 
 def enqueued(ack: channel_pb.PutAck) -> Enqueued:
-    """Return the ack of a queue in the form that callers see."""
+    """Return the ack of a queue as the value that a program gets."""
     return Enqueued(ack.first_seq, ack.duplicate, ack.incarnation)
 
 
@@ -157,7 +157,7 @@ class SingleItem:
         )
 
     def accepted_as(self, state: ChannelState, ack: channel_pb.PutAck) -> Item:
-        """Return the item as the channel's host accepted it: with the time and seq of `ack`."""
+        """Return the item as the host accepted it: with the time and seq of `ack`."""
         time = ack.stamped_unix_nano if self.time is None else self.time
         fields = (
             time,

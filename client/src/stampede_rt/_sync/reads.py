@@ -29,7 +29,7 @@ _MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)
 def read(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None = None) -> Items:
     """Perform `query`, also if the channel has moved to another host.
 
-    Blocks for the wait of the query, and for at most 10 s more. `view`: the group through which to read. The client
+    Blocks for the wait of the query, and for at most 20 s more. `view`: the group through which to read. The client
     sends the highest cut that it has seen in this group, and notes the cut of the answer. The client splits a wait
     without limit into several requests, so that it notices a host that hangs. All of these requests use the interval as
     the host first resolved it.

@@ -42,7 +42,7 @@ class Reconnecting:
         return self._held and self._since_s is None and not self.ended and not self._session.closed
 
     def stop(self) -> None:
-        """End all tries. Any thread may call it."""
+        """End all tries."""
         self.ended = True
 
     def broke(self) -> None:

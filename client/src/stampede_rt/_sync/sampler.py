@@ -51,10 +51,10 @@ class MonotonicClock:
 class Sampler(BackgroundStart, BoundToProcess):
     """Calls a function once in each period and puts its result, until `cancel` (see `Channel.sample`).
 
-    `samples` counts the items put. `missed` counts periods that passed while the function or a put took too long.
-    `failures` counts calls and puts that raised; `last_failure` is the last exception. The sampler continues after
-    an exception. Only ChannelNotFound ends the sampler, when the channel is deleted. `error` is then this error; it is
-    None while the sampler runs and after `cancel`.
+    `samples` counts the items put; a result None is not put. `missed` counts periods that passed while the function or
+    a put took too long. `failures` counts calls and puts that raised; `last_failure` is the last exception. The sampler
+    continues after an exception. Only ChannelNotFound ends the sampler, when the channel is deleted. `error` is then
+    this error; it is None while the sampler runs and after `cancel`.
     """
 
     def __init__(
@@ -91,7 +91,10 @@ class Sampler(BackgroundStart, BoundToProcess):
         return f"<Sampler of {self._name}{f', {state}' if state else ''}>"
 
     def cancel(self) -> None:
-        """Begin no further call. A call under way continues; `join` waits for it. Any thread may call this."""
+        """Begin no further call. A call under way continues; `join` waits for it.
+
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it.
+        """
         self._stop.set()
 
     def join(self, timeout: float) -> bool:

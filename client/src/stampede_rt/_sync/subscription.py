@@ -34,7 +34,7 @@ class Subscription(BoundToProcess):
     moment. In mode "all" it sends ahead as much as the reader takes in a tenth of a second, and at most 2 MiB.
 
     `skipped` counts items that mode "newest" left out. `dropped` counts items that retention collected before a slow
-    reader took them. Any thread may call `close`, which ends the iteration. A step raises ChannelNotFound once the
+    reader took them. `close` ends the iteration. A step raises ChannelNotFound once the
     channel is deleted, Unavailable if the client could not reach the host for the duration `reconnect`, and
     IncarnationLost if the channel's host was lost with its items. After IncarnationLost subscribe again to read the new
     incarnation.
@@ -137,7 +137,10 @@ class Subscription(BoundToProcess):
             raise StopIteration
 
     def close(self) -> None:
-        """End the subscription. Any thread may call it."""
+        """End the subscription.
+
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it.
+        """
         self._closed = True
         self._reconnecting.stop()
         stream = self._stream

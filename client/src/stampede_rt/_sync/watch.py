@@ -80,7 +80,10 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
             return self._ready.popleft()
 
     def close(self) -> None:
-        """End the watch. Any thread may call it."""
+        """End the watch.
+
+        In the blocking client any thread may call this. With asyncio only code on the event loop may call it.
+        """
         self._closed = True
         self._reconnecting.stop()
         stream = self._stream
@@ -150,7 +153,7 @@ class DirectoryWatch(BoundToProcess, Generic[Event]):
 
 
 class Watch(DirectoryWatch[Change]):
-    """An iterator over `Change` (see `Connection.watch`), and a context manager. Any thread may call `close`.
+    """An iterator over `Change` (see `Connection.watch`), and a context manager. `close` ends the iteration.
 
     Each step blocks until the next change. After a break the watch continues after the last change, perhaps at another
     supernode. A step raises Unavailable if the client could not reach a supernode for the duration `reconnect`. It

@@ -1,4 +1,4 @@
-"""Waits until every part of a running cluster applies a change of the rules of access, or a revocation."""
+"""Waits a few seconds until the parts of a running cluster apply a change of access, such as a revocation."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
 from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-IN_FORCE_SECONDS = 5.0  # hosts and supernodes learn of changes within milliseconds; front-ends ask once a second
-CALL_SECONDS = 1.0  # for one question to one part
-PAUSE_SECONDS = 0.02  # between two rounds of questions
+IN_FORCE_SECONDS = 5.0  # how long to ask again; hosts and supernodes learn of changes at once, front-ends within 1 s
+CALL_SECONDS = 1.0  # the timeout of one call to one part
+PAUSE_SECONDS = 0.02  # between two rounds; a round asks each part once
 
 
 class Judge(NamedTuple):
@@ -32,9 +32,10 @@ class Judge(NamedTuple):
 
 
 def parts_behind(endpoints: EndpointPool, judges: Iterable[Judge], version: int) -> dict[str, str]:
-    """Wait until all `judges` apply `version` of access or a later one, for about IN_FORCE_SECONDS at most.
+    """Wait until all `judges` apply `version` of access or a later one. Begins no round after IN_FORCE_SECONDS.
 
-    Returns the names of the parts that do not apply this version yet, each with the reason.
+    A round asks one part after the other, so a part that hangs makes it up to CALL_SECONDS longer. Returns the names of
+    the parts that do not apply this version yet, each with the reason.
     """
     waiting, deadline_s = list(judges), time.monotonic() + IN_FORCE_SECONDS
     while True:  # ends when no part is behind, or when the time is over
@@ -51,7 +52,7 @@ def _why_behind(endpoints: EndpointPool, one: Judge, version: int) -> str:
         known = one.ask(endpoints.to(one.target)).access.version
     except StampedeError as error:
         return error.message
-    return "" if known >= version else f"it judges by version {known} of access, and {version} is in the directory"
+    return "" if known >= version else f"it still applies version {known} of access; {version} is in the directory"
 
 
 def ping_supernode(endpoint: ServerEndpoint) -> Any:

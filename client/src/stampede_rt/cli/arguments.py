@@ -1,4 +1,4 @@
-"""Times, bounds and policies as people write them on the command line."""
+"""The arguments that several verbs of the command line have in common, and their parsers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class VerbParser(TerminalParser):
     def parse_known_args(  # type: ignore[override]  # typeshed has an overload for each kind of namespace
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> Any:
-        """Parse the verb's arguments. `argparse` calls this method, twice for arguments and options in mixed order."""
+        """Parse the verb's arguments. `parse_known_intermixed_args` calls this method again, for each of its passes."""
         if self._intermixed or self._subparsers is not None:
             # The parser of a noun, such as "queue", leaves the rest to the parsers of the noun's verbs.
             return super().parse_known_args(args, namespace)
@@ -58,7 +58,7 @@ def timeout_seconds(text: str) -> float:
 def add_verb(
     subparsers: Any, name: str, text: str, run: Callable[[argparse.Namespace], int], *, output: bool = True
 ) -> argparse.ArgumentParser:
-    """Add a verb with the options that all verbs have."""
+    """Add a verb with the option --url, and with --output unless `output` is False."""
     parser: argparse.ArgumentParser = subparsers.add_parser(name, help=text, description=text)
     parser.set_defaults(run=run)
     parser.add_argument(
@@ -100,7 +100,7 @@ def parse_count(text: str) -> int:
 def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
     """Wrap `parse` for `argparse`.
 
-    If `parse` raises InvalidArgument, the wrapper raises a usage error with the reason.
+    If `parse` raises StampedeError, the wrapper raises a usage error with the reason.
     """
 
     def parse_or_explain(text: str) -> Any:

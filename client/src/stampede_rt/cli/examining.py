@@ -31,9 +31,9 @@ from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
-TIMEOUT_S = 5.0  # a front-end looks for a healthy supernode for up to 2 s
+TIMEOUT_S = 5.0  # of one request; a front-end may need 2 s of it to find a healthy supernode
 ASKED_AT_ONCE_MAX = 16  # parts that the command asks in parallel
-PATIENT_NANOS_MAX = 10**9  # after a longer round trip the command does not measure the clock a second time
+PATIENT_NANOS_MAX = 10**9  # if the first round trip takes longer, the command sends no second request
 PAGES_MAX = 10_000  # the pages of one list
 
 
@@ -65,8 +65,8 @@ class Examination:
     def look(self, frontends: Sequence[str], members: Sequence[str]) -> tuple[list[Observation], list[Inventory]]:
         """Ask the front-ends, the supernodes at `members`, and all parts that they name.
 
-        Returns an observation of each part, and the inventories of channels and queues. Blocks for about 8 * TIMEOUT_S
-        at most.
+        Returns an observation of each part, and the inventories of channels and queues. Each request
+        blocks for at most TIMEOUT_S. Up to ASKED_AT_ONCE_MAX parts are asked at the same time.
         """
         with self._pool:
             bound = self._ask(map(_frontend, frontends))
@@ -101,7 +101,7 @@ class Examination:
             request.page_token = page.next_page_token
 
     def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
-        """Ask the named supernodes, and the supernodes that they list. A supernode can list even without a majority."""
+        """Ask the named supernodes, and the members that the first of them lists. A list needs no majority."""
         first = self._ask(_supernode(name, address) for address, name in named.items())
         own_id = _cluster_of_most(first)
         ready_first = sorted((one for one in first if not _of_others(one, own_id)), key=lambda one: not one.seen.ready)
@@ -150,7 +150,7 @@ class Examination:
                 try:
                     return endpoint.call(getattr(endpoint.directory, method), request, TIMEOUT_S)
                 except StampedeError:
-                    continue  # another finding says what is wrong with this supernode
+                    continue  # the next supernode may answer
         return None
 
     def _ask(self, parts: Iterable[_Part]) -> list[_Answer]:
@@ -197,7 +197,8 @@ class Examination:
         endpoint = self._endpoints.to(part.address)
         method = getattr(getattr(endpoint, part.service), part.method)
         for is_last in (False, True):
-            # The monotonic clock is first: a pause between the readings then makes the round trip longer.
+            # Read the monotonic clock first. A pause between the two readings then makes the round trip longer,
+            # and so shows in the uncertainty of the clock offset.
             started, sent = time.monotonic_ns(), time.time_ns()
             response = endpoint.call(method, part.request, TIMEOUT_S)
             round_trip = time.monotonic_ns() - started
@@ -326,7 +327,7 @@ def _marked_if_foreign(answer: _Answer, own_id: str) -> _Answer:
         return answer
     failure = (
         f"a supernode of another cluster, {answer.response.cluster_id}, answers there, and not one of {own_id}: stop "
-        "it, and start the one that should be there, or remove that one"
+        "it, and start the member of this address, or remove that member from the cluster"
     )
     return answer._replace(seen=replace(answer.seen, failure=failure))
 
@@ -334,7 +335,7 @@ def _marked_if_foreign(answer: _Answer, own_id: str) -> _Answer:
 def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]:
     """Return the ids of the supernodes whose stores the answering supernode refuses, each with the reason.
 
-    Returns none if another supernode should answer at this address, because the answer may come from a copied store.
+    The mapping is empty if another supernode should answer at this address: the answer may come from a copied store.
     """
     if answer.response is None:
         return {}
@@ -351,7 +352,10 @@ def _named(answer: _Answer, listed: dict[str, str], refused: Mapping[str, str]) 
     expected = listed.get(seen.address, "")
     said = answer.response.supernode_id if answer.response is not None else expected
     if expected and said != expected:
-        failure = f"another supernode, {said}, answers there; start {expected} at this address, or remove it"
+        failure = (
+            f"another supernode, {said}, answers there; start the member of this address, {expected}, or remove that "
+            "member from the cluster"
+        )
         return answer._replace(seen=replace(seen, name=expected, failure=failure))
     name = said or seen.name
     is_member = not listed or name in listed.values()

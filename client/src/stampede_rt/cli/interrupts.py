@@ -2,8 +2,8 @@
 
 Python's own handler raises KeyboardInterrupt at any place in the main thread. Inside gRPC or `threading` the thread may
 just have taken a lock, and not yet be inside the `with` block that releases the lock. Nobody then releases this lock,
-and the call that ends the stream waits for it for ever. If the exception comes in a weakref callback, Python drops it.
-Therefore a command runs on another thread. The main thread only waits, and its handler raises nothing.
+and the code that later closes the connection waits for it for ever. If the exception comes in a weakref callback,
+Python drops it. Therefore a command runs on another thread. The main thread only waits, and its handler raises nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from queue import Empty, SimpleQueue
 from typing import Any, NoReturn
 
 INTERRUPTED = 130  # the exit status after Ctrl-C
-CLOSE_S = 2.0  # how long a command may take to leave the cluster after Ctrl-C
+CLOSE_S = 2.0  # how long a command may take to close its connections and end after Ctrl-C
 LOOK_S = 0.2  # how often the main thread looks for Ctrl-C
 UNWIND_S = 20.0  # how long a command in `unwinding` may take to stop its processes
 
@@ -52,9 +52,9 @@ interruption = Interruption()
 def run_interruptibly(work: Callable[[], int]) -> int:
     """Run `work` on a thread of its own and return its exit status. After Ctrl-C the process ends with INTERRUPTED.
 
-    After Ctrl-C this function closes the command's connections, and waits for the end of `work`, both for at most
-    CLOSE_S. A second Ctrl-C ends the process immediately. Only the main thread receives signals. If the caller is
-    another thread, or if the process ignores Ctrl-C, `work` runs on the caller's thread.
+    After Ctrl-C this function closes the command's connections, and waits for the end of `work`. Both together
+    take at most CLOSE_S. A second Ctrl-C ends the process immediately. Only the main thread receives signals. If the
+    caller is another thread, or if the process ignores Ctrl-C, `work` runs on the caller's thread.
     """
     deaf = threading.current_thread() is not threading.main_thread()
     if deaf or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -80,7 +80,7 @@ def run_interruptibly(work: Callable[[], int]) -> int:
 
 
 def _next(events: SimpleQueue[Any]) -> Any:
-    """Return the next event. A signal that another thread gets does not wake this thread, so it looks every LOOK_S."""
+    """Return the next event. Looks every LOOK_S, because a signal may wake another thread instead."""
     while True:
         with suppress(Empty):
             return events.get(timeout=LOOK_S)
@@ -110,7 +110,7 @@ def _raising(error: BaseException) -> Callable[[], int]:
 def _close(events: SimpleQueue[Any]) -> NoReturn:
     """Close the connections, wait for the work and its output, and end the process. Blocks for at most CLOSE_S.
 
-    A normal end of the interpreter would hang. It waits for locks that gRPC's threads hold, and they no longer run.
+    A normal end of the interpreter would hang: it waits for locks whose holders, threads of gRPC, no longer run.
     """
     closed: SimpleQueue[None] = SimpleQueue()
 
@@ -147,8 +147,8 @@ def ended_at_once() -> Iterator[None]:
 def unwinding(*numbers: signal.Signals, limit_s: float = UNWIND_S) -> Iterator[None]:
     """Raise KeyboardInterrupt at the first of these signals, for a command that must stop processes.
 
-    After the first signal the process ends within `limit_s`, even if Python drops the exception. A second signal ends
-    the process immediately.
+    If the `with` block has not ended `limit_s` seconds after the first signal, the process ends, even if Python has
+    dropped the exception. A second signal ends the process immediately.
     """
     asked: list[int] = []
 

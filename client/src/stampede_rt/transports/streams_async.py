@@ -41,7 +41,7 @@ async def _give_up(call: Any) -> None:
 
 
 class ServerStream(Generic[Response]):
-    """The responses to one request. Any thread may call `cancel`, which ends the iteration."""
+    """The responses to one request. `cancel` ends the iteration; only code on the event loop may call it."""
 
     def __init__(self, call: Any, target: str) -> None:
         self._call = call

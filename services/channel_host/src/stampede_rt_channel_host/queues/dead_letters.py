@@ -88,7 +88,7 @@ class DeadLetterMover:
 
     async def _move_all(self, hosted: HostedQueue) -> None:
         pause_s, refusals = _PAUSE_SECONDS_MIN, Counter[int]()
-        # paced by its pauses; ends when the queue has nothing to move
+        # pauses after each failure; ends when the queue has nothing to move, or is no longer of this host
         while hosted.queue.is_moving_out and self._may_move(hosted):
             try:
                 await self._attempt(hosted, refusals)
@@ -102,8 +102,8 @@ class DeadLetterMover:
     async def _attempt(self, hosted: HostedQueue, refusals: Counter[int]) -> None:
         """Move some messages. Raises the last error if some of them could not be moved.
 
-        `refusals` counts, by seq, how often the dead-letter queue has refused each message. It does not count errors
-        that concern the whole run.
+        `refusals` counts, by seq, how often the dead-letter queue has refused each message. It does not count an error
+        of the whole request, such as an old epoch.
         """
         found = await self._directory.resolve(hosted.record.policy.dead_letter_queue_id or b"")
         if (target := found.target) is None:

@@ -1,4 +1,6 @@
-"""The member and cluster of a data folder, in a small file. `init` and `join` write it, and every start reads it.
+"""The small file of a data folder that names its member and cluster.
+
+`init` and `join` make the file. Every start reads it. The first start and the attempts to join update it.
 
 The log's store also names its member and cluster. This file exists before the store, and says how the member begins.
 """
@@ -24,13 +26,15 @@ FILE_NAME = "supernode.json"
 # This file exists while `init --restore` writes.
 RESTORING_NAME = "supernode.restoring"
 FORMAT_VERSION = 1
-# The hosts that stand for all addresses of a machine. A server can listen there, but nobody can call them.
+# The IP addresses that stand for all addresses of a machine. A server can listen at them, but nobody can call them.
 ANYWHERE = ("0.0.0.0", "::")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Founding:
-    """How a member begins, and how far it has come. `address`: the address at which the other members reach it.
+    """The contents of the file: how a member starts for the first time, and which steps are done.
+
+    `address`: the address at which the other members reach this member.
 
     `members`: by id, the addresses of all founders; for a member that joins, those of the members at that time.
     """

@@ -1,4 +1,4 @@
-"""The hellos by which members introduce themselves, and the reasons to refuse one. Pure."""
+"""The hellos by which members introduce themselves, and the reasons to refuse a hello. Without I/O."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ OLDER_STORE = "comes with an older copy of its store"
 NO_STORE = "has no store, but the others have stores"
 # The words that refuse a member of another cluster.
 OTHER_CLUSTER = "is of another cluster"
-# The words that refuse an unknown caller. A newcomer is unknown for a moment.
+# The words that refuse an unknown caller. A member that has just joined is unknown until this member learns of it.
 UNKNOWN = "is no other member of this cluster"
 
 
 class HelloRefusal(NamedTuple):
     """The reason why a hello is refused.
 
-    `sends_members`: the caller still gets the list of members, because it may be a member that this one does not know.
+    `sends_members`: the caller still gets the list of members, because it may be a new member
+    that this member does not know yet.
     """
 
     code: grpc.StatusCode
@@ -116,7 +117,7 @@ def other_protocol(member_id: str, version: int) -> str:
 
 
 def introduced_member(hello: pb.RaftHello, settings: ReplicationSettings) -> Member | None:
-    """The member that an unknown caller says it is; None if it names no address, or the cluster has no id.
+    """The id and address that an unknown caller states in its hello; None without an address or a cluster id.
 
     A member that was away while the others were replaced knows none of them, but must accept the leader's messages
     (Ongaro's dissertation, section 4.1). A cluster without an id cannot be distinguished from another cluster.
