@@ -36,7 +36,9 @@ class Streams:
             "Echo": self.echo, "Hold": self.hold, "ReadLater": self.read_later, "Refuse": self.refuse,
             "Fail": self.fail, "Flood": self.flood,
         }  # fmt: skip
-        handlers = {name: grpc.stream_stream_rpc_method_handler(method) for name, method in methods.items()}
+        handlers: dict[str, Any] = {
+            name: grpc.stream_stream_rpc_method_handler(method) for name, method in methods.items()
+        }
         server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
         server.add_registered_method_handlers(SERVICE, handlers)
 
@@ -52,8 +54,10 @@ class Streams:
             self.cancelled.release()
 
     async def read_later(self, _requests: Any, context: Any) -> None:
+        """Read one message, and the others when the test lets it."""
         self.held.release()
         try:
+            self.read_bytes += len(await context.read())
             await self.may_read.wait()
             while (message := await context.read()) is not grpc.aio.EOF:
                 self.read_bytes += len(message)

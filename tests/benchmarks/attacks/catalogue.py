@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from tests.benchmarks.attacks import memory, neighbours, quotas, readers, without_credential
+from tests.benchmarks.attacks import memory, neighbours, over_sockets, quotas, readers, without_credential
 from tests.benchmarks.attacks.ground import Attack
 
 Part = Literal["host", "supernode"]
@@ -61,4 +61,7 @@ CASES: dict[str, Case] = {
     "many-cuts": Case(readers.many_cuts),
     "many-matches": Case(readers.many_matches),
     "busy-takes": Case(readers.busy_takes),
+    "silent-sockets": Case(over_sockets.silent_sockets),
+    "unfinished-frames": Case(over_sockets.unfinished_frames),
+    "malformed-frames": Case(over_sockets.malformed_frames),
 }

@@ -18,7 +18,7 @@ from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.sockets import server, stream_socket
 from tests.support.raw_stream import RawStream, raw_stream
-from tests.support.socket_port import ECHO, FAIL, FLOOD, HOLD, READ_LATER, REFUSE, Open, paused, port_fixture
+from tests.support.socket_port import ECHO, FAIL, FLOOD, HOLD, READ_LATER, REFUSE, Open, port_fixture, until
 
 port = port_fixture()
 
@@ -102,7 +102,7 @@ async def test_a_caller_of_another_cluster_is_refused(port: Open) -> None:
 
 
 async def test_streams_over_sockets_and_over_grpc_count_towards_the_same_limits(port: Open) -> None:
-    limits = Limits(concurrent_rpcs_max=2, streams_max=2)
+    limits = Limits(concurrent_rpcs_max=4, streams_max=2)
     async with port(limits=limits) as one, grpc.aio.insecure_channel(one.server.address) as channel:
         over_grpc: Any = channel.stream_stream(HOLD)(timeout=20)
         await one.streams.held.acquire()
@@ -146,7 +146,8 @@ async def test_a_close_cancels_a_method_at_once_that_takes_no_more_messages(port
             await stream.begin(READ_LATER)
             await one.streams.held.acquire()
             stream.writer.write(b"".join(bytes((160, 134, 1, 0, 0)) + bytes(100_000) for _ in range(20)))
-            await paused(one)
+            [made] = one.server.sockets._streams
+            await until(lambda: made._unread_bytes and made._is_paused)
         await asyncio.wait_for(one.streams.cancelled.acquire(), 20)
 
 
@@ -157,7 +158,8 @@ async def test_what_nobody_reads_stays_with_the_caller_and_is_read_later(port: O
         for _ in range(100):
             stream.writer.write(bytes((160, 134, 1, 0, 0)) + bytes(100_000))
         stream.writer.write(bytes((0, 0, 0, 0, 3)))
-        made = await paused(one)
+        [made] = one.server.sockets._streams
+        await until(lambda: made._unread_bytes and made._is_paused)
         kept = made._unread_bytes + made._frames.unfinished_bytes
         assert kept <= 2 * Limits().unread_bytes_max + Limits().request_bytes_max
         one.streams.may_read.set()

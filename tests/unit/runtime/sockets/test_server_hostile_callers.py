@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 
 import grpc
 import pytest
@@ -11,7 +12,7 @@ from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, FrameKind, frame_o
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.sockets import server, stream_socket
 from tests.support.raw_stream import raw_stream
-from tests.support.socket_port import ECHO, HOLD, Open, paused, port_fixture, until
+from tests.support.socket_port import ECHO, HOLD, READ_LATER, Open, paused, port_fixture, until
 
 port = port_fixture()
 
@@ -57,7 +58,7 @@ async def test_another_version_of_the_frames_is_refused(port: Open) -> None:
 )
 async def test_a_frame_that_may_not_come_ends_the_stream(port: Open, sent: bytes, why: str) -> None:
     async with port() as one, raw_stream(one.target) as stream:
-        await stream.begin(HOLD)
+        await stream.begin(READ_LATER)
         await one.streams.held.acquire()
         await stream.send_bytes(sent)
         status = await stream.status()
@@ -112,6 +113,43 @@ async def test_only_so_many_sockets_are_served_as_leave_files_for_the_process(
         assert (await second.status()).code == OVERLOADED
 
 
+async def test_nothing_but_the_opening_is_read_of_a_caller_who_is_not_admitted_yet(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "OPENED_PER_TURN", 0)
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(HOLD)
+        made = await paused(one)
+        stream.writer.write(frame_of(FrameKind.MESSAGE, bytes(100_000)) * 20)
+        for _ in range(100):
+            await asyncio.sleep(0)
+        assert made._unread_bytes + made._frames.unfinished_bytes == 0
+        monkeypatch.setattr(server, "OPENED_PER_TURN", 2)
+        await asyncio.wait_for(one.streams.held.acquire(), 20)
+
+
+async def test_many_streams_that_open_together_begin_a_few_in_each_turn_of_the_loop(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with port() as one:
+        begun: list[int] = []
+        begin = one.server.sockets._begin_some
+
+        def counted() -> None:
+            before = sum(found.task is not None for found in one.server.sockets._streams.values())
+            begin()
+            begun.append(sum(found.task is not None for found in one.server.sockets._streams.values()) - before)
+
+        monkeypatch.setattr(one.server.sockets, "_begin_some", counted)
+        async with contextlib.AsyncExitStack() as stack:
+            streams = [await stack.enter_async_context(raw_stream(one.target)) for _ in range(20)]
+            for stream in streams:
+                await stream.begin(HOLD)
+            for _ in streams:
+                await asyncio.wait_for(one.streams.held.acquire(), 20)
+        assert max(begun) <= server.OPENED_PER_TURN
+
+
 async def test_a_socket_of_another_user_is_refused(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "is_of_this_user", lambda connected: False)
     async with port() as one, raw_stream(one.target) as stream:
@@ -122,8 +160,9 @@ async def test_a_socket_of_another_user_is_refused(port: Open, monkeypatch: pyte
 
 async def test_empty_messages_that_nobody_reads_count_with_the_memory_that_they_take(port: Open) -> None:
     async with port() as one, raw_stream(one.target) as stream:
-        await stream.begin(HOLD)
+        await stream.begin(READ_LATER)
         await one.streams.held.acquire()
         stream.writer.write(frame_of(FrameKind.MESSAGE) * 100_000)
+        await until(lambda: one.server.sockets._streams and next(iter(one.server.sockets._streams))._messages)
         made = await paused(one)
         assert len(made._messages) <= (2 * Limits().unread_bytes_max) // 5 + Limits().unread_bytes_max // 64

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -31,6 +32,7 @@ logger = logging.getLogger(__name__)
 
 ALIVE_SECONDS = 2.5
 LOOKS_PER_TURN = 64
+OPENED_PER_TURN = 2
 ENDED_PER_TURN = 64
 
 
@@ -71,6 +73,7 @@ class SocketServer:
         self._hangups = Hangups()
         self._streams: dict[StreamSocket, _Stream] = {}
         self._unopened: set[StreamSocket] = set()
+        self._openings: deque[tuple[_Stream, pb.StreamOpening]] = deque()
         self._changed = asyncio.Event()
         self._listening: list[asyncio.Server] = []
         self._sweep: asyncio.Task[None] | None = None
@@ -149,9 +152,19 @@ class SocketServer:
                 f"the caller has version {opening.protocol_version} of the frames of streams, and this service version "
                 f"{PROTOCOL_VERSION}; install the same release on both"
             )
-        stream = self._streams[connection]
-        stream.task = asyncio.create_task(self._serve(stream, opening))
-        stream.task.add_done_callback(self._note_end)
+        if not self._openings:
+            asyncio.get_running_loop().call_soon(self._begin_some)
+        self._openings.append((self._streams[connection], opening))
+
+    def _begin_some(self) -> None:
+        """Begin to serve a few streams, and the others in the next turns of the loop."""
+        for _ in range(min(OPENED_PER_TURN, len(self._openings))):
+            stream, opening = self._openings.popleft()
+            if stream.connection in self._streams:
+                stream.task = asyncio.create_task(self._serve(stream, opening))
+                stream.task.add_done_callback(self._note_end)
+        if self._openings:
+            asyncio.get_running_loop().call_soon(self._begin_some)
 
     def failed(self, connection: StreamSocket, error: StampedeError) -> None:
         """End a stream whose frames are not as they must be."""

@@ -84,11 +84,10 @@ class StreamSocket(asyncio.Protocol):
         except StampedeError as error:
             self._owner.failed(self, error)
             return
-        self._frame_since_s = self._loop.time() if self._frames.unfinished_bytes else None
-        if self._unread_bytes > self._limits.unread_bytes_max and not (self._is_paused or self.is_over):
-            self._is_paused, self._frame_since_s = True, None
-            self._transport.pause_reading()
-            self._hangups.watch(self.socket, self._transport.abort)
+        if not self._is_paused:
+            self._frame_since_s = self._loop.time() if self._frames.unfinished_bytes else None
+        if self._unread_bytes > self._limits.unread_bytes_max:
+            self._pause()
 
     def pause_writing(self) -> None:
         """The system takes no more bytes."""
@@ -116,14 +115,13 @@ class StreamSocket(asyncio.Protocol):
         while not self._messages:
             if self._has_ended:
                 return EOF
+            self._resume()
             self._came = self._loop.create_future()
             await self._came
         message = self._messages.popleft()
         self._unread_bytes -= len(message) + _MESSAGE_OVERHEAD_BYTES
-        if self._is_paused and self._unread_bytes <= self._limits.unread_bytes_max and not self._is_closing:
-            self._is_paused = False
-            self._hangups.forget(self.socket)
-            self._transport.resume_reading()
+        if self._unread_bytes <= self._limits.unread_bytes_max:
+            self._resume()
         return message
 
     async def write(self, message: bytes) -> None:
@@ -151,9 +149,7 @@ class StreamSocket(asyncio.Protocol):
             return
         if not self._is_full:  # else the peer reads nothing
             self._write(frame_of(FrameKind.STATUS, status))
-        if self._is_paused:
-            self._hangups.forget(self.socket)
-            self._transport.resume_reading()
+        self._resume()
         if self._deadline is not None:
             self._deadline.cancel()
         if self._transport.can_write_eof():
@@ -183,6 +179,20 @@ class StreamSocket(asyncio.Protocol):
             self._write(ALIVE)
         self._has_written = False
 
+    def _pause(self) -> None:
+        """Leave what comes next in the buffers of the system."""
+        if not (self._is_paused or self.is_over or self._is_closing):
+            self._is_paused, self._frame_since_s = True, None
+            self._transport.pause_reading()
+            self._hangups.watch(self.socket, self._transport.abort)
+
+    def _resume(self) -> None:
+        if self._is_paused and not self._is_closing:
+            self._is_paused = False
+            self._frame_since_s = self._loop.time() if self._frames.unfinished_bytes else None
+            self._hangups.forget(self.socket)
+            self._transport.resume_reading()
+
     @property
     def _is_closing(self) -> bool:
         """Whether the connection is closed, or will be soon. From then on uvloop's transport takes no calls."""
@@ -196,6 +206,7 @@ class StreamSocket(asyncio.Protocol):
             self._deadline.cancel()
             self.is_opened = True
             self._owner.opened(self, _opening_in(body))
+            self._pause()  # until the method reads: so the caller is admitted before it can send more
         elif kind == FrameKind.MESSAGE and not self._has_ended:
             self._messages.append(body)
             self._unread_bytes += len(body) + _MESSAGE_OVERHEAD_BYTES

@@ -1,0 +1,80 @@
+"""Attacks at a host's Unix socket, by a process of the same user."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+
+from stampede_rt.transports.grpc_options import PUT_METHOD
+from stampede_rt.transports.machine import this_machine
+from stampede_rt.v1 import gatekeeper_service_pb2 as gate_pb
+from stampede_rt.v1.gatekeeper_service_pb2_grpc import GatekeeperServiceStub
+from stampede_rt.wire.request_pieces import MESSAGE_BYTES_MAX
+from stampede_rt.wire.stream_frames import FrameKind, frame_of, head_of
+from tests.benchmarks.attacks.ground import Ground, all_of
+from tests.support.raw_stream import RawStream, raw_stream
+
+SILENT, UNFINISHED, UNREAD = 1100, 1000, 200
+UNREAD_MESSAGES = 10
+PAUSE_SECONDS = 0.05  # before a connection that was refused is opened again
+
+
+async def silent_sockets(ground: Ground, under_way: Callable[[], None]) -> None:
+    """1100 sockets that send no opening; as one ends, another is opened."""
+
+    async def nothing(stream: RawStream) -> None:
+        await stream.has_ended()
+
+    await _again_and_again(ground, SILENT, nothing, under_way)
+
+
+async def unfinished_frames(ground: Ground, under_way: Callable[[], None]) -> None:
+    """1000 streams of puts over sockets with a frame of 256 KiB each that is never finished, with a client's token."""
+
+    async def begin(stream: RawStream) -> None:
+        await stream.begin(PUT_METHOD, secret=ground.secret)
+        await stream.send_bytes(head_of(FrameKind.MESSAGE, MESSAGE_BYTES_MAX) + bytes(MESSAGE_BYTES_MAX - 1))
+        await stream.has_ended()
+
+    await _again_and_again(ground, UNFINISHED, begin, under_way)
+
+
+async def malformed_frames(ground: Ground, under_way: Callable[[], None]) -> None:
+    """200 sockets at a time that send no frames, or messages that are no puts."""
+    numbers = itertools.count()
+
+    async def send(stream: RawStream) -> None:
+        if next(numbers) % 2:
+            await stream.send_bytes(b"\xff" * 77)
+        else:
+            await stream.begin(PUT_METHOD, secret=ground.secret)
+            await stream.send_bytes(frame_of(FrameKind.MESSAGE, b"\xff" * 77) * UNREAD_MESSAGES)
+        await stream.has_ended()
+
+    await _again_and_again(ground, UNREAD, send, under_way)
+
+
+async def _again_and_again(
+    ground: Ground, sockets: int, play: Callable[[RawStream], Awaitable[None]], under_way: Callable[[], None]
+) -> None:
+    target = await _target(ground)
+
+    async def one() -> None:
+        while True:
+            with suppress(OSError, TimeoutError):
+                async with raw_stream(target) as stream:
+                    await play(stream)
+            await asyncio.sleep(PAUSE_SECONDS)
+
+    under_way()
+    await all_of(*(one() for _ in range(sockets)))
+
+
+async def _target(ground: Ground) -> str:
+    async with ground.channel(ground.host) as host:
+        stub = GatekeeperServiceStub(host)
+        request = gate_pb.ListDataEndpointsRequest(machine=this_machine())
+        response = await stub.ListDataEndpoints(request, metadata=ground.metadata)  # type: ignore[misc]
+    return str(response.endpoints[0].target)
