@@ -33,7 +33,7 @@ def test_growth_of_everything_is_measured_and_reported(tmp_path: Path, capsys: p
         for cost in report["growth"][name]["costs"]:
             assert all(0 < cost[operation]["least"] <= cost[operation]["median"] for operation in operations)
         assert dimension.title in printed
-        assert f"| {dimension.what} |" in page
+        assert f"### {dimension.title}\n\n| {dimension.what} |" in page
         assert (tmp_path / f"growth-{name}.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -156,7 +156,8 @@ DIMENSIONS: Mapping[str, Dimension] = {
     "readers": Dimension(
         "Readers of a channel",
         "readers",
-        f"{_OWN} The put is counted until the host has made the message for each reader.",
+        f"{_OWN} The put is counted until the host has made the message for each reader. "
+        "A stalled reader is one more reader, which takes nothing.",
         lambda sizes: measure_readers(powers(1, sizes.readers_max), sizes.operations, sizes.runs),
     ),
     "groups": Dimension(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from functools import partial
 from typing import Any, cast
 
 from stampede_rt.v1 import channel_service_pb2 as pb
@@ -40,16 +42,21 @@ class _Messages:
 
 
 class _Stream:
-    """A stream to a reader that takes every message at once."""
+    """A stream to a reader that takes every message at once, or takes the first one only."""
 
-    def __init__(self, messages: _Messages) -> None:
+    def __init__(self, messages: _Messages, *, stalls: bool) -> None:
         self._messages = messages
+        self._stalls = stalls
+        self._is_open = False
 
     async def read(self) -> bytes:
         await asyncio.Event().wait()
         raise AssertionError("nobody ends the wait")
 
     async def write(self, message: bytes) -> None:
+        if self._stalls and self._is_open:
+            await asyncio.Event().wait()
+        self._is_open = True
         self._messages.count()
 
 
@@ -72,33 +79,53 @@ def measure_readers(counts: Sequence[int], operations: int, runs: int) -> dict[i
 
 
 async def _with_readers(count: int, operations: int, runs: int) -> dict[str, Spread]:
+    puts = max(3, 2 * operations // count)
+    costs_us, stalled_us = [], []
+    for _ in range(runs):
+        async with _reading(count, stalled=True) as (channel, messages):
+            stalled_us.append(await _put(channel, messages, count, puts))
+        async with _reading(count, stalled=False) as (channel, messages):
+            costs_us.append(await _put(channel, messages, count, puts))
+    async with _reading(count, stalled=False) as (channel, _):
+        gets = cpu_us(partial(_get, channel), times=operations, runs=runs)
+    return {
+        "put, until all readers have it": Spread.of(costs_us),
+        "beside a stalled reader": Spread.of(stalled_us),
+        "of it for a reader": Spread.of([cost / count for cost in costs_us]),
+        "get of the newest": gets,
+    }
+
+
+def _get(channel: HostedChannel, _: int) -> None:
+    get(channel)
+
+
+@asynccontextmanager
+async def _reading(count: int, *, stalled: bool) -> AsyncIterator[tuple[HostedChannel, _Messages]]:
+    """A channel with `count` readers that have a few items. With `stalled` one more reader takes nothing."""
     own, messages = OwnChannels(), _Messages()
     channel = own.open(Policy(max_items=100))
-    messages.expect(count)  # the first message to each reader says that the subscription is open
-    readers = [asyncio.create_task(_read(own, channel, messages)) for _ in range(count)]
+    streams = [_Stream(messages, stalls=number >= count) for number in range(count + stalled)]
+    messages.expect(len(streams))  # the first message to each reader says that the subscription is open
+    readers = [asyncio.create_task(_read(own, channel, stream)) for stream in streams]
     await messages.come()
     try:
         with quiet():
             await _put(channel, messages, count, 10)
-            puts = max(3, 2 * operations // count)
-            costs_us = [await _put(channel, messages, count, puts) for _ in range(runs)]
-        return {
-            "put, until all readers have it": Spread.of(costs_us),
-            "of it for a reader": Spread.of([cost / count for cost in costs_us]),
-            "get of the newest": cpu_us(lambda _: get(channel), times=operations, runs=runs),
-        }
+            yield channel, messages
     finally:
         for reader in readers:
             reader.cancel()
         await asyncio.gather(*readers, return_exceptions=True)
 
 
-async def _read(own: OwnChannels, channel: HostedChannel, messages: _Messages) -> None:
+async def _read(own: OwnChannels, channel: HostedChannel, stream: _Stream) -> None:
     task = asyncio.current_task()
     assert task is not None
     opening = pb.SubscribeRequest(open=pb.SubscribeOpen(epoch=1), credit_bytes=CREDIT_BYTES)
-    store, stream = cast(Any, _Store(own)), cast(Any, _Stream(messages))
-    await Subscription(channel, store, cast(Any, None), stream, OpenStream(task)).run(opening)
+    await Subscription(channel, cast(Any, _Store(own)), cast(Any, None), cast(Any, stream), OpenStream(task)).run(
+        opening
+    )
 
 
 async def _put(channel: HostedChannel, messages: _Messages, readers: int, puts: int) -> float:

@@ -15,6 +15,7 @@ from stampede_rt_bench.measuring import Spread
 from stampede_rt_bench.tables import Table, spread
 
 MEMORY = "bytes of memory a channel"  # in the table; the chart shows times only
+LINEAR_RANGE = 10  # costs within this factor are drawn on a linear scale
 
 
 @dataclass(kw_only=True)
@@ -37,7 +38,9 @@ class GrowthReport:
         """Return the whole report as Markdown."""
         machine = "; ".join(f"{key}: {value}" for key, value in self.machine.items())
         conditions = f"{self.runs} runs; medians, with the least and the most in parentheses. Measured on: {machine}."
-        tables = [table_of(name, costs).markdown() for name, costs in self.costs.items()]
+        tables = [
+            f"### {DIMENSIONS[name].title}\n\n{table_of(name, costs).markdown()}" for name, costs in self.costs.items()
+        ]
         return "\n\n".join(["# Growth", f"`{self.command}`", conditions, *tables]) + "\n"
 
     def values(self) -> dict[str, object]:
@@ -102,5 +105,7 @@ def _cell(operation: str, cost: Spread | None) -> str:
 
 def _draw(file: Path, dimension: Dimension, costs: Costs) -> None:
     lines = {operation: line_of(costs, operation) for operation in operations_of(costs) if operation != MEMORY}
-    axes = Axes(title=dimension.title, x=dimension.what, y="microseconds of CPU time", log_y=True)
+    medians = [cost.median for line in lines.values() for _, cost in line]
+    log_y = max(medians) > LINEAR_RANGE * min(medians)
+    axes = Axes(title=dimension.title, x=dimension.what, y="microseconds of CPU time", log_y=log_y)
     draw_lines(file, axes, lines)
