@@ -250,7 +250,8 @@ async def test_an_open_stream_ends_when_the_rule_that_allows_it_goes(scene: Scen
         await scene.allow("read", "channel", "*")
     waiting = await begin(scene)
     await scene.forbid(verb, kind, thing)
-    with pytest.raises(st.PermissionDenied, match=f"client {scene.who} may (not {verb}|do nothing with) {kind}"):
+    refused = f"{scene.who} may (not {verb}|do nothing with( this)?) {kind}"
+    with pytest.raises(st.PermissionDenied, match=refused):
         async with asyncio.timeout(10):
             await waiting
 
@@ -278,7 +279,8 @@ async def test_a_right_that_is_lost_for_one_channel_ends_the_waiting_get_of_that
 
 async def test_a_right_that_is_lost_for_a_group_ends_no_get_of_its_channels(scene: Scene) -> None:
     await scene.allow("read", "channel", "*")
-    await scene.allow("read", "group", "pair")
+    for verb in ("read", "list"):  # with `list` the host tells the name
+        await scene.allow(verb, "group", "pair")
     channel, own = await scene.channel("a"), await scene.own.channel(scene.name("a"))
     through = (await scene.group())[scene.name("a")]
     waiting = [asyncio.ensure_future(one.newest(timeout=30)) for one in (through, channel)]
@@ -322,6 +324,7 @@ async def test_a_put_that_waits_for_room_is_refused_when_its_caller_loses_the_ri
     kept = {"max_age": "1h"} if kind == "channel" else {}
     own = await getattr(scene.own, opens)(scene.name("full"), max_items=1, on_full="block", **kept)
     await scene.allow(verb, kind, "full")
+    await scene.allow("list", kind, "full")  # otherwise the host would not tell the name
     handle = await getattr(scene.rt, opens)(scene.name("full"), create=False)
     await handle.put(b"1")
     waiting = asyncio.ensure_future(handle.put(b"2", timeout=30))
@@ -329,7 +332,7 @@ async def test_a_put_that_waits_for_room_is_refused_when_its_caller_loses_the_ri
         while not (await own.stats()).waiting_puts:
             pass  # each look is a round trip
         await scene.forbid(verb, kind, "full")
-        with pytest.raises(st.PermissionDenied, match=f"may (not {verb}|do nothing with) {kind} {scene.name('full')}"):
+        with pytest.raises(st.PermissionDenied, match=f"may not {verb} {kind} {scene.name('full')}"):
             await waiting
         assert not (await own.stats()).waiting_puts
 

@@ -20,8 +20,12 @@ from stampede_rt.errors import PermissionDenied
 from stampede_rt.security.credentials import call_metadata
 from stampede_rt.v1 import access_service_pb2 as access_pb
 from stampede_rt.v1 import access_service_pb2_grpc as access_grpc
+from stampede_rt.v1 import channel_service_pb2 as channel_pb
+from stampede_rt.v1 import channel_service_pb2_grpc as channel_grpc
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
 from stampede_rt.v1 import directory_service_pb2_grpc as directory_grpc
+from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
+from stampede_rt.v1 import gatekeeper_service_pb2_grpc as gatekeeper_grpc
 from stampede_rt.v1 import group_directory_service_pb2 as group_pb
 from stampede_rt.v1 import group_directory_service_pb2_grpc as group_grpc
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
@@ -69,6 +73,52 @@ def test_who_may_only_put_may_open_put_and_nothing_else(cluster: LocalCluster, o
         assert "may not create channel video/9" in refused(lambda: rt.channel("video/9"))
         assert "may not configure channel video/1" in refused(lambda: rt.channel("video/1", content_type="image/jpeg"))
         assert list(rt.channels()) == []
+
+
+def test_no_error_tells_a_hidden_name_to_a_caller_that_gave_only_an_id(
+    cluster: LocalCluster, operator: Operator
+) -> None:
+    """Errors told the name of a channel, queue, group or peer, and the owner of a peer, to everybody with its id."""
+    with st.connect(cluster.address, name="unseen/peer") as rt:
+        things(cluster)
+        hidden = rt.channel("unseen/channel")
+        channel, queue = hidden.info.channel_id, rt.queue("unseen/queue").info.queue_id
+        group = rt.group("unseen/group", [hidden])
+        rt.mailbox.get(timeout=0)
+        [peer] = rt.peers("unseen/peer")
+        hidden.put(b"x")
+        host = next(one for one in rt.hosts() if one.host_id == hidden.info.host_id)
+        operator.add("cam", "put", "video/*", "--kind", "channel")
+        asked = {"request_id": bytes(range(16))}
+        with grpc.insecure_channel(cluster.supernodes[0].address) as at:
+            directory, groups = directory_grpc.DirectoryServiceStub(at), group_grpc.GroupDirectoryServiceStub(at)
+            queues, peers = queue_grpc.QueueDirectoryServiceStub(at), peer_grpc.PeerServiceStub(at)
+            calls = [
+                (directory.ResolveChannel, directory_pb.ResolveChannelRequest(channel_id=channel)),
+                (directory.DeleteChannel, directory_pb.DeleteChannelRequest(channel_id=channel, **asked)),
+                (groups.ResolveGroup, group_pb.ResolveGroupRequest(group_id=group.info.group_id)),
+                (groups.DeleteGroup, group_pb.DeleteGroupRequest(group_id=group.info.group_id, **asked)),
+                (queues.ResolveQueue, queue_pb.ResolveQueueRequest(queue_id=queue)),
+                (queues.DeleteQueue, queue_pb.DeleteQueueRequest(queue_id=queue, **asked)),
+                (peers.ResolvePeer, peer_pb.ResolvePeerRequest(peer_id=peer.peer_id)),
+                (peers.DeregisterPeer, peer_pb.DeregisterPeerRequest(peer_id=peer.peer_id, **asked)),
+            ]
+            told = [denied(method, request, operator) for method, request in calls]
+        with grpc.insecure_channel(host.endpoints[0]) as at:
+            bind = gatekeeper_grpc.GatekeeperServiceStub(at).BindChannel
+            status = channel_grpc.ChannelServiceStub(at).GetChannelStatus
+            told.append(denied(bind, gatekeeper_pb.BindChannelRequest(channel_id=channel, epoch=1), operator))
+            told.append(denied(status, channel_pb.GetChannelStatusRequest(channel_id=channel), operator))
+    assert {text for text in told if "unseen" in text} == set()
+    assert all("client cam may do nothing with this" in text for text in told), told
+
+
+def denied(method: Any, request: Any, operator: Operator) -> str:
+    """What a client that may only put is told."""
+    with pytest.raises(grpc.RpcError) as caught:
+        method(request, timeout=10, metadata=call_metadata(operator.token("cam")))
+    assert caught.value.code() is grpc.StatusCode.PERMISSION_DENIED
+    return f"{caught.value.details()} {caught.value.trailing_metadata()}"
 
 
 def test_a_group_is_read_by_who_may_read_it_and_made_by_who_may_read_its_channels(

@@ -82,6 +82,7 @@ class ChannelHost:
         self._known_by_lease = of_lease.known
         self._lease = LeaseThread(lambda serving: self._make_registration(of_lease, clock, serving))
         access = access or AccessControl()
+        access.takes_ids = True
         access.accounts.set_default(Quota.BYTES_HELD, memory_bytes_max * 7 // 8)
         memory = MemoryBudget(memory_bytes_max, lambda: self.store.sweep.reclaim(), accounts=access.accounts)
         self.store = ChannelStore(

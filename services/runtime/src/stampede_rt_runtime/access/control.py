@@ -59,6 +59,8 @@ class AccessControl:
         self._judging: asyncio.Task[None] | None = None
         self._sweep: asyncio.Handle | None = None
         self.audit = AuditLog()
+        self.takes_ids = False
+        """Whether callers of this port know things by id, so that its errors must not tell hidden names."""
         self.accounts = Accounts(clock_s=time.monotonic, turns=loop_turns())
 
     def draw_from(self, source: Callable[[], AccessState]) -> None:
@@ -255,18 +257,15 @@ def request_rights(lose: Callable[[Any, PermissionDenied], None]) -> RequestRigh
     return RequestRights(_CURRENT.get(), lose)
 
 
-def check_known(kind: AccessKind, name: str) -> None:
+def check_known(kind: AccessKind, name: str, *, by_id: bool = False) -> None:
     """Check that the present call's caller may do at least one kind of action with the thing.
 
-    Raises PermissionDenied, Unavailable.
+    `by_id`: the caller gave only the thing's id. The error then does not tell the name. Raises PermissionDenied,
+    Unavailable.
     """
     call = _CURRENT.get()
-    if call is not None and not call.rules().knows_of(call.caller, kind, name):
-        error = PermissionDenied(
-            f"{call.caller} may do nothing with {kind} {name}; an operator can allow it (stampede acl add "
-            f"{call.caller.name} VERB {name})"
-        )
-        raise call.denied(error, "find", kind, name)
+    if call is not None:
+        call.check_known(kind, name, by_id=by_id)
 
 
 def allowed_to(verb: AccessVerb, kind: AccessKind) -> Callable[[str], bool]:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from stampede_rt.errors import Overloaded, PermissionDenied, StampedeError
 from stampede_rt_runtime.access.audit import AuditLog
 from stampede_rt_runtime.access.caller import Caller
-from stampede_rt_runtime.access.refusals import denied, revoked
+from stampede_rt_runtime.access.refusals import denied, denied_all, revoked
 from stampede_rt_runtime.access.rules import NO_RULES, AccessKind, AccessRules, AccessVerb
 from stampede_rt_runtime.access.state import AccessState
 from stampede_rt_runtime.quotas.accounts import Account, Accounts
@@ -27,6 +27,7 @@ class CallControl(Protocol):
 
     audit: AuditLog
     accounts: Accounts
+    takes_ids: bool
 
     def rules(self) -> AccessRules:
         """The present rules. Raises Unavailable while there is no state."""
@@ -77,7 +78,7 @@ class OpenCall:
         if self._judged.get(grant) is rules:
             return
         if not rules.judge(self.caller, *grant).allowed:
-            raise self.denied(denied(self.caller, *grant), *grant)
+            raise self.denial(grant, rules)
         if len(self._judged) >= GRANTS_KEPT_MAX:
             self._judged.clear()
         self._judged[grant] = rules
@@ -93,11 +94,24 @@ class OpenCall:
             return
         for grant in tuple(self._granted):  # what the call uses meanwhile is judged by the new rules
             if not state.rules.judge(self.caller, *grant).allowed:
-                self.end(self.denied(denied(self.caller, *grant), *grant))
+                self.end(self.denial(grant, state.rules))
                 return
             yield
         if self.requests is not None:
             yield from self.requests.judging_again(state.rules)
+
+    def check_known(self, kind: AccessKind, name: str, *, by_id: bool) -> None:
+        """Raises PermissionDenied if the caller may do nothing with the thing. `by_id`: it gave only the thing's id."""
+        if not self.rules().knows_of(self.caller, kind, name):
+            hides_name = by_id or self._control.takes_ids
+            raise self.denied(denied_all(self.caller, kind, "" if hides_name else name), "find", kind, name)
+
+    def denial(self, grant: Grant, rules: AccessRules) -> PermissionDenied:
+        """The error for a caller without that right, which is written to the audit log."""
+        _, kind, name = grant
+        if self._control.takes_ids and not rules.knows_of(self.caller, kind, name):
+            return self.denied(denied_all(self.caller, kind), *grant)
+        return self.denied(denied(self.caller, *grant), *grant)
 
     def denied(self, error: PermissionDenied, verb: str, kind: AccessKind, name: str) -> PermissionDenied:
         """Write `error` to the audit log, and return it."""
@@ -161,7 +175,7 @@ class RequestRights:
         assert self._call is not None, "only a call is judged"
         for grant in tuple(self._waiting):
             if not rules.judge(self._call.caller, *grant).allowed:
-                error = self._call.denied(denied(self._call.caller, *grant), *grant)
+                error = self._call.denial(grant, rules)
                 while lost := [*islice(self._waiting.get(grant, ()), REQUESTS_PER_STEP)]:
                     for request in lost:
                         self.release(request)

@@ -16,6 +16,18 @@ def denied(caller: Caller, verb: AccessVerb, kind: AccessKind, name: str) -> Per
     )
 
 
+def denied_all(caller: Caller, kind: AccessKind, name: str = "") -> PermissionDenied:
+    """The error for a caller without any right to the thing.
+
+    `name` must be empty if the caller gave only an id: the error must not tell a name that the caller may not know.
+    """
+    thing, placeholder = (f"{kind} {name}", name) if name else (f"this {kind}", "NAME")
+    return PermissionDenied(
+        f"{caller} may do nothing with {thing}; an operator can allow it (stampede acl add {caller.name} VERB "
+        f"{placeholder})"
+    )
+
+
 def over(caller: Caller) -> StampedeError:
     """The error for a credential that ended during a call, or with which an open connection began.
 

@@ -9,6 +9,7 @@ from stampede_rt.cluster.request_age import request_age_nanos
 from stampede_rt.errors import InvalidArgument, Overloaded
 from stampede_rt_runtime.access.control import (
     check_access,
+    check_known,
     check_not_judged,
     count_refusal,
     current_account,
@@ -192,8 +193,9 @@ class DirectoryCalls:
             context, lambda directory: thing_with(directory.tables, kind, thing_id)
         )
         if isinstance(found, PeerRecord):
-            check_owner(found, owner_name())
+            self._check_owner(found)
         elif found is not None:
+            check_known(kind, found, by_id=True)
             check_access(verb, kind, found)
 
     async def _known(self, context: Context, question: Callable[[Directory], T | None]) -> T | None:
@@ -209,7 +211,14 @@ class DirectoryCalls:
         """Raises PermissionDenied if another caller registered that peer, and Unavailable with reason NO_QUORUM."""
         peer = await self._known(context, lambda directory: directory.tables.peers.by_id.get(peer_id))
         if peer is not None:
-            check_owner(peer, owner_name())
+            self._check_owner(peer)
+
+    @staticmethod
+    def _check_owner(peer: PeerRecord) -> None:
+        """Raises PermissionDenied if another caller registered that peer."""
+        if peer.owner is not None and peer.owner != owner_name():
+            check_known(AccessKind.PEER, peer.name or peer.peer_id.hex(), by_id=True)
+        check_owner(peer, owner_name())
 
     def check_host(self, context: Context, host_id: bytes, name: str | None = None) -> None:
         """Raises PermissionDenied if the caller is a client, or has the certificate of another host.

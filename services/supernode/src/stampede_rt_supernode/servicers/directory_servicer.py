@@ -145,7 +145,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         if request.WhichOneof("key") == "name":
             check_known(AccessKind.CHANNEL, request.name)
         channel, host, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
-        check_known(AccessKind.CHANNEL, channel.name)
+        check_known(AccessKind.CHANNEL, channel.name, by_id=True)
         return pb.ResolveChannelResponse(channel=channel_record(channel), host=host_record(host), applied_index=index)
 
     @errors_as_status

@@ -92,7 +92,7 @@ class GroupDirectoryServicer(group_directory_service_pb2_grpc.GroupDirectoryServ
         if request.WhichOneof("key") == "name":
             check_known(AccessKind.GROUP, request.name)
         view, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
-        check_known(AccessKind.GROUP, view.group.name)
+        check_known(AccessKind.GROUP, view.group.name, by_id=True)
         return pb.ResolveGroupResponse(
             group=group_record(view.group),
             channels=[channel_record(channel) for channel in view.channels],

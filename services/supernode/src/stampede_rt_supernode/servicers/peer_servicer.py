@@ -118,7 +118,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
             check_known(AccessKind.PEER, request.name)
         peer, index = await self._calls.read(context, find, stale_ok=request.stale_ok)
         if peer.owner is None or peer.owner != owner_name():
-            check_known(AccessKind.PEER, peer.name)
+            check_known(AccessKind.PEER, peer.name, by_id=True)
         return pb.ResolvePeerResponse(peer=self._record(peer, request.with_clocks), applied_index=index)
 
     def _record(self, peer: PeerRecord, with_clock: bool) -> peer_pb2.PeerRecord:

@@ -154,9 +154,9 @@ class QueueDirectoryServicer(queue_directory_service_pb2_grpc.QueueDirectoryServ
 
 def _check_known(queue: QueueRecord) -> None:
     if queue.mailbox_peer_id is None:
-        check_known(AccessKind.QUEUE, queue.name)
+        check_known(AccessKind.QUEUE, queue.name, by_id=True)
     elif queue.mailbox_owner is None or queue.mailbox_owner != owner_name():
-        check_known(AccessKind.PEER, queue.mailbox_peer_name)
+        check_known(AccessKind.PEER, queue.mailbox_peer_name, by_id=True)
 
 
 def _resolved(tables: Tables, request: pb.ResolveQueueRequest) -> QueueRecord:

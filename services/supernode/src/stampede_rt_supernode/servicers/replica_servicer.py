@@ -96,7 +96,7 @@ class ReplicaDirectoryServicer(replica_directory_service_pb2_grpc.ReplicaDirecto
     async def ListReplicas(self, request: pb.ListReplicasRequest, context: Context) -> pb.ListReplicasResponse:
         channel_id = channel_id_of(request.subject)
         found = await self._calls.read(context, lambda one: _find(one, channel_id), stale_ok=request.stale_ok)
-        check_known(AccessKind.CHANNEL, found.channel.name)
+        check_known(AccessKind.CHANNEL, found.channel.name, by_id=True)
         loads = self._loads.of(channel_id, [host.host_id for host in found.hosts])
         return pb.ListReplicasResponse(
             replicas=[replica_record(replica) for replica in found.replicas],
