@@ -9,9 +9,12 @@ RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
 	peers/test_peers_properties.py test_lease_safety.py)
+ACL_TESTS := tests/contract $(addprefix tests/integration/test_,mailboxes.py peers.py queues.py group_commands.py \
+	group_streams.py group_credit.py client_streams.py client_callbacks.py event_loops.py shared_put_streams.py closing.py \
+	readme.py guides.py passing.py client_queue_commands.py command_line.py numbers_of_callers.py)
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench bench-docs clean
+.PHONY: help setup demo test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench bench-docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -31,6 +34,9 @@ demo: setup  ## the TV watcher: a real film through a real cluster, with a pictu
 
 test: setup  ## the whole test suite
 	$(RUN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
+
+test-acl: setup  ## the contract's tests, and some more, as a client whom rules of access judge
+	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile $(ACL_TESTS)
 
 explore: setup  ## stories that the suite does not play, drawn anew each time, against the oracles
 	STAMPEDE_PROPERTY_EXAMPLES=5000 $(RUN)/pytest -n 2 --hypothesis-profile=explore --timeout=0 $(PROPERTY_TESTS)
