@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from stampede_rt.errors import Overloaded
+from stampede_rt.errors import Overloaded, Unavailable
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.servicers import submission as module
@@ -50,3 +51,50 @@ async def test_one_caller_leaves_room_in_the_log_for_the_commands_of_others(monk
     await asyncio.gather(*begun, *greedy, *others)
     await submit(open_channel("g/3"), ChannelOpened, "greedy")
     assert not submission._under_way
+
+
+class LaggingReplica(DirectoryReplica):
+    """Takes a command only after the log has confirmed a read, because the feature level has risen meanwhile."""
+
+    lags = True
+
+    def takes(self, command: bytes) -> bool:
+        return not self.lags and super().takes(command)
+
+
+class TimedLog(MemoryLog):
+    """Confirms a read after `read_seconds` of the manual clock `seconds`, and notes how long each command may wait."""
+
+    def __init__(self, replica: LaggingReplica, read_seconds: float) -> None:
+        super().__init__(replica)
+        self.seconds = 100.0
+        self.waits: list[float] = []
+        self._replica = replica
+        self._read_seconds = read_seconds
+
+    async def confirm_read(self, *, timeout: float) -> int:
+        self.seconds += self._read_seconds
+        self._replica.lags = False
+        return await super().confirm_read(timeout=timeout)
+
+    async def propose(self, command: bytes, *, timeout: float) -> Any:
+        self.waits.append(timeout)
+        return await super().propose(command, timeout=timeout)
+
+
+@pytest.mark.parametrize(("read_seconds", "waits"), [(1.5, [0.5]), (2.0, [])])
+async def test_the_time_in_which_the_feature_level_is_confirmed_counts_against_the_wait_of_the_command(
+    monkeypatch: pytest.MonkeyPatch, read_seconds: float, waits: list[float]
+) -> None:
+    """Before, the command could wait for as long again after the read."""
+    replica = LaggingReplica()
+    log = TimedLog(replica, read_seconds)
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: log.seconds))
+    submission = Submission(log, replica, time_unix_nano=lambda: 1)
+    made = submission.submit(begin_tenure(), object, op_id=id_of(1), seconds=2.0)  # type: ignore[type-var]
+    if waits:
+        await made
+    else:
+        with pytest.raises(Unavailable, match="no majority"):
+            await made
+    assert log.waits == waits

@@ -84,13 +84,14 @@ class Submission:
     async def _submit(
         self, operation: Operation, kind: type[R], op_id: bytes, seconds: float, as_of_index: int, caller: str
     ) -> R:
+        deadline = time.monotonic() + seconds
         now = self._time_unix_nano()
         command = Command(op_id=op_id, time_unix_nano=now, operation=operation, as_of_index=as_of_index, caller=caller)
         encoded = encode_command(command)
         if not self._replica.takes(encoded):
             await self.confirm(seconds=seconds)  # the level may have risen, while this supernode lags behind
             self._check_level(encoded)
-        result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds)
+        result = await self._persist(lambda timeout: self._propose(encoded, timeout), seconds, deadline)
         if isinstance(result, Refused):
             raise result.error()
         if not isinstance(result, kind):
@@ -121,7 +122,8 @@ class Submission:
 
         Raises Unavailable with reason NO_QUORUM or SHUTTING_DOWN.
         """
-        return await self._persist(lambda timeout: self._log.confirm_read(timeout=timeout), seconds)
+        deadline = time.monotonic() + seconds
+        return await self._persist(lambda timeout: self._log.confirm_read(timeout=timeout), seconds, deadline)
 
     def check_state(self) -> None:
         """Raises Unavailable with reason SHUTTING_DOWN if this supernode's state has diverged."""
@@ -130,9 +132,9 @@ class Submission:
             text = f"{why_diverged(status)}; it serves no caller until it has joined again; use another one"
             raise errors.Unavailable(text, reason="SHUTTING_DOWN")
 
-    async def _persist(self, attempt: Callable[[float], Awaitable[T]], seconds: float) -> T:
+    async def _persist(self, attempt: Callable[[float], Awaitable[T]], seconds: float, deadline: float) -> T:
+        """Repeat `attempt` until `deadline`. The errors name `seconds`, the time that the caller gave."""
         self.check_state()
-        deadline = time.monotonic() + seconds
         backoff, ambiguous = BACKOFF_SECONDS_MIN, False
         while (left := deadline - time.monotonic()) > 0 and not self._closed:
             try:
