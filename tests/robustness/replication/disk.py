@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from stampede_rt_supernode.replication.log_entries import Entry
-from stampede_rt_supernode.replication.storage.store import SnapshotSeal, StoreChanges, StoredSnapshot, StoredState
+from stampede_rt_supernode.replication.storage.store import SnapshotTrailer, StoreChanges, StoredSnapshot, StoredState
 
 # So many may be on their way at a time: nothing of a step has happened before the step began.
 COMMITS_PER_STEP_MAX = 4
@@ -28,7 +28,7 @@ class Disk:
     # A planted fault: commits are acknowledged but kept only from the next but `forgets`-th on.
     forgets: int = 0
     commits: list[Commit] = field(default_factory=lambda: [Commit(0.0, 0.0, StoredState())])
-    # Of all snapshots, by last log index and number: without a seal they count for nothing.
+    # Of all snapshots, by last log index and number: without a trailer they count for nothing.
     pieces: dict[tuple[int, int], bytes] = field(default_factory=dict)
 
     @property
@@ -88,13 +88,13 @@ def _applied(state: StoredState, changes: StoreChanges, pieces: Mapping[tuple[in
         term=changes.term,
         voted_for=changes.voted_for,
         commit_index=changes.commit_index,
-        snapshot=_sealed(changes.seal, pieces) if changes.seal else state.snapshot,
+        snapshot=_complete(changes.trailer, pieces) if changes.trailer else state.snapshot,
         promises=changes.promises,
     )
 
 
-def _sealed(seal: SnapshotSeal, pieces: Mapping[tuple[int, int], bytes]) -> StoredSnapshot:
-    record = b"".join(pieces[seal.last_log_index, number] for number in range(seal.pieces_count))
-    sealed = StoredSnapshot.of(seal.last_log_index, record)
-    assert sealed.sha256 == seal.sha256
-    return sealed
+def _complete(trailer: SnapshotTrailer, pieces: Mapping[tuple[int, int], bytes]) -> StoredSnapshot:
+    record = b"".join(pieces[trailer.last_log_index, number] for number in range(trailer.pieces_count))
+    complete = StoredSnapshot.of(trailer.last_log_index, record)
+    assert complete.sha256 == trailer.sha256
+    return complete

@@ -57,7 +57,7 @@ def _read(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run]
     view, runs = memoryview(raw), []
     try:
         at = _end_of_head(raw)
-        begun = parse(head, bytes(view[:at]), name)
+        decoded_head = parse(head, bytes(view[:at]), name)
         while at < len(raw):
             if raw[at] != _RUNS_TAG:
                 return None
@@ -72,7 +72,7 @@ def _read(raw: bytes | bytearray, head: MessageType[Head], run: MessageType[Run]
             runs.append((message, view[place]))
     except IndexError:  # the request ends within a field
         return None
-    return LongRequest(begun, runs)
+    return LongRequest(decoded_head, runs)
 
 
 def _end_of_head(raw: bytes | bytearray) -> int:

@@ -197,7 +197,7 @@ class HostedQueue:
         """
         self.queue.pause()
         streams = list(self._streams.items())
-        while self.queue.end_line(error, self._now()):
+        while self.queue.refuse_waiting(error, self._now()):
             self._follow_up()
             yield
         self._follow_up()

@@ -251,7 +251,7 @@ def test_seqs_that_others_got_meanwhile_are_not_told_as_those_of_a_run_that_went
 def test_a_run_that_waits_while_its_queue_goes_elsewhere_goes_on_when_it_is_sent_again() -> None:
     core = Core(max_items=1)
     run = core.put(1, 1, producer_id=5, first_number=1)
-    assert not core.queue.end_line(Unavailable("the lease is lost", reason="NOT_HERE"), core.now)
+    assert not core.queue.refuse_waiting(Unavailable("the lease is lost", reason="NOT_HERE"), core.now)
     assert core.queue.take_finished() == [run]
     assert run.error is not None
     assert run.error.retryable
@@ -266,7 +266,7 @@ def test_a_run_that_waits_while_its_queue_goes_elsewhere_goes_on_when_it_is_sent
 def test_of_a_run_that_will_not_come_again_the_rest_is_refused_when_its_queue_goes() -> None:
     core = Core(max_items=1)
     run = core.put(1, 1, producer_id=5, first_number=1)
-    assert not core.queue.end_line(QueueNotFound("deleted"), core.now)
+    assert not core.queue.refuse_waiting(QueueNotFound("deleted"), core.now)
     assert run.outcome is not None
     assert [(one.position, one.error.reason) for one in run.outcome.refusals] == [(1, "QUEUE_NOT_FOUND")]
 

@@ -125,7 +125,7 @@ def test_runs_that_wait_are_refused_by_many_calls_in_their_order_and_none_slips_
     refused: list[Enqueue] = []
     more = True
     while more:
-        more = core.queue.end_line(Unavailable("gone", reason="NOT_HERE"), core.now)
+        more = core.queue.refuse_waiting(Unavailable("gone", reason="NOT_HERE"), core.now)
         refused += core.queue.take_finished()
         assert len(refused) % ENDED_PER_CALL_MAX == 0
         if more:

@@ -118,7 +118,7 @@ def test_snapshot_and_trimmed_log_reach_the_store_together(reopen: Reopen) -> No
     assert after.snapshot == StoredSnapshot.of(6, b"state")
 
 
-def test_a_snapshot_in_pieces_counts_from_its_seal_on(reopen: Reopen, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_snapshot_in_pieces_counts_from_its_trailer_on(reopen: Reopen, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage, "PIECE_BYTES", 2)
     log = with_entries(reopen(), 8)
     adopt(log, StoredSnapshot.of(3, b"older"), log[1], log[2])
@@ -183,7 +183,7 @@ def take_step(log: RaftLog, step: str, number: int) -> None:
             adopt(log, StoredSnapshot.of(number, b"%d" % number), previous, last)
         case "piece":
             held = 0 if log.snapshot is None else log.snapshot.last_log_index
-            log.write_piece(StoredSnapshot.of(held + number, b"never sealed").piece(0))
+            log.write_piece(StoredSnapshot.of(held + number, b"never complete").piece(0))
         case "sync":
             log.sync()
 

@@ -108,7 +108,7 @@ class Enqueuing:
         self._waiting_of_owner: Counter[str] = Counter()  # bytes by the caller's name; without callers that have none
         self.finished: list[Enqueue] = []
         self.has_more = False
-        self._ending: StampedeError | None = None  # the error of `end_line`, until no run waits
+        self._ending: StampedeError | None = None  # the error of `refuse_waiting`, until no run waits
         self._drops_left = 0  # the messages that the present offer may still drop to make room
 
     def __len__(self) -> int:
@@ -142,7 +142,7 @@ class Enqueuing:
             run = next(iter(self._line))
             if not self._judge_again(run, now):
                 return
-            self._leave_line(run)
+            self._stop_waiting(run)
             self.finished.append(run)
             offered += len(run.lengths)
 
@@ -151,7 +151,7 @@ class Enqueuing:
         run = self._deadlines.pop(now)
         if run is None:
             return False
-        self._leave_line(run)
+        self._stop_waiting(run)
         self._refuse_rest(run, self._full(), now)
         self.finished.append(run)
         return True
@@ -163,13 +163,13 @@ class Enqueuing:
         these messages.
         """
         if run in self._line:
-            self._leave_line(run)
+            self._stop_waiting(run)
             self._remember(run, now)
 
     def refuse(self, run: Enqueue, error: StampedeError, now: int) -> None:
         """Take a run out of the line, and refuse its unjudged messages because of `error`. Idempotent."""
         if run in self._line:
-            self._leave_line(run)
+            self._stop_waiting(run)
             self.fail(run, error, now)
             self.finished.append(run)
 
@@ -186,14 +186,14 @@ class Enqueuing:
             self._remember(run, now)
             run.error = error
 
-    def end_line(self, error: StampedeError, now: int, runs_max: int) -> bool:
+    def refuse_waiting(self, error: StampedeError, now: int, runs_max: int) -> bool:
         """Refuse the first `runs_max` waiting runs, because the host gives the queue up. Returns True if more wait.
 
         While runs wait, the queue refuses all new runs, too.
         """
         self._ending = error
         for run in [*islice(self._line, runs_max)]:
-            self._leave_line(run)
+            self._stop_waiting(run)
             self.fail(run, error, now)
             self.finished.append(run)
         if not self._line:
@@ -266,7 +266,7 @@ class Enqueuing:
         """Whether the runs wait only because a call has dropped as many messages as it may."""
         return self.has_more and self._queue_items.limits.on_full == DROP_OLDEST
 
-    def _leave_line(self, run: Enqueue) -> None:
+    def _stop_waiting(self, run: Enqueue) -> None:
         del self._line[run]
         self._deadlines.disarm(run)
         self._count_waiting(run, -run.charged_bytes)

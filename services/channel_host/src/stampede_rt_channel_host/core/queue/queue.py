@@ -30,7 +30,7 @@ CHECKED_PER_CALL_MAX = 256
 EMPTIED_PER_PIECE = 256
 """The most messages that one piece of `emptying` removes."""
 ENDED_PER_CALL_MAX = 128
-"""The most waiting runs that one call of `end_line` refuses."""
+"""The most waiting runs that one call of `refuse_waiting` refuses."""
 DUE_PER_CALL_MAX = 256
 """The most ended leases, delays and waits that one call handles. If more are due, `next_deadline` says so."""
 
@@ -116,15 +116,15 @@ class QueueCore:
         """Give takers no messages until `resume`, because the host does not serve the queue at present."""
         self._is_paused = self._dispatcher.is_paused = True
 
-    def end_line(self, error: StampedeError, now: int) -> bool:
+    def refuse_waiting(self, error: StampedeError, now: int) -> bool:
         """Refuse some of the waiting runs with `error`, because the host does not serve the queue any more.
 
         Returns True if more runs wait: then call this method again. While runs wait, the queue refuses new runs, too.
         """
-        return self._enqueuing.end_line(error, self._tick(now), ENDED_PER_CALL_MAX)
+        return self._enqueuing.refuse_waiting(error, self._tick(now), ENDED_PER_CALL_MAX)
 
     def resume(self, now: int) -> None:
-        """Serve takers and waiting runs again, after `pause` or `end_line`."""
+        """Serve takers and waiting runs again, after `pause` or `refuse_waiting`."""
         clock = self._tick(now)
         self._is_paused = False
         self._check_again()

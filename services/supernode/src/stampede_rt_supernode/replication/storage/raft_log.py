@@ -16,7 +16,7 @@ from stampede_rt_supernode.replication.log_entries import CONFIGURATION, Entry
 from stampede_rt_supernode.replication.storage.store import (
     Promise,
     SnapshotPiece,
-    SnapshotSeal,
+    SnapshotTrailer,
     Store,
     StoreChanges,
     StoredSnapshot,
@@ -58,7 +58,7 @@ class RaftLog:
         # The lowest log index from which the store differs from `_entries`; None if both agree.
         self._replace_from: int | None = None
         self._pending_pieces: list[SnapshotPiece] = []
-        self._pending_seal: SnapshotSeal | None = None
+        self._pending_trailer: SnapshotTrailer | None = None
         # True if term, vote, entries or snapshot wait for the disk. The commit index alone does not count.
         self._dirty = False
 
@@ -222,7 +222,7 @@ class RaftLog:
         """Let the log begin with the last two entries of a snapshot. `configuration` is the one that held at `last`.
 
         Pass all pieces to `write_piece` before. Entries after `last` stay if this log holds exactly the same `last`,
-        and no other `previous`, because they may be acknowledged already. The snapshot's seal and the log reach the
+        and no other `previous`, because they may be acknowledged already. The snapshot's trailer and the log reach the
         disk together.
         """
         held_before = self.entry_at(previous.log_index) is not None
@@ -242,7 +242,7 @@ class RaftLog:
             self.keep_after(last.log_index)
             self.configurations.cut_from(0)
         self.configurations.rebase(last.log_index, configuration)
-        self.snapshot, self._pending_seal = snapshot, snapshot.seal()
+        self.snapshot, self._pending_trailer = snapshot, snapshot.trailer()
         self._dirty = True
 
     def sync(self) -> bool:
@@ -250,7 +250,7 @@ class RaftLog:
         if not self._dirty:
             return False
         self._store.commit(self._changes())
-        self._replace_from, self._pending_seal, self._dirty = None, None, False
+        self._replace_from, self._pending_trailer, self._dirty = None, None, False
         self._pending_pieces, self._promises_changed = [], False
         return True
 
@@ -281,5 +281,5 @@ class RaftLog:
             commit_index=min(self.commit_index, first + len(self._entries) - 1),
             promises=self._promises,
             pieces=self._pending_pieces,
-            seal=self._pending_seal,
+            trailer=self._pending_trailer,
         )

@@ -89,7 +89,7 @@ def _taken_over(state: StoredState, founder: Member, old_member_id: str) -> Stor
         voted_for=None,
         commit_index=state.commit_index,
         pieces=list(state.snapshot.pieces()) if state.snapshot else [],
-        seal=state.snapshot.seal() if state.snapshot else None,
+        trailer=state.snapshot.trailer() if state.snapshot else None,
     )
 
 

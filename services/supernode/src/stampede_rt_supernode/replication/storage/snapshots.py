@@ -73,8 +73,8 @@ class SnapshotKeeper:
         the last entry but one that the snapshot covers, which is now the log's first entry. If a leader has sent a
         newer snapshot meanwhile, drops its own, and returns the last entry but one of the dropped snapshot.
 
-        Another thread encodes the snapshot. Then each step writes one piece, so that no step takes long. The seal and
-        the log's new beginning reach the disk together. Raises the errors of the encoding.
+        Another thread encodes the snapshot. Then each step writes one piece, so that no step takes long. The trailer
+        and the log's new beginning reach the disk together. Raises the errors of the encoding.
         """
         taking = self._taking
         if taking is None or not taking.encoded.done():

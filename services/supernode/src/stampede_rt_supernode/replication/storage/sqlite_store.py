@@ -4,9 +4,9 @@ SQLite keeps a write-ahead log with `synchronous=FULL`, so a commit is on the di
 snapshot, and the row of term and vote have checksums. That row also holds the positions of the first and the last
 entry, and the number of commits. So `load` finds damage, and no member applies damaged data.
 
-A snapshot is written in pieces, over several commits. The commit that seals it also drops the entries that it
+A snapshot is written in pieces, over several commits. The commit that writes its trailer also drops the entries that it
 replaces. Until then the former snapshot is complete. After that each commit deletes a few pieces of the former
-snapshot. So, after the first seal, the database always has one complete snapshot, even if the process is killed, and
+snapshot. So, after the first trailer, the database always has one complete snapshot, even if the process is killed, and
 the log begins with the last two entries of that snapshot.
 """
 
@@ -28,7 +28,7 @@ from stampede_rt_supernode.replication.storage.store import (
     REJOIN,
     Promise,
     SnapshotPiece,
-    SnapshotSeal,
+    SnapshotTrailer,
     StoreChanges,
     StoreDamaged,
     StoredSnapshot,
@@ -260,14 +260,14 @@ class SqliteStore:
         row = self._db.execute("SELECT last_log_index, pieces_count, sha256 FROM snapshot").fetchone()
         if row is None:
             return None
-        seal = SnapshotSeal(*row)
+        trailer = SnapshotTrailer(*row)
         pieces = self._db.execute(
-            "SELECT data FROM snapshot_piece WHERE last_log_index = ? AND number < ? ORDER BY number", seal[:2]
+            "SELECT data FROM snapshot_piece WHERE last_log_index = ? AND number < ? ORDER BY number", trailer[:2]
         )
         record = b"".join(data for (data,) in pieces)
-        if hashlib.sha256(record).digest() != seal.sha256:
+        if hashlib.sha256(record).digest() != trailer.sha256:
             raise StoreDamaged(f"{self._path}: the snapshot fails its checksum: {REJOIN}")
-        return StoredSnapshot(last_log_index=seal.last_log_index, record=record, sha256=seal.sha256)
+        return StoredSnapshot(last_log_index=trailer.last_log_index, record=record, sha256=trailer.sha256)
 
     def commit(self, changes: StoreChanges) -> None:
         """Perform one transaction, which is on the disk when this call returns.
@@ -285,8 +285,8 @@ class SqliteStore:
         values = ", ".join("?" * (len(facts) + 1))
         db.execute(f"INSERT OR REPLACE INTO hard_state VALUES (1, {values})", (*facts, facts.checksum()))
         self._write_pieces(changes.pieces)
-        if changes.seal is not None:
-            self._write_seal(changes.seal)
+        if changes.trailer is not None:
+            self._write_trailer(changes.trailer)
         elif self._has_old_pieces:
             self._drop_old_pieces()
         db.execute("COMMIT")
@@ -297,8 +297,8 @@ class SqliteStore:
         # A piece that a killed process has left at the same position does not count, and is replaced.
         self._db.executemany("INSERT OR REPLACE INTO snapshot_piece VALUES (?, ?, ?)", pieces)
 
-    def _write_seal(self, seal: SnapshotSeal) -> None:
-        self._db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?, ?)", seal)
+    def _write_trailer(self, trailer: SnapshotTrailer) -> None:
+        self._db.execute("INSERT OR REPLACE INTO snapshot VALUES (1, ?, ?, ?)", trailer)
         self._has_old_pieces = True
 
     def _drop_old_pieces(self) -> None:

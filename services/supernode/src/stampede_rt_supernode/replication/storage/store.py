@@ -41,7 +41,7 @@ class StoreRefused(RuntimeError):
 
 
 class SnapshotPiece(NamedTuple):
-    """A part of an encoded snapshot. It counts only once the seal of the snapshot is also on the disk."""
+    """A part of an encoded snapshot. It counts only once the trailer of the snapshot is also on the disk."""
 
     last_log_index: int
     number: int
@@ -76,12 +76,12 @@ class StoredSnapshot:
         """All pieces."""
         return map(self.piece, range(self.pieces_count))
 
-    def seal(self) -> SnapshotSeal:
+    def trailer(self) -> SnapshotTrailer:
         """The change that makes the pieces the present snapshot."""
-        return SnapshotSeal(self.last_log_index, self.pieces_count, self.sha256)
+        return SnapshotTrailer(self.last_log_index, self.pieces_count, self.sha256)
 
 
-class SnapshotSeal(NamedTuple):
+class SnapshotTrailer(NamedTuple):
     """Makes written pieces the present snapshot: the first `pieces_count` pieces of position `last_log_index`.
 
     `sha256` is the checksum of all these pieces together.
@@ -110,7 +110,7 @@ class StoreChanges:
 
     `entries` replace the stored entries at or after `replace_from`; if it is None, all stored entries stay. Then the
     store drops the entries before `first_index`. The last stored entry then has `last_index` and `last_term`. The
-    pieces of a snapshot come in earlier commits than its seal, or in the same one. `promises` are those of the other
+    pieces of a snapshot come in earlier commits than its trailer, or in the same one. `promises` are those of the other
     members, by id.
     """
 
@@ -124,7 +124,7 @@ class StoreChanges:
     commit_index: int
     promises: Mapping[str, Promise] = field(default_factory=dict)
     pieces: list[SnapshotPiece] = field(default_factory=list)
-    seal: SnapshotSeal | None = None
+    trailer: SnapshotTrailer | None = None
 
 
 class Store(Protocol):
