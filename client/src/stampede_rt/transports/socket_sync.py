@@ -48,7 +48,7 @@ class SocketCall:
         seconds, rest = divmod(SILENCE_S_MAX, 1)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", int(seconds), int(rest * 1e6)))
         forking.keep_out_of_children(connected)
-        weakref.finalize(self, _drop, connected, self._backlog, self._forks).atexit = False
+        weakref.finalize(self, _drop, connected, self._backlog, self._forks)  # also at the end of the program
         self._write((head_of(FrameKind.OPENING, len(opening)), opening))
 
     @property
