@@ -1,6 +1,7 @@
 """Serves one stream of puts: judges and acks runs in order.
 
-Acks that come during a write go out in the next message.
+Acks that come during a write go out in the next message. The loop that reads the requests writes the ack of a single
+put itself, because its caller waits for it.
 """
 
 from __future__ import annotations
@@ -36,12 +37,14 @@ _FRAMING_BYTES_MAX = 4096  # the fields of such a request beside the runs
 class _ReceivedRequest(NamedTuple):
     """The runs of one request that the host has not yet judged, and the monotonic time at which the request came.
 
-    `too_much`: the request is larger than allowed. The host then refuses all its runs.
+    `too_much`: the request is larger than allowed. The host then refuses all its runs. `is_single`: it names its
+    channel and has one run, as the requests of a caller that waits for each ack.
     """
 
     puts: deque[Put]
     received_s: float
     too_much: bool
+    is_single: bool
 
     def keep(self) -> int:
         """Copy each run, so that the request is no longer kept in memory. Returns the sum of the runs' bytes."""
@@ -66,6 +69,7 @@ class PutStream:
         self._producer_id = 0
         self._acks: list[pb.PutAck] = []
         self._closed = False
+        self._is_writing = False
         self._news = asyncio.Event()  # there are acks to write, or the caller has closed its side
         self._room = asyncio.Event()  # the writer has taken the acks
         self._account = current_account()
@@ -100,7 +104,8 @@ class PutStream:
             self._channel_id, self._epoch = request.channel_id, request.epoch
             self._producer_id = request.producer_id
         too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
-        return _ReceivedRequest(request.puts, received_s, too_much)
+        is_single = bool(request.channel_id) and len(request.puts) == 1
+        return _ReceivedRequest(request.puts, received_s, too_much, is_single)
 
     async def _take(self, received: _ReceivedRequest) -> None:
         if self._work.must_wait:
@@ -117,6 +122,9 @@ class PutStream:
                 self._room.clear()
                 await self._room.wait()
             self._acks.append(ack)  # after the await, during which the writer may replace the list
+        if received.is_single and not self._is_writing:
+            await self._write()
+            return
         self._news.set()
         await asyncio.sleep(0)  # let the writer send this ack before the next read begins
 
@@ -175,13 +183,21 @@ class PutStream:
     async def _write_acks(self) -> None:
         """Write acks. All acks that came during the last write go out in one message."""
         while not (self._closed and not self._acks):
-            if not self._acks:
+            if not self._acks or self._is_writing:
                 self._news.clear()
                 await self._news.wait()
                 continue
-            acks, self._acks = self._acks, []
+            await self._write()
+
+    async def _write(self) -> None:
+        """Write all acks that have come. Only one write may be under way."""
+        acks, self._acks = self._acks, []
+        self._is_writing = True
+        try:
             await self._context.write(pb.PutResponse(acks=acks).SerializeToString())
-            self._room.set()
+        finally:
+            self._is_writing = False
+        self._room.set()
 
 
 def _lose(waiting: tuple[ChannelPuts, IncomingRun], error: PermissionDenied) -> None:
