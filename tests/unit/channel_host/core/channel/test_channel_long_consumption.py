@@ -10,7 +10,7 @@ from stampede_rt.values.model import Policy
 from stampede_rt_channel_host.core.channel import pieces, seq_set
 from stampede_rt_channel_host.core.channel.consumer_places import LEASE_NANOS
 from stampede_rt_channel_host.core.channel.consumption import CONSUMERS_CHECKED_MAX, RANGES_PER_LOOK_MAX, Consumers
-from stampede_rt_channel_host.core.channel.retention import SLICES_CONSUMED_MAX
+from stampede_rt_channel_host.core.channel.retention import BACKLOG_ENTRIES_MAX, SLICES_CONSUMED_MAX
 from stampede_rt_channel_host.core.channel.tally import BLOCK_ITEMS
 from tests.support.channel_host.channel_cores import CLOCK, a_channel, put
 from tests.support.channel_host.large_channels import ITEMS, SliceCounter, backwards, count_slices, filled, shuffled
@@ -182,3 +182,24 @@ def test_what_all_consumers_have_consumed_goes_by_and_by_whoever_looks(monkeypat
     while channel.collect(CLOCK):
         pass
     assert channel.counters(CLOCK).held == 1
+
+
+def test_a_late_item_behind_many_outdated_and_some_consumed_items_frees_a_bounded_number_of_entries() -> None:
+    """With 1,000,000 outdated items the put of the late item freed all of them, and took 3.1 s."""
+    channel = filled(consumers=1, max_age_nanos=10**7)
+    channel.consume(1, [], CLOCK)
+    put(channel, *(CLOCK + time for time in (10**5, 2 * 10**5, 3 * 10**5)))
+    later = CLOCK + 10**5 + 10**7 - 1  # all items are too old, except the last three
+    channel.consume(1, range(ITEMS, ITEMS + 3), later)
+    most = before = channel.freed_entries
+    while not channel.counters(later).collected["consumption"]:
+        most, before = max(most, channel.freed_entries - before), channel.freed_entries
+        assert channel.collect(later)
+    before = channel.freed_entries
+    assert put(channel, CLOCK + 10**5 - 5, now=later).run is not None
+    most = max(most, channel.freed_entries - before)
+    assert most <= 2 * BACKLOG_ENTRIES_MAX
+    while channel.collect(later):
+        pass
+    held, _ = channel.look(later)
+    assert (held.items, held.oldest, held.backlog_bytes) == (2, CLOCK + 10**5 - 5, 0)

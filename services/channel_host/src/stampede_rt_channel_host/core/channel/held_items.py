@@ -108,10 +108,17 @@ class HeldItems:
         unreported = self._on_gone is not None and self._reported_to < self.floor
         return unreported or self.index.has_below(self._free_floor)
 
+    def has_backlog_of(self, entries: int) -> bool:
+        """Whether there are at least so many entries to free, now or after `report_gone`."""
+        return self.index.has_below(self._below_snapshots(self.floor), entries)
+
     @property
     def _free_floor(self) -> ItemKey:
         """The key below which the channel may free items: no snapshot shows them, and the consumers know of them."""
-        floor = self.floor if self._on_gone is None else min(self.floor, self._reported_to)
+        return self._below_snapshots(self.floor if self._on_gone is None else min(self.floor, self._reported_to))
+
+    def _below_snapshots(self, floor: ItemKey) -> ItemKey:
+        """The least of `floor` and the floors of the held snapshots."""
         return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
 
     @property

@@ -82,7 +82,11 @@ class Holdings(HeldItems):
         self._meet(time, ABSENT if run.durations is None else run.durations[at])
 
     def _make_way(self) -> None:
-        """Free all outdated items, and reset the floor, because a new item is earlier than some consumed items."""
+        """Free all outdated items, and reset the floor, because a new item is earlier than some consumed items.
+
+        These are few: consumption collects nothing while the backlog is long (see `Retention.collect_consumed`), and
+        items outdated later for another cause leave no room for an earlier item.
+        """
         for snapshot in self._snapshots:
             snapshot.detach()
         self._snapshots.clear()

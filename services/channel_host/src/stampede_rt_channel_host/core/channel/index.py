@@ -248,9 +248,9 @@ class ChannelIndex:
         times = entry.run.times
         return times[bisect_right(times, time, entry.lo, entry.hi) - 1]
 
-    def has_below(self, floor: ItemKey) -> bool:
-        """Whether there is an entry, and all items of the first entry are below `floor`."""
-        return bool(self._by_time) and is_below(self._by_time[0], floor)
+    def has_below(self, floor: ItemKey, entries: int = 1) -> bool:
+        """Whether all items of the first `entries` entries are below `floor`. False if the index has fewer entries."""
+        return len(self._by_time) >= entries and is_below(self._by_time[entries - 1], floor)
 
     def pop_below(self, floor: ItemKey) -> Entry | None:
         """Remove and return the first entry if all its items are below `floor`; else return None."""

@@ -21,6 +21,8 @@ from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES
 
 SLICES_CONSUMED_MAX = 64
 """The most slices that one call collects by consumption, so that a consumer that catches up delays no other caller."""
+BACKLOG_ENTRIES_MAX = 512
+"""While so many entries wait to be freed, consumption collects nothing: a late item may have to free all of them."""
 ENTRIES_PER_LOOK = 8
 """The most index entries or ranges of seqs that one step of `report_collected` looks at."""
 SLICES_AGED_MAX = 256
@@ -235,11 +237,14 @@ class Retention:
 
         Returns True if an item was collected. Looks at the items to collect and one slice more. So the cost of each
         item is the same, however many are collected together. If all leases have ended, collects all items except the
-        newest bucket, because a new consumer begins with the newest item.
+        newest bucket, because a new consumer begins with the newest item. Collects nothing while the backlog is long.
         """
         self._has_more_consumed = False
         consumers, held = self.consumers, self._held
         if consumers is None or self.limits.consumers is None or consumers.table.untaken or held.newest is None:
+            return False
+        if held.has_backlog_of(BACKLOG_ENTRIES_MAX):
+            self._has_more_consumed = True
             return False
         count = consumers.done_with if consumers.table.live else before(held.newest)
         bounded = BoundedCount(SLICES_CONSUMED_MAX, count, consumers)
