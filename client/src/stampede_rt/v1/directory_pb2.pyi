@@ -29,8 +29,20 @@ class Endpoint(_message.Message):
     zone: str
     def __init__(self, target: _Optional[str] = ..., zone: _Optional[str] = ...) -> None: ...
 
+class HostLoad(_message.Message):
+    __slots__ = ("busy_permille", "held_bytes", "bytes_max", "owned")
+    BUSY_PERMILLE_FIELD_NUMBER: _ClassVar[int]
+    HELD_BYTES_FIELD_NUMBER: _ClassVar[int]
+    BYTES_MAX_FIELD_NUMBER: _ClassVar[int]
+    OWNED_FIELD_NUMBER: _ClassVar[int]
+    busy_permille: int
+    held_bytes: int
+    bytes_max: int
+    owned: int
+    def __init__(self, busy_permille: _Optional[int] = ..., held_bytes: _Optional[int] = ..., bytes_max: _Optional[int] = ..., owned: _Optional[int] = ...) -> None: ...
+
 class HostRecord(_message.Message):
-    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version", "lease_ended_unix_nano", "registration_epoch")
+    __slots__ = ("host_id", "name", "gatekeepers", "boot_incarnation", "alive", "channels", "version", "lease_ended_unix_nano", "registration_epoch", "load")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     GATEKEEPERS_FIELD_NUMBER: _ClassVar[int]
@@ -40,6 +52,7 @@ class HostRecord(_message.Message):
     VERSION_FIELD_NUMBER: _ClassVar[int]
     LEASE_ENDED_UNIX_NANO_FIELD_NUMBER: _ClassVar[int]
     REGISTRATION_EPOCH_FIELD_NUMBER: _ClassVar[int]
+    LOAD_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     name: str
     gatekeepers: _containers.RepeatedCompositeFieldContainer[Endpoint]
@@ -49,7 +62,8 @@ class HostRecord(_message.Message):
     version: str
     lease_ended_unix_nano: int
     registration_epoch: int
-    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ..., lease_ended_unix_nano: _Optional[int] = ..., registration_epoch: _Optional[int] = ...) -> None: ...
+    load: HostLoad
+    def __init__(self, host_id: _Optional[bytes] = ..., name: _Optional[str] = ..., gatekeepers: _Optional[_Iterable[_Union[Endpoint, _Mapping]]] = ..., boot_incarnation: _Optional[int] = ..., alive: bool = ..., channels: _Optional[int] = ..., version: _Optional[str] = ..., lease_ended_unix_nano: _Optional[int] = ..., registration_epoch: _Optional[int] = ..., load: _Optional[_Union[HostLoad, _Mapping]] = ...) -> None: ...
 
 class SupernodeRecord(_message.Message):
     __slots__ = ("supernode_id", "endpoint", "is_leader", "healthy", "round_trip_nanos", "highest_feature_level")

@@ -184,12 +184,14 @@ class RegisterHostResponse(_message.Message):
     def __init__(self, host: _Optional[_Union[_directory_pb2.HostRecord, _Mapping]] = ..., lease_ttl_nanos: _Optional[int] = ..., channels: _Optional[_Iterable[_Union[_channel_pb2.ChannelRecord, _Mapping]]] = ..., cluster_id: _Optional[str] = ..., protocol_version: _Optional[int] = ..., queues: _Optional[_Iterable[_Union[_queue_pb2.QueueRecord, _Mapping]]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class RenewHostLeaseRequest(_message.Message):
-    __slots__ = ("host_id", "boot_incarnation")
+    __slots__ = ("host_id", "boot_incarnation", "load")
     HOST_ID_FIELD_NUMBER: _ClassVar[int]
     BOOT_INCARNATION_FIELD_NUMBER: _ClassVar[int]
+    LOAD_FIELD_NUMBER: _ClassVar[int]
     host_id: bytes
     boot_incarnation: int
-    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ...) -> None: ...
+    load: _directory_pb2.HostLoad
+    def __init__(self, host_id: _Optional[bytes] = ..., boot_incarnation: _Optional[int] = ..., load: _Optional[_Union[_directory_pb2.HostLoad, _Mapping]] = ...) -> None: ...
 
 class RenewHostLeaseResponse(_message.Message):
     __slots__ = ("lease_ttl_nanos", "tenure", "cluster_id", "former_cluster_ids")

@@ -24,6 +24,7 @@ from stampede_rt_channel_host.cluster.directory import DirectoryQueries
 from stampede_rt_channel_host.cluster.directory_watch import watch_forever
 from stampede_rt_channel_host.cluster.identity import HomeCluster, HostIdentity
 from stampede_rt_channel_host.cluster.lease_thread import LeaseThread, ServingLoop
+from stampede_rt_channel_host.cluster.load_meter import LoadMeter
 from stampede_rt_channel_host.cluster.queue_directory import QueueDirectory
 from stampede_rt_channel_host.cluster.records import recorded_channel, recorded_queue
 from stampede_rt_channel_host.cluster.registration import START_SECONDS_MAX, Registration
@@ -118,6 +119,7 @@ class ChannelHost:
             on_lease=lambda held: serving.run_soon(lambda: self._lease_changed(held)),
             has_hung=serving.has_hung,
             home=self._home,
+            measure_load=LoadMeter(lambda: self.store.memory.used_bytes, self.store.memory.bytes_max).measure,
         )
 
     def _make_queues(

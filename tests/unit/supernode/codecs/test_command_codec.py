@@ -40,7 +40,14 @@ from stampede_rt_supernode.core.command_table import KINDS
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import GroupDeleted, GroupOpened, GroupUpdated
-from stampede_rt_supernode.core.hosts.commands import HostDeregistered, HostExpired, HostRegistered
+from stampede_rt_supernode.core.hosts.commands import (
+    HostDeregistered,
+    HostExpired,
+    HostLoadsNoted,
+    HostRegistered,
+    NoteHostLoads,
+    ReportedLoad,
+)
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.queues.commands import QueueDeleted, QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.records import (
@@ -48,6 +55,7 @@ from stampede_rt_supernode.core.records import (
     Endpoint,
     GroupRecord,
     GroupSpec,
+    HostLoad,
     HostRecord,
     PeerRecord,
     QueueRecord,
@@ -58,6 +66,7 @@ from stampede_rt_supernode.core.records import (
 from stampede_rt_supernode.core.replicas.commands import ReplicaAdded, ReplicaInSyncSet, ReplicaRemoved
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication import COMMAND_BYTES_MAX
+from stampede_rt_supernode.servicers.host_loads import HOSTS_PER_ENTRY_MAX
 from stampede_rt_supernode.servicers.lease_keeper import PEERS_PER_ENTRY_MAX
 from tests.support.supernode.operations import (
     add_replica,
@@ -82,6 +91,7 @@ from tests.support.supernode.operations import (
     update_queue,
 )
 
+LOAD = HostLoad(busy_permille=2**32 - 1, held_bytes=2**64 - 1, bytes_max=2**64 - 2, owned=2**32 - 2)
 RULE = AccessRule("cam-*", (AccessVerb.ADVANCE, AccessVerb.PUT), AccessKind.CHANNEL, "video/?", deny=True)
 EVERYTHING: dict[str, Any] = {
     "max_age_nanos": 1,
@@ -141,6 +151,7 @@ OPERATIONS: list[Operation] = [
     update_queue(id_of(2), 2**64 - 1, **EVERYTHING_OF_QUEUES),
     delete_queue(id_of(2)),
     MarkTime(tenure=2**64 - 1, after_index=7),
+    NoteHostLoads(tenure=2, loads=(ReportedLoad(host_id=id_of(1), registered_index=2**64 - 1, load=LOAD),)),
     RaiseFeatureLevel(feature_level=2**32 - 1),
     register_peer(1, "planner", boot=2**64 - 1, proof=7, **EVERYTHING_OF_PEERS),
     register_peer(1, "planner", mailbox=QueueSpec()),
@@ -235,6 +246,8 @@ RESULTS: list[Result] = [
     HostRegistered(host=HOST, cluster_id="c"),
     HostDeregistered(),
     HostExpired(expired=True),
+    HostLoadsNoted(noted=2**32 - 1),
+    HostRegistered(host=replace(HOST, load=LOAD), cluster_id="c"),
     TenureBegun(tenure=4, cluster_id="c"),
     TimeMarked(marked=True),
     FeatureLevelRaised(feature_level=2),
@@ -312,6 +325,10 @@ def test_the_greatest_command_fits_the_log() -> None:
         ),
         expire_peers(*((number, 2**64 - 1) for number in range(PEERS_PER_ENTRY_MAX)), boot=2**64 - 1, tenure=2**64 - 1),
     ]
+    loads = (
+        ReportedLoad(host_id=id_of(one), registered_index=2**64 - 1, load=LOAD) for one in range(HOSTS_PER_ENTRY_MAX)
+    )
+    operations.append(NoteHostLoads(tenure=2**64 - 1, loads=tuple(loads)))
     for operation in operations:
         assert len(encode_command(Command(op_id=id_of(1), time_unix_nano=0, operation=operation))) < COMMAND_BYTES_MAX
 

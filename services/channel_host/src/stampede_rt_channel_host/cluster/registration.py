@@ -49,7 +49,8 @@ class Registration:
     `on_registered` gets the directory's answer to every registration. The host serves nothing under the registration
     before `on_registered` has returned. `on_lease` gets True when the host has got the lease, and False when the lease
     has ended. While `has_hung` returns True, the host serves nothing, and `keep` does not renew the lease. `home` is
-    the cluster of the host; before its first registration, the host may enter any cluster.
+    the cluster of the host; before its first registration, the host may enter any cluster. Each renewal reports the
+    load that `measure_load` returns.
 
     Call `enter`, `keep` and `leave` in this order, all on one event loop. Any thread may call `lease_held`.
     """
@@ -64,6 +65,7 @@ class Registration:
         on_lease: Callable[[bool], None],
         has_hung: Callable[[], bool] = lambda: False,
         home: HomeCluster | None = None,
+        measure_load: Callable[[], directory_pb2.HostLoad] | None = None,
     ) -> None:
         self._identity = identity
         self._supernodes = supernodes
@@ -72,6 +74,7 @@ class Registration:
         self._on_lease = on_lease
         self._has_hung = has_hung
         self._home = home or HomeCluster()
+        self._measure_load = measure_load
         self._epoch = RegistrationEpoch()
         self._lease = HostLease()
         self._reported_held = False  # the value that on_lease got last
@@ -182,6 +185,7 @@ class Registration:
         request = directory_service_pb2.RenewHostLeaseRequest(
             host_id=self._identity.host_id,
             boot_incarnation=self._identity.boot_incarnation,
+            load=None if self._measure_load is None else self._measure_load(),
         )
         sent = self._clock.boottime_nanos()
         timeout_s = self._lease.ttl_nanos / RENEWALS_PER_TTL / 1e9

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from stampede_rt.v1 import directory_command_pb2, directory_pb2
-from stampede_rt_supernode.core.records import Endpoint, HostRecord
+from stampede_rt_supernode.core.records import Endpoint, HostLoad, HostRecord
 
 
 def endpoints_from(endpoints: Iterable[directory_pb2.Endpoint]) -> tuple[Endpoint, ...]:
@@ -30,6 +30,24 @@ def host_record(host: HostRecord) -> directory_pb2.HostRecord:
         version=host.version,
         lease_ended_unix_nano=host.lease_ended_unix_nano,
         registration_epoch=host.registration_epoch,
+        load=None if host.load is None else load_message(host.load),
+    )
+
+
+def load_message(load: HostLoad) -> directory_pb2.HostLoad:
+    """The message of a load."""
+    return directory_pb2.HostLoad(
+        busy_permille=load.busy_permille, held_bytes=load.held_bytes, bytes_max=load.bytes_max, owned=load.owned
+    )
+
+
+def load_from(message: directory_pb2.HostLoad) -> HostLoad:
+    """The load in a message."""
+    return HostLoad(
+        busy_permille=message.busy_permille,
+        held_bytes=message.held_bytes,
+        bytes_max=message.bytes_max,
+        owned=message.owned,
     )
 
 
@@ -52,4 +70,5 @@ def host_from(entry: directory_command_pb2.HostEntry) -> HostRecord:
         registered_index=entry.registered_index,
         lease_ended_unix_nano=record.lease_ended_unix_nano if record.HasField("lease_ended_unix_nano") else None,
         registration_epoch=record.registration_epoch,
+        load=load_from(record.load) if record.HasField("load") else None,
     )

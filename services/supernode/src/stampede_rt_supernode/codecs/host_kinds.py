@@ -5,15 +5,25 @@ from __future__ import annotations
 from typing import Any
 
 from stampede_rt.v1 import directory_command_pb2 as pb
-from stampede_rt_supernode.codecs.host_codec import endpoint_message, endpoints_from, host_entry, host_from
+from stampede_rt_supernode.codecs.host_codec import (
+    endpoint_message,
+    endpoints_from,
+    host_entry,
+    host_from,
+    load_from,
+    load_message,
+)
 from stampede_rt_supernode.codecs.kind_codec import KindCodec
 from stampede_rt_supernode.core.hosts.commands import (
     DeregisterHost,
     ExpireHost,
     HostDeregistered,
     HostExpired,
+    HostLoadsNoted,
     HostRegistered,
+    NoteHostLoads,
     RegisterHost,
+    ReportedLoad,
 )
 
 
@@ -67,6 +77,22 @@ def _read_expire(message: pb.ExpireHostCommand) -> ExpireHost:
     )
 
 
+def _loads_message(operation: NoteHostLoads) -> pb.NoteHostLoadsCommand:
+    loads = [
+        pb.ReportedHostLoad(host_id=one.host_id, registered_index=one.registered_index, load=load_message(one.load))
+        for one in operation.loads
+    ]
+    return pb.NoteHostLoadsCommand(tenure=operation.tenure, loads=loads)
+
+
+def _read_loads(message: pb.NoteHostLoadsCommand) -> NoteHostLoads:
+    loads = (
+        ReportedLoad(host_id=one.host_id, registered_index=one.registered_index, load=load_from(one.load))
+        for one in message.loads
+    )
+    return NoteHostLoads(tenure=message.tenure, loads=tuple(loads))
+
+
 def _registered_message(result: HostRegistered) -> pb.HostRegisteredResult:
     return pb.HostRegisteredResult(host=host_entry(result.host), cluster_id=result.cluster_id)
 
@@ -105,5 +131,15 @@ CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
         read=_read_expire,
         write_result=lambda one: pb.HostExpiredResult(expired=one.expired),
         read_result=lambda message: HostExpired(expired=message.expired),
+    ),
+    KindCodec(
+        kind="note_host_loads",
+        outcome="host_loads_noted",
+        operation=NoteHostLoads,
+        result=HostLoadsNoted,
+        write=_loads_message,
+        read=_read_loads,
+        write_result=lambda one: pb.HostLoadsNotedResult(noted=one.noted),
+        read_result=lambda message: HostLoadsNoted(noted=message.noted),
     ),
 )

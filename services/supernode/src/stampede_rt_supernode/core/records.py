@@ -23,6 +23,19 @@ class Endpoint:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class HostLoad:
+    """How busy a host is, see HostLoad in directory.proto.
+
+    `owned`: the number of channels and queues that the host owned when the measurement began.
+    """
+
+    busy_permille: int = 0
+    held_bytes: int = 0
+    bytes_max: int = 0
+    owned: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class HostRecord:
     """A process that hosts channels.
 
@@ -30,7 +43,8 @@ class HostRecord:
     has lost its items. `channels` is the number of channels that the host owns. `registered_index` is the log position
     of its last registration. A lease, and the entry that ends a lease, belong to one registration.
     `lease_ended_unix_nano`: for a lost host, when its lease ended, by the leader's clock; None for other hosts.
-    `registration_epoch` grows with each process that replaces another, see `registration_epochs`.
+    `registration_epoch` grows with each process that replaces another, see `registration_epochs`. `load`: its load as
+    the leader last noted it; None if the host registered, and has since been, below LOADS_LEVEL.
     """
 
     host_id: bytes
@@ -43,6 +57,7 @@ class HostRecord:
     registered_index: int
     lease_ended_unix_nano: int | None = None
     registration_epoch: int = 0
+    load: HostLoad | None = None
 
     @property
     def is_lost(self) -> bool:

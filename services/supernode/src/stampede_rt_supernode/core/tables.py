@@ -22,6 +22,7 @@ from stampede_rt_supernode.core.records import (
     ChangeKind,
     ChannelRecord,
     GroupRecord,
+    HostLoad,
     HostRecord,
     PeerRecord,
     QueueRecord,
@@ -161,6 +162,10 @@ class Tables:
         if len(self.lost) > LOST_HOSTS_MAX:
             first = min((self.hosts[one] for one in self.lost), key=_when_lost)
             self.put_host(replace(first, lease_ended_unix_nano=None))
+
+    def set_load(self, host_id: bytes, load: HostLoad) -> None:
+        """Set the load of a known host. Watchers do not hear of it, because loads change all the time."""
+        self.hosts[host_id] = replace(self.hosts[host_id], load=load)
 
     def put_queue(self, queue: QueueRecord) -> None:
         """Add a queue or mailbox, or replace the one of that id.

@@ -17,7 +17,7 @@ from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.rpc import Context, errors_as_status
 from stampede_rt_runtime.version import PROTOCOL_VERSION, software_version
-from stampede_rt_supernode.codecs.host_codec import endpoints_from, host_record
+from stampede_rt_supernode.codecs.host_codec import endpoints_from, host_record, load_from
 from stampede_rt_supernode.codecs.queue_codec import queue_record
 from stampede_rt_supernode.codecs.record_codec import (
     change_message,
@@ -216,11 +216,13 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
 
     @errors_as_status
     async def RenewHostLease(self, request: pb.RenewHostLeaseRequest, context: Context) -> pb.RenewHostLeaseResponse:
-        """Makes no log entry."""
+        """Makes no log entry. A changed load gets into the log with those of other hosts, see `host_loads`."""
         self._calls.check_host(context, request.host_id)
         ttl_nanos, tenure = await self._leases.renew(
             request.host_id, request.boot_incarnation, seconds=seconds_left(context)
         )
+        if request.HasField("load"):
+            self._leases.loads.note(request.host_id, load_from(request.load))
         cluster_id, former = self._replica.read(lambda directory: (directory.cluster_id, directory.former_cluster_ids))
         return pb.RenewHostLeaseResponse(
             lease_ttl_nanos=ttl_nanos, tenure=tenure, cluster_id=cluster_id, former_cluster_ids=former

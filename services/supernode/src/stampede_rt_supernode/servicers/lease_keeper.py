@@ -32,6 +32,7 @@ from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.join_tokens import KEY_BYTES
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReplicatedLog, ReplicationStatus
+from stampede_rt_supernode.servicers.host_loads import HostLoads
 from stampede_rt_supernode.servicers.submission import Submission
 
 logger = logging.getLogger(__name__)
@@ -75,6 +76,7 @@ class LeaseKeeper:
         self._submission = submission
         self._clock = clock
         self._founding_ttl_nanos = founding_ttl_nanos
+        self.loads = HostLoads(replica, submission, clock)
         self._hosts = LeaseTable()
         self._peers = LeaseTable()
         # How far the table of peers has followed the directory: `replica.restored` at that time, and the position in
@@ -113,12 +115,14 @@ class LeaseKeeper:
                 await self._mark_time()
                 await self._end_due_leases()
                 await self._end_due_peers()
+                await self.loads.tick(self._hosts.tenure)
         except StampedeError as error:
             logger.warning("leases wait", extra={"reason": error.reason, "cause": error.message})
 
     def _resign(self) -> None:
         self._hosts.resign()
         self._peers.resign()
+        self.loads.forget()
 
     async def _take_over(self, status: ReplicationStatus) -> None:
         self._resign()

@@ -19,6 +19,7 @@ from stampede_rt_supernode.core.channels.commands import (
 )
 from stampede_rt_supernode.core.channels.policies import agree, check_fixed, check_policy, check_ranges, merge
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
+from stampede_rt_supernode.core.hosts.placement import beside_its_group, check_has_place, least_loaded
 from stampede_rt_supernode.core.lookups import channel_by_id, check_host_agrees, host_by_name, no_such_channel
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 from stampede_rt_supernode.core.replicas.transitions import check_epoch
@@ -117,6 +118,7 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
             metadata={"channel": operation.name},
         )
     host = _choose_host(tables, operation)
+    check_has_place(host, operation.name)
     channel = ChannelRecord(
         channel_id=operation.new_channel_id,
         name=operation.name,
@@ -132,7 +134,9 @@ def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:
 
 
 def _with_new_owner(tables: Tables, channel: ChannelRecord, operation: OpenChannel) -> ChannelRecord:
-    host = _choose_host(tables, operation, former=tables.hosts[channel.host_id].name)
+    former = tables.hosts[channel.host_id].name
+    host = _choose_host(tables, operation, former=former, channel_id=channel.channel_id)
+    check_has_place(host, channel.name)
     return replace(
         channel,
         host_id=host.host_id,
@@ -146,17 +150,20 @@ def fresh_incarnation(channel: ChannelRecord, proposed: int) -> int:
     return proposed if proposed != channel.incarnation else (proposed ^ 1) or 2
 
 
-def _choose_host(tables: Tables, operation: OpenChannel, former: str | None = None) -> HostRecord:
-    """The host for a new channel, or for a channel whose owner is not alive.
+def _choose_host(
+    tables: Tables, operation: OpenChannel, former: str | None = None, channel_id: bytes = b""
+) -> HostRecord:
+    """The host for a new channel, or for the channel `channel_id`, whose owner is not alive.
 
     It is the live host that the caller names, if any. Else it is the live host with the name of the `former` owner,
-    which is that owner, restarted without its data folder. Else it is the live host with the fewest channels; among
-    equals the first by name.
+    which is that owner, restarted without its data folder. Else it is the host of the other members of the channel's
+    groups, if it has room. Else it is the least loaded live host, see `placement`.
     """
     if operation.host_name:
         return host_by_name(tables, operation.host_name)
     successor = tables.live_host_named(former) if former is not None else None
-    least = successor or min(tables.live_hosts(), key=lambda host: host.channels, default=None)
+    near = successor or beside_its_group(tables, channel_id)
+    least = near or least_loaded(tables, tables.live_hosts(), lambda host: host.channels)
     if least is None:
         raise Unavailable(
             f"there is no live host for channel {operation.name}; start one with `stampede host`, or wait for one",

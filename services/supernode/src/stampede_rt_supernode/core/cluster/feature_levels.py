@@ -13,14 +13,16 @@ kind checks the level of the state, and has its former effect while that level i
 from __future__ import annotations
 
 # The highest level that this release knows. 2: rules of access, client tokens and quotas. 3: quotas of groups and of
-# peers.
-HIGHEST_LEVEL = 3
+# peers. 4: loads of hosts.
+HIGHEST_LEVEL = 4
 # The level of a cluster that was founded before there were levels.
 FIRST_LEVEL = 1
 # From this level on replicas keep the owners of peers, and the creators of channels, queues and groups.
 OWNERS_LEVEL = 2
 # From this level on replicas limit the groups and peers of each caller, and the memory for the answers to it.
 GROUPS_AND_PEERS_LEVEL = 3
+# From this level on replicas keep the loads of hosts, and place channels and queues by them.
+LOADS_LEVEL = 4
 
 
 def may_be_used(needed: int, cluster_level: int) -> bool:

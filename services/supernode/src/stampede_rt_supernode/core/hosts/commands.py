@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from stampede_rt_supernode.core.commands import Operation, Success
-from stampede_rt_supernode.core.records import Endpoint, HostRecord
+from stampede_rt_supernode.core.records import Endpoint, HostLoad, HostRecord
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,6 +43,23 @@ class ExpireHost(Operation):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class ReportedLoad:
+    """The load of one registration of a host."""
+
+    host_id: bytes
+    registered_index: int
+    load: HostLoad
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class NoteHostLoads(Operation):
+    """The leader of `tenure` notes the loads that hosts have reported to it; see `placement`."""
+
+    tenure: int
+    loads: tuple[ReportedLoad, ...]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class HostRegistered(Success):
     """The host is registered."""
 
@@ -60,3 +77,10 @@ class HostExpired(Success):
     """`expired`: whether the command ended the lease. A command that came too late changed nothing."""
 
     expired: bool
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class HostLoadsNoted(Success):
+    """`noted`: the number of hosts whose load the command changed."""
+
+    noted: int

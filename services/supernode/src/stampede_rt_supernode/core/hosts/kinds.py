@@ -4,23 +4,34 @@ from __future__ import annotations
 
 from typing import Any
 
+from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
 from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.hosts.commands import (
     DeregisterHost,
     ExpireHost,
     HostDeregistered,
     HostExpired,
+    HostLoadsNoted,
     HostRegistered,
+    NoteHostLoads,
     RegisterHost,
 )
-from stampede_rt_supernode.core.hosts.transitions import check_register, deregister_host, expire_host, register_host
+from stampede_rt_supernode.core.hosts.transitions import (
+    check_register,
+    deregister_host,
+    expire_host,
+    note_host_loads,
+    register_host,
+)
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
 
 
 def _register(state: DirectoryState, operation: RegisterHost, time_unix_nano: int) -> HostRegistered:
     state.check_founded()
-    return HostRegistered(host=register_host(state.tables, operation), cluster_id=state.cluster_id)
+    keeps_load = state.feature_level >= LOADS_LEVEL
+    host = register_host(state.tables, operation, keeps_load=keeps_load)
+    return HostRegistered(host=host, cluster_id=state.cluster_id)
 
 
 def _deregister(state: DirectoryState, operation: DeregisterHost, time_unix_nano: int) -> HostDeregistered:
@@ -30,6 +41,10 @@ def _deregister(state: DirectoryState, operation: DeregisterHost, time_unix_nano
 
 def _expire(state: DirectoryState, operation: ExpireHost, time_unix_nano: int) -> HostExpired:
     return HostExpired(expired=expire_host(state.tables, operation, state.tenure, time_unix_nano))
+
+
+def _note_loads(state: DirectoryState, operation: NoteHostLoads, time_unix_nano: int) -> HostLoadsNoted:
+    return HostLoadsNoted(noted=note_host_loads(state.tables, operation, state.tenure))
 
 
 KINDS: tuple[CommandKind[Any, Any], ...] = (
@@ -56,5 +71,13 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         subject=lambda one: one.host_id.hex(),
         apply=_expire,
         needs_room=False,
+    ),
+    CommandKind(
+        operation=NoteHostLoads,
+        result=HostLoadsNoted,
+        feature_level=LOADS_LEVEL,
+        subject=lambda one: str(one.tenure),
+        apply=_note_loads,
+        is_remembered=False,  # a repeated command sets the same loads
     ),
 )

@@ -11,9 +11,9 @@ from dataclasses import replace
 from stampede_rt.errors import HostExists, LeaseExpired, Overloaded
 from stampede_rt_supernode.core.channels.transitions import fresh_incarnation
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
-from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, RegisterHost
+from stampede_rt_supernode.core.hosts.commands import DeregisterHost, ExpireHost, NoteHostLoads, RegisterHost
 from stampede_rt_supernode.core.queues.placement import move_waiting_mailboxes, reset_queues
-from stampede_rt_supernode.core.records import HostRecord
+from stampede_rt_supernode.core.records import HostLoad, HostRecord
 from stampede_rt_supernode.core.registration_epochs import check_registration_epoch, next_epoch
 from stampede_rt_supernode.core.tables import Tables
 from stampede_rt_supernode.core.takeover import end_registration, give_owner
@@ -28,12 +28,12 @@ from stampede_rt_supernode.core.validation import (
 HOSTS_MAX = 10_000
 
 
-def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
+def register_host(tables: Tables, operation: RegisterHost, *, keeps_load: bool = False) -> HostRecord:
     """Register a host, perhaps again.
 
     A new boot incarnation means that the host lost its items. Then, in this one step, all its channels and queues get a
     new epoch and incarnation. A channel with a warm replica in sync moves to the host of that replica. The other
-    channels and all queues stay at the host.
+    channels and all queues stay at the host. `keeps_load`: the feature level allows loads; this one begins idle.
     """
     check_register(operation)
     _check_name_is_free(tables, operation)
@@ -53,6 +53,7 @@ def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
             channels=before.channels if before is not None else 0,
             registered_index=tables.index,
             registration_epoch=epoch,
+            load=_idle_load(tables, before) if keeps_load else None,
         )
     )
     tables.forget_lost_hosts(operation.name)
@@ -63,6 +64,11 @@ def register_host(tables: Tables, operation: RegisterHost) -> HostRecord:
     if len(tables.host_ids) == 1:
         move_waiting_mailboxes(tables)
     return tables.hosts[operation.host_id]
+
+
+def _idle_load(tables: Tables, before: HostRecord | None) -> HostLoad:
+    """The load of a host until its first report: idle, with all things that it owns already."""
+    return HostLoad(owned=0 if before is None else before.channels + tables.queues.count_at(before.host_id))
 
 
 def check_register(operation: RegisterHost) -> None:
@@ -134,6 +140,20 @@ def expire_host(tables: Tables, operation: ExpireHost, tenure: int, now_unix_nan
         return False
     _end(tables, host, lost_unix_nano=now_unix_nano)
     return True
+
+
+def note_host_loads(tables: Tables, operation: NoteHostLoads, tenure: int) -> int:
+    """Set the loads of hosts. Ignores another leader's loads, and those of former registrations.
+
+    Returns the number of loads set.
+    """
+    noted = 0
+    for one in operation.loads if operation.tenure == tenure else ():
+        host = tables.hosts.get(one.host_id)
+        if host is not None and host.alive and host.registered_index == one.registered_index:
+            tables.set_load(host.host_id, one.load)
+            noted += 1
+    return noted
 
 
 def _end(tables: Tables, host: HostRecord, lost_unix_nano: int | None = None) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import Unavailable
+from stampede_rt_supernode.core.hosts.placement import least_loaded
 from stampede_rt_supernode.core.lookups import host_by_name
 from stampede_rt_supernode.core.records import HostRecord, QueueRecord
 from stampede_rt_supernode.core.tables import Tables
@@ -18,7 +19,7 @@ def choose_host(tables: Tables, queue: str, host_name: str, former: str | None =
     """The host for a new queue, or for a queue whose owner is not alive. `queue`: the queue as error texts name it.
 
     It is the live host `host_name`, if the caller names one. Else it is the live host with the name of the `former`
-    owner. Else it is the live host with the fewest channels and queues; among equals the first by name. Raises
+    owner. Else it is the least loaded live host; among equals the one with the fewest channels and queues. Raises
     InvalidName, HostNotFound, or Unavailable with reason NO_HOST.
     """
     if host_name:
@@ -35,10 +36,10 @@ def choose_host(tables: Tables, queue: str, host_name: str, former: str | None =
 
 
 def _least_loaded(tables: Tables) -> HostRecord | None:
-    def load(host: HostRecord) -> int:
+    def count(host: HostRecord) -> int:
         return host.channels + tables.queues.count_at(host.host_id)
 
-    return min(tables.live_hosts(), key=load, default=None)
+    return least_loaded(tables, tables.live_hosts(), count)
 
 
 def with_new_incarnation(queue: QueueRecord, host: HostRecord, incarnation: int) -> QueueRecord:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from stampede_rt.errors import ChannelExists, HostNotFound, InvalidArgument, StaleBinding, Unavailable
+from stampede_rt_supernode.core.hosts.placement import least_loaded
 from stampede_rt_supernode.core.lookups import channel_by_id
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord, ReplicaKind, ReplicaRecord
 from stampede_rt_supernode.core.replicas.commands import (
@@ -90,8 +91,8 @@ def add_replica(tables: Tables, operation: AddReplica) -> ReplicaAdded:
 def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> HostRecord:
     """The host for a copy: the live host `host_id`, if the caller names one.
 
-    Else it is, of the live hosts that hold nothing of this channel, the one with the fewest channels and copies. Raises
-    HostNotFound, or Unavailable with reason NO_HOST.
+    Else it is, of the live hosts that hold nothing of this channel, the least loaded; among equals the one with the
+    fewest channels and copies. Raises HostNotFound, or Unavailable with reason NO_HOST.
     """
     if host_id:
         host = tables.hosts.get(host_id)
@@ -104,7 +105,7 @@ def _choose_host(tables: Tables, channel: ChannelRecord, host_id: bytes) -> Host
         return host
     holders = {channel.host_id, *(one.host_id for one in tables.replicas.of(channel.channel_id))}
     free = (host for host in tables.live_hosts() if host.host_id not in holders)
-    least = min(free, key=lambda host: host.channels + tables.replicas.count_at(host.host_id), default=None)
+    least = least_loaded(tables, free, lambda host: host.channels + tables.replicas.count_at(host.host_id))
     if least is None:
         raise Unavailable(
             f"every live host holds channel {channel.name} already; start another with `stampede host` to hold a copy",

@@ -1,0 +1,42 @@
+"""Measures the load of this host for its reports to the directory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from stampede_rt.v1 import directory_pb2
+
+PERMILLE_MAX = 1_000_000
+
+
+class LoadMeter:
+    """Measures between one call of `measure` and the next. `held_bytes` gives the bytes held now, of `bytes_max`.
+
+    Use it on one thread.
+    """
+
+    def __init__(
+        self,
+        held_bytes: Callable[[], int],
+        bytes_max: int,
+        *,
+        cpu_nanos: Callable[[], int] = time.process_time_ns,
+        steady_nanos: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._held_bytes = held_bytes
+        self._bytes_max = bytes_max
+        self._cpu_nanos = cpu_nanos
+        self._steady_nanos = steady_nanos
+        self._last = cpu_nanos(), steady_nanos()
+
+    def measure(self) -> directory_pb2.HostLoad:
+        """The load since the last call: the share of a core that the process used, and the memory."""
+        now = self._cpu_nanos(), self._steady_nanos()
+        used, passed = now[0] - self._last[0], now[1] - self._last[1]
+        self._last = now
+        return directory_pb2.HostLoad(
+            busy_permille=min(max(0, used) * 1000 // max(1, passed), PERMILLE_MAX),
+            held_bytes=max(0, self._held_bytes()),
+            bytes_max=self._bytes_max,
+        )

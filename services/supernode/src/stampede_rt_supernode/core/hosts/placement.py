@@ -1,0 +1,94 @@
+"""Chooses hosts for channels, queues and copies by the hosts' loads (decision 0162). Pure.
+
+Each host reports its load with its lease, and the leader notes the loads in the log when they have changed. So every
+replica makes the same choice. Until the next report the choice assumes a load for each thing that the host has got
+since. So requests that come between two reports do not all go to the same host.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from itertools import islice
+
+from stampede_rt.errors import Overloaded
+from stampede_rt_supernode.core.records import HostRecord
+from stampede_rt_supernode.core.tables import Tables
+
+CHANNELS_PER_HOST_MAX = 100_000
+THING_PERMILLE = 20
+"""The load that the choice assumes for a new channel or queue: a channel of video takes about 2 % of a core."""
+STEP_PERMILLE = 100
+"""Loads within the same tenth count as equal. Then the numbers of channels decide."""
+FULL_PERMILLE = 950
+"""A host with less room than this is chosen only if all hosts are like that."""
+GROUPS_LOOKED_AT_MAX, MEMBERS_LOOKED_AT_MAX = 8, 64
+
+
+def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[HostRecord], int]) -> HostRecord | None:
+    """Of `hosts` the one with the lowest load; None if there is none.
+
+    Among hosts with about the same load it is the one with the lowest `count`, and among these the first one. Hosts
+    without a known load all count as idle.
+    """
+    return min(
+        hosts,
+        key=lambda host: (is_full(tables, host), load_permille(tables, host) // STEP_PERMILLE, count(host)),
+        default=None,
+    )
+
+
+def load_permille(tables: Tables, host: HostRecord) -> int:
+    """The estimated load in thousandths: of a core, or of the memory, whichever is more. 0 if it is not known."""
+    if host.load is None:
+        return 0
+    new = max(0, host.channels + tables.queues.count_at(host.host_id) - host.load.owned)
+    return max(host.load.busy_permille + new * THING_PERMILLE, _memory_permille(host))
+
+
+def _memory_permille(host: HostRecord) -> int:
+    load = host.load
+    return 0 if load is None or not load.bytes_max else load.held_bytes * 1000 // load.bytes_max
+
+
+def is_full(tables: Tables, host: HostRecord) -> bool:
+    """Whether new channels and queues should go to another host. Never True if the load is not known."""
+    return has_all_channels(host) or _memory_permille(host) >= FULL_PERMILLE
+
+
+def has_all_channels(host: HostRecord) -> bool:
+    """Whether the host owns as many channels as a host can.
+
+    Hosts without a known load are never checked here: below LOADS_LEVEL replicas of earlier releases do not check.
+    """
+    return host.load is not None and host.channels >= CHANNELS_PER_HOST_MAX
+
+
+def check_has_place(host: HostRecord, channel: str) -> None:
+    """Raises Overloaded if the host cannot own another channel."""
+    if has_all_channels(host):
+        raise Overloaded(
+            f"channel {channel} gets no host: host {host.name} owns {host.channels} channels, and a host owns at most "
+            f"{CHANNELS_PER_HOST_MAX}; delete some, or start another host with `stampede host`",
+            metadata={"channel": channel, "host": host.name},
+        )
+
+
+def beside_its_group(tables: Tables, channel_id: bytes) -> HostRecord | None:
+    """The live host that owns most of the other members of the channel's groups.
+
+    None if there is no such host, or if its load leaves no room. So the hosts of a group exchange fewer times. Looks
+    at a bounded number of groups and members.
+    """
+    owned: Counter[bytes] = Counter()
+    for group in islice(tables.groups.with_channel(channel_id), GROUPS_LOOKED_AT_MAX):
+        for member in islice(group.spec.channel_ids, MEMBERS_LOOKED_AT_MAX):
+            if member != channel_id:
+                owned[tables.channels[member].host_id] += 1
+    near = [tables.hosts[one] for one in owned]
+    fitting = [host for host in near if host.alive and host.load is not None and _has_room(tables, host)]
+    return min(fitting, key=lambda host: (-owned[host.host_id], host.name), default=None)
+
+
+def _has_room(tables: Tables, host: HostRecord) -> bool:
+    return not is_full(tables, host) and load_permille(tables, host) < FULL_PERMILLE

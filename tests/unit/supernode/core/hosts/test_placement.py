@@ -1,0 +1,168 @@
+"""The choice of a host by the loads of hosts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
+from stampede_rt_supernode.core.channels.commands import ChannelOpened
+from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
+from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
+from stampede_rt_supernode.core.commands import Refused
+from stampede_rt_supernode.core.hosts.commands import HostLoadsNoted, NoteHostLoads, ReportedLoad
+from stampede_rt_supernode.core.hosts.placement import CHANNELS_PER_HOST_MAX, STEP_PERMILLE, THING_PERMILLE
+from stampede_rt_supernode.core.records import HostLoad
+from tests.support.supernode.operations import Log, deregister, id_of, open_channel, open_group, open_queue, register
+
+
+def log_with_hosts(count: int, level: int = LOADS_LEVEL) -> Log:
+    log = Log()
+    log.apply(RaiseFeatureLevel(feature_level=level))
+    for number in range(1, count + 1):
+        log.apply(register(number))
+    return log
+
+
+def note(log: Log, loads: dict[int, HostLoad], tenure: int = 1) -> int:
+    hosts = log.directory.tables.hosts
+    reported = (
+        ReportedLoad(host_id=id_of(one), registered_index=hosts[id_of(one)].registered_index, load=load)
+        for one, load in loads.items()
+    )
+    noted = log.apply(NoteHostLoads(tenure=tenure, loads=tuple(reported)))
+    assert isinstance(noted, HostLoadsNoted)
+    return noted.noted
+
+
+def opened_at(log: Log, name: str) -> str:
+    opened = log.apply(open_channel(name))
+    assert isinstance(opened, ChannelOpened), opened
+    return opened.host.name
+
+
+def test_a_new_channel_goes_to_the_least_loaded_host_though_it_has_more_channels() -> None:
+    log = log_with_hosts(2)
+    for number in range(4):
+        log.apply(open_channel(f"quiet/{number}", host="host-2"))
+    note(log, {1: HostLoad(busy_permille=800), 2: HostLoad(busy_permille=100, owned=4)})
+    assert opened_at(log, "new") == "host-2"
+
+
+def test_a_new_channel_avoids_a_host_whose_memory_is_full() -> None:
+    log = log_with_hosts(2)
+    note(log, {1: HostLoad(held_bytes=990, bytes_max=1000), 2: HostLoad(busy_permille=2000)})
+    assert opened_at(log, "new") == "host-2"
+    note(log, {2: HostLoad(held_bytes=999, bytes_max=1000)})
+    assert opened_at(log, "another") in ("host-1", "host-2"), "if all are full, one of them gets it"
+
+
+def test_opens_between_two_reports_spread_over_the_hosts() -> None:
+    log = log_with_hosts(3)
+    note(log, {1: HostLoad(busy_permille=0), 2: HostLoad(busy_permille=200), 3: HostLoad(busy_permille=200)})
+    found = Counter(opened_at(log, f"cam/{number}") for number in range(40))
+    assert found["host-2"] >= 8
+    assert found["host-3"] >= 8
+    assert found["host-1"] > found["host-2"], "the idle host gets most"
+
+
+@given(hosts=st.integers(1, 6), opens=st.integers(0, 60), busy=st.integers(0, 1000))
+def test_hosts_of_equal_load_get_equal_numbers_of_channels(hosts: int, opens: int, busy: int) -> None:
+    log = log_with_hosts(hosts)
+    note(log, {number: HostLoad(busy_permille=busy) for number in range(1, hosts + 1)})
+    found = Counter(opened_at(log, f"c/{number}") for number in range(opens))
+    counts = [found[f"host-{number}"] for number in range(1, hosts + 1)]
+    assert max(counts) - min(counts) <= max(1, STEP_PERMILLE // THING_PERMILLE)
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.tuples(st.just("load"), st.integers(1, 4), st.integers(0, 3000)),
+            st.tuples(st.just("open"), st.integers(0, 30), st.just(0)),
+        ),
+        max_size=40,
+    )
+)
+def test_a_replica_that_began_from_a_snapshot_makes_the_same_choices(steps: list[tuple[str, int, int]]) -> None:
+    log, other = log_with_hosts(4), log_with_hosts(4)
+    for kind, number, busy in steps:
+        other.directory = decode_snapshot(encode_snapshot(other.directory))
+        opening = open_channel(f"c/{number}")
+        for one in (log, other):
+            if kind == "load":
+                note(one, {number: HostLoad(busy_permille=busy, held_bytes=busy, bytes_max=4000, owned=number)})
+            else:
+                one.apply(opening)
+    assert other.directory.tables.channels == log.directory.tables.channels
+    assert other.directory.tables.hosts == log.directory.tables.hosts
+
+
+def test_a_queue_goes_to_the_least_loaded_host() -> None:
+    log = log_with_hosts(2)
+    note(log, {1: HostLoad(busy_permille=500)})
+    log.apply(open_queue("jobs"))
+    assert [one.host_id for one in log.directory.tables.queues.by_id.values()] == [id_of(2)]
+
+
+def test_members_of_a_group_go_together_to_one_host_when_theirs_is_gone() -> None:
+    log = log_with_hosts(4)
+    members = []
+    for name in ("left", "right", "depth"):
+        opened = log.apply(open_channel(name, host="host-1"))
+        assert isinstance(opened, ChannelOpened)
+        members.append(opened.channel.channel_id)
+    log.apply(open_group("stereo", tuple(members)))
+    log.apply(deregister(1))
+    assert len({opened_at(log, name) for name in ("left", "right", "depth")}) == 1
+    others = {opened_at(log, f"other/{number}") for number in range(2)}
+    assert others == {"host-2", "host-3", "host-4"} - {opened_at(log, "left")}
+
+
+def test_a_member_of_a_group_goes_elsewhere_if_the_hosts_load_leaves_no_room() -> None:
+    log = log_with_hosts(3)
+    left = log.apply(open_channel("left", host="host-1"))
+    right = log.apply(open_channel("right", host="host-2"))
+    assert isinstance(left, ChannelOpened)
+    assert isinstance(right, ChannelOpened)
+    log.apply(open_group("stereo", (left.channel.channel_id, right.channel.channel_id)))
+    note(log, {1: HostLoad(busy_permille=990)})
+    log.apply(deregister(2))
+    assert opened_at(log, "right") == "host-3"
+
+
+@pytest.mark.parametrize("named", ["", "host-1"])
+def test_a_host_gets_no_more_channels_than_it_can_own_and_the_error_says_so(named: str) -> None:
+    log = log_with_hosts(1)
+    tables = log.directory.tables
+    tables.hosts[id_of(1)] = replace(tables.hosts[id_of(1)], channels=CHANNELS_PER_HOST_MAX)
+    refused = log.apply(open_channel("one-more", host=named))
+    assert isinstance(refused, Refused)
+    assert "host-1 owns 100000 channels, and a host owns at most 100000" in refused.message
+    log.apply(register(2))
+    assert opened_at(log, "one-more") == "host-2"
+
+
+def test_loads_of_another_leader_or_of_a_former_registration_have_no_effect() -> None:
+    log = log_with_hosts(1)
+    assert note(log, {1: HostLoad(busy_permille=9)}, tenure=2) == 0
+    old = ReportedLoad(host_id=id_of(1), registered_index=1, load=HostLoad(busy_permille=9))
+    assert log.apply(NoteHostLoads(tenure=1, loads=(old,))) == HostLoadsNoted(noted=0)
+    assert log.directory.tables.hosts[id_of(1)].load == HostLoad()
+
+
+def test_below_its_feature_level_hosts_have_no_load_and_channels_go_by_their_number() -> None:
+    log = log_with_hosts(2, level=LOADS_LEVEL - 1)
+    assert {host.load for host in log.directory.tables.hosts.values()} == {None}
+    assert [opened_at(log, f"c/{number}") for number in range(3)] == ["host-1", "host-2", "host-1"]
+
+
+def test_a_note_of_loads_is_no_change_for_watchers() -> None:
+    log = log_with_hosts(1)
+    before = log.directory.tables.changes.end_position
+    assert note(log, {1: HostLoad(busy_permille=900)}) == 1
+    assert log.directory.tables.changes.end_position == before
