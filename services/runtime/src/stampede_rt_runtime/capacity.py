@@ -30,8 +30,8 @@ from stampede_rt_runtime.rpc import Context
 class Slots:
     """The slots of a port: `concurrent_rpcs_max` for calls of anybody, and `reserved_rpcs_max` more (see `Limits`).
 
-    At most `streams_max` of the first may be streams, and one caller gets at most three quarters of them. The reserved
-    slots are for the methods of `is_for_members`.
+    At most `streams_max` of the first may be streams. One caller gets at most three quarters of the first, rounded up.
+    The reserved slots are for the methods of `is_for_members`.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -57,7 +57,7 @@ class Slots:
                 f"{limits.concurrent_rpcs_max} calls are under way at this port, as many as it serves; try "
                 "again in a moment"
             )
-        elif subject and self._of_caller[subject] >= (share := limits.concurrent_rpcs_max * 3 // 4):
+        elif subject and self._of_caller[subject] >= (share := -(-limits.concurrent_rpcs_max * 3 // 4)):
             raise Overloaded(
                 f"{subject} has {share} calls under way at this port, the most for one caller; make fewer calls at the "
                 "same time",
