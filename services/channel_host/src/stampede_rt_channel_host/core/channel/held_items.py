@@ -118,8 +118,8 @@ class HeldItems:
         return self._below_snapshots(self.floor if self._on_gone is None else min(self.floor, self._reported_to))
 
     def _below_snapshots(self, floor: ItemKey) -> ItemKey:
-        """The least of `floor` and the floors of the held snapshots."""
-        return min((floor, *(one.floor for one in self._snapshots))) if self._snapshots else floor
+        """The least of `floor` and the keys from which the held snapshots need the index."""
+        return min((floor, *(one.kept_from for one in self._snapshots))) if self._snapshots else floor
 
     @property
     def frontier(self) -> int | None:

@@ -84,12 +84,11 @@ class Holdings(HeldItems):
     def _make_way(self) -> None:
         """Free all outdated items, and reset the floor, because a new item is earlier than some consumed items.
 
-        These are few: consumption collects nothing while the backlog is long (see `Retention.collect_consumed`), and
-        items outdated later for another cause leave no room for an earlier item.
+        These are few, except those that a snapshot has kept: consumption collects nothing while the backlog is long
+        (see `Retention.collect_consumed`), and no item may come before items outdated later for another cause.
         """
         for snapshot in self._snapshots:
-            snapshot.detach()
-        self._snapshots.clear()
+            snapshot.detach(self.floor)
         while self.report_gone(REPORTED_SLICES_MAX) or self._free_entry(self._free_floor):
             pass
         trimmed = self.index.trim_below(self.floor)

@@ -188,10 +188,13 @@ class ChannelIndex:
         if before is not None and before.last_time >= low[0]:
             yield from clipped(before, low, high)
 
-    def copy_from(self, low: ItemKey) -> ChannelIndex:
-        """A new index of the items at or above `low`, by time only. Changes of this index do not affect the copy."""
+    def copy_of(self, low: ItemKey, high: ItemKey) -> ChannelIndex:
+        """A new index of the items at or above `low` and below `high`, by time only.
+
+        Changes of this index do not affect the copy.
+        """
         copy = ChannelIndex()
-        copy._by_time.update(IndexPart(part.run, part.lo, part.hi) for part in self.slices(low, LAST_KEY))
+        copy._by_time.update(IndexPart(part.run, part.lo, part.hi) for part in self.slices(low, high))
         return copy
 
     def slices_by_seq(self, low: int, high: int, floor: ItemKey) -> Iterator[Slice]:

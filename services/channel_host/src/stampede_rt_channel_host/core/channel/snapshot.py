@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 
 from stampede_rt_channel_host.core.channel.index import ChannelIndex
@@ -17,11 +18,14 @@ class ChannelSnapshot:
     between two pieces.
     """
 
-    __slots__ = ("_end_seq", "_holders", "_index", "floor", "is_held")
+    __slots__ = ("_copies", "_copy_ends", "_end_seq", "_holders", "_index", "floor", "is_held", "kept_from")
 
     def __init__(self, index: ChannelIndex, floor: ItemKey, end_seq: int, holders: dict[ChannelSnapshot, None]) -> None:
-        """`holders` are the channel's held snapshots. The channel does not free their items."""
-        self.floor = floor
+        """`holders` are the channel's held snapshots. The channel does not free their items at or above `kept_from`."""
+        self.floor = self.kept_from = floor
+        # Copies of the items below `kept_from`, in ascending order. Each one ends at the key at the same position.
+        self._copies: list[ChannelIndex] = []
+        self._copy_ends: list[ItemKey] = []
         self.is_held = False
         self._index = index
         self._end_seq = end_seq
@@ -39,6 +43,7 @@ class ChannelSnapshot:
     def copy(self) -> ChannelSnapshot:
         """Another snapshot of the same items, already held."""
         copy = ChannelSnapshot(self._index, self.floor, self._end_seq, self._holders)
+        copy.kept_from, copy._copies, copy._copy_ends = self.kept_from, [*self._copies], [*self._copy_ends]
         copy.hold()
         return copy
 
@@ -46,12 +51,15 @@ class ChannelSnapshot:
         """Stop keeping the entries. Idempotent."""
         self._holders.pop(self, None)
 
-    def detach(self) -> None:
-        """Walk a copy of the index from now on, because the channel is about to free items of the snapshot.
+    def detach(self, end: ItemKey) -> None:
+        """Walk copies of the entries below `end` from now on, because the channel is about to free these entries.
 
-        Copies each entry in one step.
+        The channel keeps the entries from `end` on. Copies in one step the entries that no earlier call has copied.
         """
-        self._index = self._index.copy_from(self.floor)
+        if self.kept_from < end:
+            self._copies.append(self._index.copy_of(self.kept_from, end))
+            self._copy_ends.append(end)
+            self.kept_from = end
 
     def shows(self, part: Slice) -> bool:
         """Whether the slice was in the channel at the moment of the snapshot."""
@@ -63,11 +71,19 @@ class ChannelSnapshot:
         Returns also items that were accepted after the snapshot; use `shows` to leave them out. The channel must not
         change during the iteration.
         """
-        return self._index.slices(max(low, self.floor), high)
+        low = max(low, self.floor)
+        for at in range(bisect_right(self._copy_ends, low), len(self._copies)):
+            yield from self._copies[at].slices(low, high)
+        yield from self._index.slices(max(low, self.kept_from), high)
 
     def slices_down(self, low: ItemKey, high: ItemKey) -> Iterator[Slice]:
         """As `slices`, the last slice first."""
-        return self._index.slices_down(max(low, self.floor), high)
+        low = max(low, self.floor)
+        yield from self._index.slices_down(max(low, self.kept_from), high)
+        for at in range(min(bisect_left(self._copy_ends, high), len(self._copies) - 1), -1, -1):
+            if self._copy_ends[at] <= low:
+                return
+            yield from self._copies[at].slices_down(low, high)
 
     def next_time(self, time: int, high: ItemKey) -> int | None:
         """The time of the first bucket of the snapshot after `time` that begins below `high`, or None."""
