@@ -391,7 +391,7 @@ sys.exit(main(["echo", "cli/locked", "--from", "oldest"]))
 
 def test_an_interrupt_within_a_lock_of_grpcs_ends_the_command(stampede: Run, environment: dict[str, str]) -> None:
     stampede("put", "cli/locked", "an item")
-    over_grpc = environment | {"STAMPEDE_TRANSPORT": "grpc"}
+    over_grpc = environment | {"STAMPEDE_TRANSPORT": "grpc", "STAMPEDE_GRPC_STREAMS": "public"}
     with started([sys.executable, "-c", ECHO_INTERRUPTED_WITHIN_A_LOCK], env=over_grpc) as process:
         out, _ = process.communicate(timeout=20)
     assert (process.returncode, out.count("an item")) == (130, 1)

@@ -59,7 +59,7 @@ async def test_a_cut_that_grpc_tells_of_as_internal_is_an_outage_like_others(
         await producer.flush(30)
         await producer.aclose()
 
-    async with aio.connect(world.address) as rt:
+    async with aio.connect(world.address, transport="grpc") as rt:
         channel = await rt.channel("cut/puts", max_age="5s")
         cutting = asyncio.ensure_future(_cut(world, told))
         await asyncio.gather(*(put(channel, size) for size in SIZES))

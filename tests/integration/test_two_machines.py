@@ -104,7 +104,7 @@ def test_the_recipe_for_two_machines_works_as_it_stands(
     [
         ((), "so this host must listen at {own}, where others can call it, and without certificates everything"),
         (("--listen", "localhost:0"), "listen at {own} (--listen {own}:"),
-        (("--listen", "localhost:0", "--allow-insecure-anywhere"), "which only its own machine can call, while"),
+        (("--listen", "localhost:0", "--allow-insecure-anywhere"), "which only its own machine can call, and"),
     ],
 )
 def test_a_host_that_others_could_not_call_does_not_register(

@@ -138,7 +138,7 @@ MUTANTS = (
     Mutant(
         name="stored_snapshot_not_checked",
         file=f"{REPLICATION}/storage/sqlite_store.py",
-        edits=(("if hashlib.sha256(record).digest() != seal.sha256:", "if False:"),),
+        edits=(("if hashlib.sha256(record).digest() != trailer.sha256:", "if False:"),),
         noticed_by="tests/unit/supernode/replication/storage/test_sqlite_store.py",
     ),
     Mutant(

@@ -20,7 +20,7 @@ from stampede_rt_runtime.access.control import current_account, current_work
 from stampede_rt_runtime.handlers import guarded, is_stream
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.overload import RefusedCalls
-from stampede_rt_runtime.quotas.limits import Quota
+from stampede_rt_runtime.quotas.limits import LIMIT_MAX, Quota
 from stampede_rt_runtime.quotas.working import CALL_NANOS
 from stampede_rt_runtime.requests import reading_late
 from stampede_rt_runtime.roles import is_for_members
@@ -30,8 +30,8 @@ from stampede_rt_runtime.rpc import Context
 class Slots:
     """The slots of a port: `concurrent_rpcs_max` for calls of anybody, and `reserved_rpcs_max` more (see `Limits`).
 
-    At most `streams_max` of the first may be streams. One caller gets at most three quarters of the first, rounded up.
-    The reserved slots are for the methods of `is_for_members`.
+    At most `streams_max` of the first may be streams. One caller gets at most three quarters of the first, rounded up,
+    unless its quota of streams is unlimited. The reserved slots are for the methods of `is_for_members`.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -42,7 +42,7 @@ class Slots:
     def take(self, *, is_stream: bool, for_members: bool, subject: str = "") -> Callable[[], None]:
         """Take a slot. Returns a function that gives it back; call that function once.
 
-        `subject`: the caller in quotas; empty if it has none. Raises Overloaded if no slot is free for the caller.
+        `subject`: the caller in quotas; empty if it may have all slots. Raises Overloaded if no slot is free for it.
         """
         limits = self._limits
         if for_members and self.reserved < limits.reserved_rpcs_max:
@@ -129,7 +129,8 @@ class CapacityInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unu
             try:
                 for quota in quotas:
                     account.check(quota)
-                give_back = self._slots.take(is_stream=streams, for_members=for_members, subject=account.subject)
+                sharing = account.subject if account.limit(Quota.STREAMS) < LIMIT_MAX else ""
+                give_back = self._slots.take(is_stream=streams, for_members=for_members, subject=sharing)
             except Overloaded as error:
                 self._refused.note(error)
                 await abort(context, error)
