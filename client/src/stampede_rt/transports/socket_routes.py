@@ -45,7 +45,7 @@ class SocketRoute:
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """The addresses to try, best first. Each is "unix:PATH" or "HOST:PORT"."""
+        """The addresses to try, best first. Each is "unix:PATH"."""
         return self._targets or () if self._may_use else ()
 
     def failed(self, why: str) -> None:

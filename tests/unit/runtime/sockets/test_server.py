@@ -128,7 +128,7 @@ async def test_a_stream_that_is_closing_takes_no_more_messages(port: Open) -> No
         made.abort()
         with pytest.raises(grpc.aio.InternalError):
             await made.write(b"late")
-        made.look(1.0, is_local=True)
+        made.look(1.0)
         made.end(b"")
 
 
@@ -187,7 +187,7 @@ async def test_an_idle_stream_gets_signs_of_life_and_no_second_one_before_it_has
         [made] = one.server.sockets._streams
         stream.writer.transport.pause_reading()  # type: ignore[attr-defined]
         for now_s in range(10):
-            made.look(float(now_s), is_local=True)
+            made.look(float(now_s))
         assert stream_socket._unread_by_peer(made.socket)
         stream.writer.transport.resume_reading()  # type: ignore[attr-defined]
         assert len(await stream.reader.read(1000)) <= 2 * len(stream_socket.ALIVE)

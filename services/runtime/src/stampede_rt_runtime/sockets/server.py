@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import socket
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
@@ -46,11 +45,10 @@ class _CallDetails(NamedTuple):
 class _Stream:
     """A connection and the task that serves it."""
 
-    __slots__ = ("connection", "is_local", "task")
+    __slots__ = ("connection", "task")
 
-    def __init__(self, connection: StreamSocket, *, is_local: bool) -> None:
+    def __init__(self, connection: StreamSocket) -> None:
         self.connection = connection
-        self.is_local = is_local
         self.task: asyncio.Task[None] | None = None
 
 
@@ -95,9 +93,8 @@ class SocketServer:
     async def listen_locally(self, folder: Path | None = None) -> str:
         """Listen at a Unix socket. Returns its target, "unix:PATH". Raises CannotListen."""
         listening, self._path = listen_at_new_path(folder)
-        make = partial(self._connection, is_local=True)
         loop = asyncio.get_running_loop()
-        self._listening.append(await loop.create_unix_server(make, sock=listening, backlog=BACKLOG))
+        self._listening.append(await loop.create_unix_server(self._connection, sock=listening, backlog=BACKLOG))
         self._sweep = self._sweep or asyncio.create_task(self._look_forever())
         return f"unix:{self._path}"
 
@@ -122,15 +119,15 @@ class SocketServer:
             self._sweep.cancel()
         self._hangups.close()
 
-    def _connection(self, *, is_local: bool) -> StreamSocket:
+    def _connection(self) -> StreamSocket:
         made = StreamSocket(self, self._limits, self._hangups)
-        self._streams[made] = _Stream(made, is_local=is_local)
+        self._streams[made] = _Stream(made)
         self._unopened.add(made)
         return made
 
     def made(self, connection: StreamSocket) -> None:
         """Refuse a connection of another user, or beyond the limits, before anything of it is read."""
-        if self._streams[connection].is_local and not is_of_this_user(connection.socket):
+        if not is_of_this_user(connection.socket):
             self._refuse(connection, PermissionDenied("the socket belongs to another user of this machine"))
         elif len(self._unopened) > self._limits.refusals_max or len(self._streams) > connections_max() // 2:
             error = Overloaded(
@@ -187,10 +184,9 @@ class SocketServer:
 
     async def _serve(self, stream: _Stream, opening: pb.StreamOpening) -> None:
         connection, metadata = stream.connection, _metadata(opening)
-        peer = "unix:" if stream.is_local else _peer(connection.socket)
         try:
             handler = await self._find(_CallDetails(opening.method, metadata))
-            context = SocketContext(connection, metadata, peer, {}, handler)
+            context = SocketContext(connection, metadata, "unix:", {}, handler)
             await handler.stream_stream(context, context)
             connection.end(OK)
         except AbortError:
@@ -210,8 +206,8 @@ class SocketServer:
         loop = asyncio.get_running_loop()
         while True:
             await asyncio.sleep(ALIVE_SECONDS)
-            for number, (connection, stream) in enumerate(tuple(self._streams.items()), start=1):
-                connection.look(loop.time(), is_local=stream.is_local)
+            for number, connection in enumerate(tuple(self._streams), start=1):
+                connection.look(loop.time())
                 if number % LOOKS_PER_TURN == 0:
                     await asyncio.sleep(0)
 
@@ -219,9 +215,3 @@ class SocketServer:
 def _metadata(opening: pb.StreamOpening) -> Metadata:
     credential = (("authorization", opening.authorization),) if opening.authorization else ()
     return credential + cluster_metadata(opening.cluster_id)
-
-
-def _peer(connected: socket.socket) -> str:
-    """The other side of a TCP socket, as gRPC names it."""
-    host, port = connected.getpeername()[:2]
-    return f"ipv6:%5B{host}%5D:{port}" if ":" in host else f"ipv4:{host}:{port}"

@@ -162,7 +162,7 @@ class StreamSocket(asyncio.Protocol):
         if self._transport is not None:
             self._transport.abort()
 
-    def look(self, now_s: float, *, is_local: bool) -> None:
+    def look(self, now_s: float) -> None:
         """Give a sign of life if nothing else was written since the last look. End a stream that does not go on."""
         if self._is_closing or self.is_over or not self.is_opened:
             return
@@ -175,7 +175,7 @@ class StreamSocket(asyncio.Protocol):
         elif now_s - self._stalled_since_s > STALL_SECONDS_MAX:
             self.abort()
             return
-        if not (self._has_written or waiting_bytes or (is_local and _unread_by_peer(self.socket))):
+        if not (self._has_written or waiting_bytes or _unread_by_peer(self.socket)):
             self._write(ALIVE)
         self._has_written = False
 
@@ -241,9 +241,9 @@ def _unfinished(came_bytes: int) -> DeadlineExceeded:
     )
 
 
-def _unread_by_peer(local: Any) -> bool:
-    """Whether the peer of a Unix socket has bytes to read. Then a sign of life would tell it nothing new."""
-    return fcntl.ioctl(local, termios.TIOCOUTQ, bytes(4)) != bytes(4)
+def _unread_by_peer(unix_socket: Any) -> bool:
+    """Whether the peer of `unix_socket` has bytes to read. Then a sign of life would tell it nothing new."""
+    return fcntl.ioctl(unix_socket, termios.TIOCOUTQ, bytes(4)) != bytes(4)
 
 
 def _wake(waiting: asyncio.Future[None] | None) -> None:
