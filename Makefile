@@ -9,9 +9,10 @@ RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
 	peers/test_peers_properties.py test_lease_safety.py)
-ACL_TESTS := tests/contract $(addprefix tests/integration/test_,mailboxes.py peers.py queues.py group_commands.py \
-	group_streams.py group_credit.py client_streams.py client_callbacks.py event_loops.py shared_put_streams.py closing.py \
-	readme.py guides.py passing.py client_queue_commands.py command_line.py numbers_of_callers.py)
+ACL_TESTS := tests/contract $(addprefix tests/integration/,queues/test_mailboxes.py queues/test_failures_of_queues.py \
+	peers/test_peers.py groups/test_credit.py groups/test_streams.py guides/test_readme.py guides/test_guides.py \
+	$(addprefix client/test_,callbacks.py closing.py event_loops.py passing.py shared_put_streams.py streams.py) \
+	$(addprefix command_line/test_,command_line.py group_commands.py queue_commands.py) security/test_numbers_of_callers.py)
 export UV_PYTHON_DOWNLOADS := never
 
 .PHONY: help setup demo test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench bench-docs clean

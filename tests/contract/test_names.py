@@ -12,7 +12,7 @@ import pytest
 import stampede_rt as st
 from stampede_rt import aio
 from stampede_rt_local.cluster import LocalCluster
-from tests.contract.lifting import lifted
+from tests.support.lifting import lifted
 
 UPPER, LOWER = "LSL/EEG_Amp", "lsl/eeg_amp"
 

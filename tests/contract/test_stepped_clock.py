@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 
 import stampede_rt as st
-from tests.property.loopback_host import LoopbackHost, loopback_host
+from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
 
 SECOND = 10**9
 HOUR = 3_600 * SECOND

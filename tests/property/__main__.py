@@ -13,11 +13,11 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tests.property.core_surface import core_surface
-from tests.property.loopback_host import loopback_host
-from tests.property.path_book import SteeredHost
-from tests.property.path_steps import play
-from tests.property.surfaces import Surface, awaited_surface, blocking_surface
+from tests.property.paths.book import SteeredHost
+from tests.property.paths.core_surface import core_surface
+from tests.property.paths.steps import play
+from tests.property.paths.surfaces import Surface, awaited_surface, blocking_surface
+from tests.support.channel_host.loopback_host import loopback_host
 
 STORIES_PER_LINE = 1000
 

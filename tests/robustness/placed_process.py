@@ -15,7 +15,7 @@ from pathlib import Path
 
 from stampede_rt.security.tls import TlsFiles
 from stampede_rt_local.namespaces import NetworkNamespace
-from tests.robustness.service_process import CLOCK_FILE
+from tests.support.service_process import CLOCK_FILE
 from tests.support.supernode.processes import clean_environment
 
 READY_SECONDS = 30.0
@@ -65,7 +65,7 @@ class PlacedProcess:
 
     async def launch(self) -> None:
         """Start the process and do not wait for it."""
-        module = "tests.robustness.service_process"
+        module = "tests.support.service_process"
         words = [sys.executable, "-m", module, self.package, *self.flags(), "--log-level", "warning"]
         self._launched = time.monotonic()
         with self.log_file.open("ab") as log:

@@ -23,7 +23,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
 from tests.robustness.placed_process import PlacedProcess
-from tests.robustness.service_process import SNAPSHOT_EVERY
+from tests.support.service_process import SNAPSHOT_EVERY
 
 PORT, INNER_PORT = 7590, 7591
 SNAPSHOT_ENTRIES = 400

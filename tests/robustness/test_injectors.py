@@ -15,7 +15,7 @@ from tests.robustness.network import Network
 from tests.robustness.noise import giant_frame
 from tests.robustness.relay import Weather
 from tests.robustness.report import TITLE
-from tests.robustness.service_process import shift_wall_clock
+from tests.support.service_process import shift_wall_clock
 
 WHY_NOT = unavailable_because()
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import stampede_rt as st
 from stampede_rt import aio
-from tests.contract.lifting import lifted
+from tests.support.lifting import lifted
 
 numbers = itertools.count()
 

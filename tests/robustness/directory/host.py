@@ -19,7 +19,7 @@ from stampede_rt_channel_host.core.channel import Pieces, run_to_end
 from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import Clock, DirectoryWorld
-from tests.robustness.replication.machine import PromiseBroken
+from tests.support.supernode.list_machine import PromiseBroken
 
 CHANNELS_LISTED_MAX = 1000
 

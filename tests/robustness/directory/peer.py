@@ -13,7 +13,7 @@ from stampede_rt_supernode.core.directory import Directory
 from tests.robustness.directory.asking import ask
 from tests.robustness.directory.tasks import drive
 from tests.robustness.directory.world import Clock, DirectoryWorld
-from tests.robustness.replication.machine import PromiseBroken
+from tests.support.supernode.list_machine import PromiseBroken
 
 NAMES = ("planner", "driver")
 

@@ -11,9 +11,9 @@ from stampede_rt_supernode.replication.network.refusals import Refusals
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS, LevelKeeper
 from tests.robustness.directory.world import DirectoryMember, DirectoryWorld, Submission, _Log
-from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.weather import Weather
 from tests.support.newer_release import NEW_LEVEL, NewerReplica
+from tests.support.supernode.list_machine import PromiseBroken
 
 
 class CheckedReplica(NewerReplica):

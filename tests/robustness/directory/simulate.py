@@ -36,10 +36,10 @@ from tests.robustness.histories.channel_model import (
     check_channel_histories,
 )
 from tests.robustness.histories.operations import Recorder
-from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.simulate import weather_of
 from tests.robustness.replication.weather import Weather
 from tests.robustness.report import Simulated
+from tests.support.supernode.list_machine import PromiseBroken
 
 STORM_SECONDS, HEAL_SECONDS = 30.0, 12.0
 CALLERS, QUEUE_CALLERS, HOSTS, PEERS, NAMES = 8, 2, 3, 3, 4

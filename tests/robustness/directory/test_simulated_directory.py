@@ -19,7 +19,7 @@ from tests.robustness.directory import host, simulate
 from tests.robustness.directory.world import Submission, _Leases
 from tests.robustness.histories.channel_model import acknowledged_writes
 from tests.robustness.histories.linearizability import NotLinearizable
-from tests.robustness.replication.machine import PromiseBroken
+from tests.support.supernode.list_machine import PromiseBroken
 
 # Only so that it ends some time: simulated time takes as long as the machine is busy.
 pytestmark = pytest.mark.timeout(600)

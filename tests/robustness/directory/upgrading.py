@@ -29,10 +29,10 @@ from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS
 from tests.robustness.directory.releases import CheckedReplica, UpgradedMember, UpgradeWorld
-from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.simulate import settled_members, weather_of
 from tests.robustness.replication.weather import Weather
 from tests.support.newer_release import NEW_LEVEL, encode_cap
+from tests.support.supernode.list_machine import PromiseBroken
 
 STORM_SECONDS, HEAL_SECONDS = 16.0, 20.0
 NEWCOMERS_MAX = 3

@@ -22,10 +22,10 @@ from stampede_rt_supernode.servicers.lease_keeper import TICK_SECONDS, LeaseKeep
 from stampede_rt_supernode.servicers.peer_servicer import PeerServicer
 from stampede_rt_supernode.servicers.queue_servicer import QueueDirectoryServicer
 from tests.robustness.directory.tasks import Resume, drive, wait
-from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.sim_member import SimMember
 from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import World
+from tests.support.supernode.list_machine import PromiseBroken
 
 LEASE_TTL_NANOS = 2 * 10**9
 CLOCK_DRIFT_MAX = 0.02  # of each machine's clock against true time; ten times what NTP calls a broken clock

@@ -20,7 +20,7 @@ from stampede_rt import aio
 from tests.robustness.fuzz import channel_callers, other_callers
 from tests.robustness.fuzz.calling import BOUND_S, Calling
 from tests.robustness.fuzz.ledger import Ledger
-from tests.robustness.fuzz.world import World
+from tests.support.relayed_cluster import RelayedCluster
 
 THREADS = 40
 END_S = 10.0
@@ -29,7 +29,7 @@ END_S = 10.0
 class Story:
     """Plays one seed with one client, "aio" or "sync", for `seconds`."""
 
-    def __init__(self, world: World, client: str, seed: int, seconds: float) -> None:
+    def __init__(self, world: RelayedCluster, client: str, seed: int, seconds: float) -> None:
         self._world = world
         self._client = client
         self._seed = seed

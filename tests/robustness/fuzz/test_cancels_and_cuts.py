@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.robustness.fuzz.story import Story
-from tests.robustness.fuzz.world import World, running_world
+from tests.support.relayed_cluster import RelayedCluster, running_relayed_cluster
 
 SECONDS = float(os.environ.get("STAMPEDE_FUZZ_SECONDS", "2"))
 STORIES = int(os.environ.get("STAMPEDE_FUZZ_STORIES", "1"))
@@ -21,15 +21,15 @@ FIRST_SEED = int(os.environ.get("STAMPEDE_FUZZ_SEED", "1"))
 
 
 @pytest.fixture(scope="module")
-def world() -> Iterator[World]:
-    with running_world() as made:
+def world() -> Iterator[RelayedCluster]:
+    with running_relayed_cluster() as made:
         yield made
 
 
 @pytest.mark.parametrize("seed", range(FIRST_SEED, FIRST_SEED + STORIES))
 @pytest.mark.parametrize("client", ["aio", "sync"])
 def test_calls_over_a_network_that_breaks_end_and_lose_nothing(
-    client: str, seed: int, world: World, caplog: pytest.LogCaptureFixture
+    client: str, seed: int, world: RelayedCluster, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def play() -> str:
         return await Story(world, client, seed, SECONDS).play()

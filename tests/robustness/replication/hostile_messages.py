@@ -17,7 +17,7 @@ from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import COMMAND, CONFIGURATION, NO_OP, Entry
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.wire.records import encode_configuration, encode_snapshot
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
 
 FAR = (0, 1, 2**20, 2**31, 2**61, 2**62, 2**62 + 1, 2**63 - 1, 2**63, 2**64 - 1)
 NAMES = "abcdexyz"

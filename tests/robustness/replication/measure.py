@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from stampede_rt_supernode.replication import RaftTiming, ReplicatedLog
-from tests.robustness.replication.live_cluster import LiveCluster, running
+from tests.support.supernode.live_cluster import LiveCluster, running
 
 ONE_BY_ONE = 300
 SECONDS = 3.0

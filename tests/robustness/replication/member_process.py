@@ -22,7 +22,7 @@ from stampede_rt_supernode.replication import (
     ReplicationSettings,
     open_replicated_log,
 )
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
 
 UNKNOWN_OUTCOME = "may-or-may-not-be-done"
 REFUSED = "certainly-not-done"

@@ -14,7 +14,7 @@ from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.store import StoredState
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, VoteReply, VoteRequest
-from tests.robustness.replication.machine import PromiseBroken
+from tests.support.supernode.list_machine import PromiseBroken
 
 
 @dataclass

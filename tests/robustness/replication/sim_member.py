@@ -14,9 +14,9 @@ from stampede_rt_supernode.replication.storage.store import StoredState
 from stampede_rt_supernode.replication.wire.buffered_transport import (
     Outgoing,
 )
-from tests.robustness.replication.disk import Disk, DiskStore
-from tests.robustness.replication.machine import Ignorant, ListMachine, PromiseBroken
 from tests.robustness.replication.raft_rules import Said, check_match
+from tests.support.supernode.list_machine import Ignorant, ListMachine, PromiseBroken
+from tests.support.supernode.simulated_disk import Disk, DiskStore
 
 if TYPE_CHECKING:
     from tests.robustness.replication.world import World

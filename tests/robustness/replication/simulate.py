@@ -17,10 +17,10 @@ from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.settings import RaftTiming, ReplicationSettings
-from tests.robustness.replication.machine import PromiseBroken
 from tests.robustness.replication.sim_member import SimMember
 from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import World
+from tests.support.supernode.list_machine import PromiseBroken
 
 STORM_SECONDS = 12.0
 [PRODUCTION] = (one.default for one in fields(ReplicationSettings) if one.name == "snapshot_every_entries")

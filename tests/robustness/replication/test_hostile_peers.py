@@ -33,11 +33,11 @@ from stampede_rt_supernode.replication.wire.codec import decode_message
 from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, ReadIndexRequest
 from stampede_rt_supernode.replication.wire.records import MalformedMessage
 from tests.robustness.replication.hostile_messages import Liar
-from tests.robustness.replication.machine import History, ListMachine
 from tests.robustness.replication.raft_rules import Committed
 from tests.robustness.replication.simulate import Storm, calm, weather_of
 from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import World
+from tests.support.supernode.list_machine import History, ListMachine
 
 SEEDS = range(int(os.environ.get("STAMPEDE_HOSTILE_SEEDS", "15")))
 MESSAGES = 400

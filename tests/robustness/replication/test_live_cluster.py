@@ -22,9 +22,9 @@ from stampede_rt_supernode.replication import (
     ReplicationSettings,
     open_replicated_log,
 )
-from tests.robustness.replication import live_cluster
-from tests.robustness.replication.live_cluster import QUICK, LiveCluster, commands_of, dial, proposed, running, until
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode import live_cluster
+from tests.support.supernode.list_machine import ListMachine
+from tests.support.supernode.live_cluster import QUICK, LiveCluster, commands_of, dial, proposed, running, until
 
 SECONDS_MAX = 30.0
 EXCHANGE = "/stampede_rt.v1.RaftService/Exchange"

@@ -19,7 +19,7 @@ from stampede_rt_supernode.replication import (
     ReplicatedLog,
 )
 from stampede_rt_supernode.replication.rules import member_changes
-from tests.robustness.replication.live_cluster import (
+from tests.support.supernode.live_cluster import (
     STEADY,
     LiveCluster,
     LiveMember,

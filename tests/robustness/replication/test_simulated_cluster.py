@@ -16,11 +16,11 @@ from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.storage.snapshots import SnapshotKeeper
 from stampede_rt_supernode.replication.wire.messages import InstallSnapshot, Message, VoteRequest
-from tests.robustness.replication.machine import FORK, PromiseBroken
 from tests.robustness.replication.sim_member import SimMember
 from tests.robustness.replication.simulate import PRODUCTION, run
 from tests.robustness.replication.weather import Weather
 from tests.robustness.replication.world import World
+from tests.support.supernode.list_machine import FORK, PromiseBroken
 
 SEEDS_IN_SUITE = 40
 SEEDS_IN_BLOCK = 100

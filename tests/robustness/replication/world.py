@@ -27,10 +27,10 @@ from stampede_rt_supernode.replication.wire.buffered_transport import (
 )
 from stampede_rt_supernode.replication.wire.codec import decode_message, encode_message
 from stampede_rt_supernode.replication.wire.messages import ForwardedCommand, Message
-from tests.robustness.replication.machine import History, PromiseBroken
 from tests.robustness.replication.raft_rules import Committed
 from tests.robustness.replication.sim_member import SimMember, Wire
 from tests.robustness.replication.weather import Weather
+from tests.support.supernode.list_machine import History, PromiseBroken
 
 
 class World:

@@ -25,7 +25,7 @@ from stampede_rt_supernode.replication.wire.messages import (
     VoteReply,
 )
 from stampede_rt_supernode.replication.wire.records import encode_snapshot
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
 
 LIBRARY_COMMAND = b"\x00"
 ABC = Configuration.of([Member(member_id=name, address=f"{name}:1") for name in "abc"])

@@ -18,7 +18,7 @@ from stampede_rt_runtime.access.control import AccessControl
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import ServiceServer, serving
 from tests.support.clock import ManualClock
-from tests.support.fake_directory import FakeDirectory
+from tests.support.fake_supernode import FakeSupernode
 
 Bind = Callable[..., "asyncio.Future[frontend_service_pb2.BindResponse]"]
 NOBODY = "localhost:1"  # tcpmux: nothing listens there
@@ -31,7 +31,7 @@ def _quick_probes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @asynccontextmanager
-async def supernode(directory: FakeDirectory, listen: str = "localhost:0") -> AsyncIterator[ServiceServer]:
+async def supernode(directory: FakeSupernode, listen: str = "localhost:0") -> AsyncIterator[ServiceServer]:
     def register(server: grpc.aio.Server) -> None:
         add_DirectoryServiceServicer_to_server(directory, server)
 
@@ -70,7 +70,7 @@ async def bind_until(bind: Bind, met: Callable[[frontend_service_pb2.BindRespons
 
 
 async def test_a_caller_gets_the_supernodes_the_cluster_and_the_clock() -> None:
-    directory = FakeDirectory()
+    directory = FakeSupernode()
     async with supernode(directory) as server, frontend(server.address) as bind:
         directory.members = {"s1": server.address}
         answer = await bind()
@@ -81,14 +81,14 @@ async def test_a_caller_gets_the_supernodes_the_cluster_and_the_clock() -> None:
 
 
 async def test_a_caller_of_another_protocol_version_is_told_both() -> None:
-    async with supernode(FakeDirectory()) as server, frontend(server.address) as bind:
+    async with supernode(FakeSupernode()) as server, frontend(server.address) as bind:
         with pytest.raises(VersionMismatch, match="protocol version 2, this cluster 1") as caught:
             await bind(protocol_version=2)
     assert caught.value.metadata["protocol_version"] == "1"
 
 
 async def test_a_caller_that_comes_before_the_supernode_waits_for_it() -> None:
-    directory = FakeDirectory()
+    directory = FakeSupernode()
     async with supernode(directory) as first:
         address = first.address
     async with frontend(address) as bind:
@@ -108,20 +108,20 @@ async def test_a_caller_is_told_no_quorum_when_nobody_answers(monkeypatch: pytes
 
 async def test_a_supernode_that_cannot_serve_is_told_as_unhealthy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stampede_rt_frontend.servicer.WAIT_SECONDS_MAX", 0.1)
-    async with supernode(FakeDirectory(ready=False)) as server, frontend(server.address) as bind:
+    async with supernode(FakeSupernode(ready=False)) as server, frontend(server.address) as bind:
         answer = await bind()
     assert [one.healthy for one in answer.supernodes] == [False]
 
 
 async def test_members_are_learned_from_one_seed() -> None:
-    one, two = FakeDirectory("s1"), FakeDirectory("s2")
+    one, two = FakeSupernode("s1"), FakeSupernode("s2")
     async with supernode(one) as first, supernode(two) as second, frontend(first.address) as bind:
         one.members = two.members = {"s1": first.address, "s2": second.address}
         await bind_until(bind, lambda said: [node.healthy for node in said.supernodes] == [True, True])
 
 
 async def test_a_dead_supernode_goes_to_the_end_and_comes_back() -> None:
-    one, two = FakeDirectory("s1"), FakeDirectory("s2")
+    one, two = FakeSupernode("s1"), FakeSupernode("s2")
     async with supernode(two) as second:
         async with supernode(one) as first:
             place = first.address
@@ -137,7 +137,7 @@ async def test_a_dead_supernode_goes_to_the_end_and_comes_back() -> None:
 
 
 async def test_a_member_that_was_removed_is_not_probed_any_more() -> None:
-    one, two = FakeDirectory("s1"), FakeDirectory("s2")
+    one, two = FakeSupernode("s1"), FakeSupernode("s2")
     async with supernode(one) as first, supernode(two) as second, frontend(first.address) as bind:
         one.members = two.members = {"s1": first.address, "s2": second.address}
         await bind_until(bind, lambda said: len(said.supernodes) == 2)

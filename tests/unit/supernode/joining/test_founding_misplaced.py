@@ -13,8 +13,8 @@ from stampede_rt_supernode.replication import StoreRefused, restore_from
 from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.storage.sqlite_store import DATABASE_NAME
 from stampede_rt_supernode.settings import SupernodeSettings
-from tests.robustness.replication.machine import ListMachine
 from tests.support.supernode.commands import prepared, status_has
+from tests.support.supernode.list_machine import ListMachine
 from tests.support.supernode.processes import free_ports
 
 FOUNDER = Member(member_id="r", address="r:1")

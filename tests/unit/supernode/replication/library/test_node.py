@@ -11,7 +11,7 @@ from stampede_rt_supernode.replication.wire.messages import (
     ForwardedCommandReply,
     ForwardRefusal,
 )
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
 from tests.support.supernode.lone_node import LoneNode, append
 
 NOT_TAKEN = ["QUEUE_FULL", "MISSING_LEADER", "DISCARDED", "NOT_LEADER"]

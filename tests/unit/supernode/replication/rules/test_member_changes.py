@@ -9,7 +9,7 @@ import pytest
 from stampede_rt_supernode.replication.interface import Member, ReleaseOutdated, too_old
 from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange, MemberChanges
 from stampede_rt_supernode.replication.wire.buffered_transport import Connected, StreamOpened
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
 from tests.support.supernode.lone_node import LoneNode, acknowledgement
 
 NEWCOMER = Member(member_id="new", address="new:1")

@@ -14,7 +14,7 @@ from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault
 from stampede_rt_supernode.replication.storage.store import MemoryStore, StoredSnapshot, StoredState
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message, VoteReply, VoteRequest
 from stampede_rt_supernode.replication.wire.records import encode_snapshot
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
 from tests.support.supernode.lone_node import (
     ABC,
     LoneNode,

@@ -26,7 +26,7 @@ from stampede_rt_supernode.replication.storage.store import (
     StoredState,
 )
 from stampede_rt_supernode.replication.wire.records import decode_snapshot
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
 
 
 class Nobody:

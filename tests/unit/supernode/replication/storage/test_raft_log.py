@@ -16,7 +16,7 @@ from stampede_rt_supernode.replication.storage import store as storage
 from stampede_rt_supernode.replication.storage.raft_log import RaftLog
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import Store, StoredSnapshot
-from tests.robustness.replication.disk import Disk, DiskStore
+from tests.support.supernode.simulated_disk import Disk, DiskStore
 
 Reopen = Callable[[], Store]
 

@@ -17,8 +17,8 @@ from stampede_rt_supernode.replication.storage.backups import BackupHeader, make
 from stampede_rt_supernode.replication.storage.sqlite_store import SqliteStore
 from stampede_rt_supernode.replication.storage.store import StoreChanges, StoreDamaged, StoredSnapshot
 from stampede_rt_supernode.replication.wire.records import decode_configuration, encode_snapshot
-from tests.robustness.replication.live_cluster import QUICK, LiveCluster, LiveMember, dial, running
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
+from tests.support.supernode.live_cluster import QUICK, LiveCluster, LiveMember, dial, running
 
 
 async def done(ask: Callable[[], Awaitable[object]]) -> None:

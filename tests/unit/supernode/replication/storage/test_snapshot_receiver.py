@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.storage import store as storage
 from stampede_rt_supernode.replication.storage.store import MemoryStore, StoreChanges
 from stampede_rt_supernode.replication.threads.worker_thread import Result
 from stampede_rt_supernode.replication.wire.messages import AppendReply, Message
-from tests.robustness.replication.machine import ListMachine
+from tests.support.supernode.list_machine import ListMachine
 from tests.support.supernode.lone_node import LoneNode, append, piece, snapshot_pieces
 
 T = TypeVar("T")

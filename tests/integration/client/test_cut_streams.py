@@ -1,0 +1,76 @@
+"""Connections that are cut while grpc.aio writes to them: gRPC tells of some of these cuts as INTERNAL."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Iterator
+from typing import Any
+
+import grpc
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.status import from_rpc_error
+from tests.support.cutting_relay import CUTS
+from tests.support.relayed_cluster import RelayedCluster, running_relayed_cluster
+
+SIZES = (10, 1000, 300_000, 2_000_000)  # what is written in one piece, and what in many
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[RelayedCluster]:
+    with running_relayed_cluster() as made:
+        yield made
+
+
+class Told:
+    """What gRPC tells of calls that failed, and what the client makes of it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.internal: list[st.StampedeError] = []
+        self.met = asyncio.Event()
+        for module in ("status", "transports.grpc_async"):
+            monkeypatch.setattr(f"stampede_rt.{module}.from_rpc_error", self._hear)
+
+    def _hear(self, error: Any, target: str) -> st.StampedeError:
+        made = from_rpc_error(error, target)
+        if error.code() is grpc.StatusCode.INTERNAL:
+            self.internal.append(made)
+            self.met.set()
+        return made
+
+
+async def test_a_cut_that_grpc_tells_of_as_internal_is_an_outage_like_others(
+    world: RelayedCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """About one of fifty: the test goes on until it has met one."""
+    told = Told(monkeypatch)
+    failures: list[st.StampedeError] = []
+
+    async def put(channel: aio.Channel, size: int) -> None:
+        producer = channel.producer()
+        while not told.met.is_set():
+            try:
+                await producer.put(bytes(size))
+            except st.StampedeError as error:
+                failures.append(error)
+        await producer.flush(30)
+        await producer.aclose()
+
+    async with aio.connect(world.address, transport="grpc") as rt:
+        channel = await rt.channel("cut/puts", max_age="5s")
+        cutting = asyncio.ensure_future(_cut(world, told))
+        await asyncio.gather(*(put(channel, size) for size in SIZES))
+        await cutting
+        assert (await channel.put(b"goes on")).payload == b"goes on"
+    assert all(isinstance(error, st.Unavailable) and error.retryable for error in told.internal)
+    assert all(error.retryable or isinstance(error, st.DeadlineExceeded) for error in failures)
+
+
+async def _cut(world: RelayedCluster, told: Told) -> None:
+    random_source = random.Random(1)
+    while not told.met.is_set():
+        world.relay.cut(random_source.choice(CUTS))
+        await asyncio.wait([asyncio.ensure_future(told.met.wait())], timeout=random_source.random() * 0.1)

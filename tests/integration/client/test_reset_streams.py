@@ -1,0 +1,141 @@
+"""Streams that are reset with INTERNAL_ERROR on the wire while their connection lives, between real processes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import grpc
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.status import from_rpc_error
+from stampede_rt.v1 import channel_service_pb2_grpc
+from stampede_rt_local.ports import free_ports
+from stampede_rt_local.process import ServiceProcess
+from stampede_rt_runtime.auth import load_secret
+from stampede_rt_runtime.dial import dial
+from tests.support.cluster import running_cluster
+from tests.support.lifting import Lifted
+from tests.support.resetting_relay import ResettingRelay
+
+READY_S = 30.0
+ROUNDS = 20
+
+
+@dataclass(frozen=True)
+class World:
+    """A host that is reached by way of the relay."""
+
+    address: str
+    host: str
+    relay: ResettingRelay
+
+    async def reset(self) -> None:
+        """Reset all streams, as soon as there is one."""
+        await asyncio.to_thread(self.relay.wait_for_a_stream)
+        await asyncio.to_thread(self.relay.reset)
+
+
+@pytest.fixture(scope="module")
+def world() -> Iterator[World]:
+    with running_cluster(hosts=0, supernodes=1) as cluster:
+        port, inner_port = free_ports(2)
+        words = ["--listen", f"localhost:{inner_port}", "--advertise", f"localhost:{port}", "--name", "relayed"]
+        words += ["--frontend", cluster.address, "--secret-file", str(cluster.secret_file)]
+        host = ServiceProcess("relayed host", "stampede_rt_channel_host", words)
+        with ResettingRelay(port, inner_port) as relay:
+            host.start()
+            try:
+                host.wait_ready(READY_S)
+                yield World(cluster.address, f"localhost:{port}", relay)
+            finally:
+                host.stop()
+
+
+@pytest.fixture(params=["aio", "sync"])
+async def rt(request: pytest.FixtureRequest, world: World) -> AsyncIterator[Any]:
+    if request.param == "aio":
+        async with aio.connect(world.address, transport="grpc") as made:
+            yield made
+        return
+    with ThreadPoolExecutor(8) as pool:
+        made = await asyncio.to_thread(lambda: st.connect(world.address, transport="grpc"))
+        lifted = Lifted(made, pool)
+        yield lifted
+        await lifted.aclose()
+
+
+async def opened(rt: Any, made: Any) -> Any:
+    """A producer or subscription of either client, with methods that are awaited."""
+    if not isinstance(rt, Lifted):
+        return made
+    found = await made
+    return found if isinstance(found, Lifted) else Lifted(found, rt._pool)
+
+
+async def test_grpc_tells_of_such_a_reset_as_internal_and_the_client_as_unavailable(world: World) -> None:
+    """The form in which users met it; what the other tests of this file go through."""
+    async with dial(world.host, secret=load_secret(None)) as channel:
+        call = channel_service_pb2_grpc.ChannelServiceStub(channel).Get()
+        reading = asyncio.ensure_future(call.read())
+        await call.wait_for_connection()
+        await world.reset()
+        with pytest.raises(grpc.RpcError) as caught:
+            await reading
+        assert caught.value.code() is grpc.StatusCode.INTERNAL
+        told = from_rpc_error(caught.value, world.host)
+        assert (type(told), told.retryable) == (st.Unavailable, True)
+
+
+async def test_puts_and_gets_go_on_over_resets(world: World, rt: Any) -> None:
+    channel = await rt.channel(f"reset/put-{st.now()}", max_age="60s")
+    for number in range(ROUNDS):
+        await channel.put(b"%d" % number)
+        await world.reset()
+        assert (await channel.newest()).payload == b"%d" % number
+        await world.reset()
+    held = await channel.get(st.OLDEST, st.NEWEST)
+    assert [item.payload for item in held] == [b"%d" % number for number in range(ROUNDS)]
+
+
+async def test_a_producer_loses_and_doubles_nothing_over_resets(world: World, rt: Any) -> None:
+    channel = await rt.channel(f"reset/producer-{st.now()}", max_age="60s")
+    producer = await opened(rt, channel.producer())
+    before = world.relay.resets
+    for number in range(ROUNDS):
+        await producer.put(b"%d" % number)
+        await asyncio.to_thread(world.relay.reset)  # the stream may be between two openings
+    await producer.flush(30)
+    assert (producer.accepted, producer.rejections) == (ROUNDS, 0)
+    assert world.relay.resets > before
+    held = await channel.get(st.OLDEST, st.NEWEST)
+    assert [item.payload for item in held] == [b"%d" % number for number in range(ROUNDS)]
+    await producer.aclose()
+
+
+async def test_a_subscription_misses_and_repeats_nothing_over_resets(world: World, rt: Any) -> None:
+    channel = await rt.channel(f"reset/read-{st.now()}", max_age="60s")
+    async with await opened(rt, channel.subscribe()) as subscription:
+        for number in range(ROUNDS):
+            await channel.put(b"%d" % number)
+            assert (await anext(subscription)).payload == b"%d" % number
+            await world.reset()
+        assert subscription.dropped == 0
+
+
+async def test_a_queue_loses_and_doubles_nothing_over_resets(world: World, rt: Any) -> None:
+    queue = await rt.queue(f"reset/work-{st.now()}", lease="60s")
+    for number in range(ROUNDS):
+        await queue.put(b"%d" % number)
+        await world.reset()
+        message = await queue.get(timeout=20)
+        assert message.payload == b"%d" % number
+        await message.ack()
+        await world.reset()
+    stats = await queue.stats()
+    assert (stats.accepted, stats.held) == (ROUNDS, 0)

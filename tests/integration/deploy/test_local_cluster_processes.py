@@ -1,0 +1,150 @@
+"""Child processes of `stampede dev` and of the tests: readiness, failures, stopping, and that nobody is left over."""
+
+from __future__ import annotations
+
+import os
+import queue
+import select
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from stampede_rt_local import process
+from stampede_rt_local.ports import free_ports
+from stampede_rt_local.process import LAST_LINES_MAX, ServiceFailed, ServiceProcess
+from stampede_rt_runtime import parent_watch
+from tests.support.processes import started
+
+READY_SECONDS = 20
+
+
+@pytest.fixture(autouse=True)
+def _services_find_the_fake_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
+
+
+@pytest.fixture
+def ends() -> queue.SimpleQueue[ServiceProcess]:
+    return queue.SimpleQueue()
+
+
+@pytest.fixture
+def make(ends: queue.SimpleQueue[ServiceProcess]) -> Iterator[object]:
+    made: list[ServiceProcess] = []
+
+    def service(*arguments: str) -> ServiceProcess:
+        made.append(ServiceProcess("fake", "tests.support.fake_service", arguments, on_exit=ends.put))
+        made[-1].start()
+        return made[-1]
+
+    yield service
+    for one in made:
+        one.kill()
+
+
+def test_a_ready_service_has_the_address_that_it_announced(make) -> None:
+    service = make("good")
+    assert service.wait_ready(READY_SECONDS) == service.address == f"localhost:{service.pid}"
+    assert service.alive
+
+
+def test_a_service_that_ends_before_it_is_ready_is_reported_with_its_words(make) -> None:
+    service = make("fails")
+    with pytest.raises(ServiceFailed, match=r"(?s)ended with exit code 3 before it was ready.*it cannot be"):
+        service.wait_ready(READY_SECONDS)
+    assert not service.alive
+
+
+def test_a_service_that_is_not_ready_in_time_is_reported(make) -> None:
+    with pytest.raises(ServiceFailed, match=r"fake is not ready after 0\.3 s"):
+        make("never-ready").wait_ready(0.3)
+
+
+def test_stopping_is_in_order(make, ends: queue.SimpleQueue[ServiceProcess]) -> None:
+    service = make("good")
+    service.wait_ready(READY_SECONDS)
+    service.stop()
+    assert service.exit_code == -signal.SIGTERM
+    assert ends.get(timeout=READY_SECONDS) is service
+
+
+def test_a_service_that_does_not_stop_is_killed_after_the_bound(make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "STOP_SECONDS", 0.2)
+    service = make("stubborn")
+    service.wait_ready(READY_SECONDS)
+    service.stop()
+    assert service.exit_code == -signal.SIGKILL
+
+
+def test_a_killed_service_is_heard_of_and_can_be_started_again(make, ends: queue.SimpleQueue[ServiceProcess]) -> None:
+    service = make("good")
+    first = service.wait_ready(READY_SECONDS)
+    service.kill()
+    assert ends.get(timeout=READY_SECONDS) is service
+    assert service.exit_code == -signal.SIGKILL
+    assert service.restart() != first
+    assert service.alive
+
+
+def test_a_paused_service_can_be_resumed_and_stopped(make) -> None:
+    service = make("good")
+    service.wait_ready(READY_SECONDS)
+    service.pause()
+    os.waitid(os.P_PID, service.pid, os.WSTOPPED | os.WNOWAIT)
+    service.resume()
+    os.waitid(os.P_PID, service.pid, os.WCONTINUED | os.WNOWAIT)
+    service.pause()
+    service.stop()
+    assert service.exit_code == -signal.SIGTERM
+
+
+def test_only_the_last_lines_of_a_chatty_service_are_kept(make) -> None:
+    service = make("chatty")
+    service.wait_ready(READY_SECONDS)
+    assert len(service.last_lines) == LAST_LINES_MAX
+
+
+def test_our_own_environment_does_not_reach_a_service(make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STAMPEDE_LISTEN", "elsewhere:1")
+    service = make("environment", "--flag")
+    service.wait_ready(READY_SECONDS)
+    assert "environment [] ['--flag']" in service.last_lines
+
+
+def test_a_module_in_the_users_folder_does_not_stand_in_for_a_services(
+    make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "threading.py").write_text("raise SystemExit('the wrong one')")
+    monkeypatch.chdir(tmp_path)
+    assert make("good").wait_ready(READY_SECONDS)
+
+
+def test_a_service_cannot_be_started_twice(make) -> None:
+    service = make("good")
+    with pytest.raises(ServiceFailed, match="is running already"):
+        service.start()
+
+
+def test_no_service_outlives_a_parent_that_was_killed() -> None:
+    with started([sys.executable, "-m", "tests.support.parent_of_services"]) as parent:
+        assert parent.stdout is not None
+        handles = [os.pidfd_open(int(pid)) for pid in parent.stdout.readline().split()]
+        assert len(handles) == 2
+        parent.kill()
+        parent.wait(READY_SECONDS)
+        for handle in handles:  # readable when the process has ended
+            readable, _, _ = select.select([handle], [], [], parent_watch.GRACE_SECONDS + READY_SECONDS)
+            os.close(handle)
+            assert readable
+
+
+def test_free_ports_are_different_and_can_be_listened_at() -> None:
+    ports = free_ports(8, besides=20_000)
+    assert len(set(ports)) == 8
+    assert 20_000 not in ports
+    for port in ports:
+        socket.create_server(("localhost", port)).close()

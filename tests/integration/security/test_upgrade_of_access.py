@@ -1,0 +1,87 @@
+"""Supernodes are upgraded from a release that knows no rules of access, while hosts and clients go on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt.cli.commands import run
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import running_cluster
+from tests.support.waiting import wait_until
+
+EARLIER = "tests.support.earlier_release"
+CHANGES = (
+    ["acl", "add", "cam", "put", "video"],
+    ["acl", "rm", "cam", "put", "video"],
+    ["token", "issue", "cam"],
+    ["token", "revoke", "a1" * 8],
+)
+
+
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[LocalCluster]:
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[3]))
+    made = LocalCluster(hosts=1, supernodes=3)
+    for one in made.supernodes:
+        one._module = EARLIER
+    with running_cluster(made) as started:
+        yield started
+
+
+def upgrade(cluster: LocalCluster, number: int) -> None:
+    one = cluster.supernodes[number]
+    one._module = "stampede_rt_supernode"
+    one.restart()
+
+
+@pytest.mark.timeout(120)
+def test_rules_are_refused_while_a_member_does_not_know_them_and_accepted_after_its_upgrade(
+    cluster: LocalCluster, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def told(*words: str) -> tuple[int, str]:
+        capsys.readouterr()
+        status = run([*words, "--url", cluster.address])
+        out, err = capsys.readouterr()
+        return status, out + err
+
+    def serves() -> None:
+        with st.connect(cluster.address, name="robot") as rt:
+            rt.channel("video").put(b"frame")
+            rt.send("robot", b"x")
+            assert rt.mailbox.get(timeout=10)
+
+    serves()
+    for words in CHANGES:
+        status, said = told(*words)
+        assert status == 1, words
+        assert "no supernode that answers has rules of access and client tokens: all are of an earlier release" in said
+    for number in (0, 1):
+        upgrade(cluster, number)
+        serves()
+
+    def names_the_member_to_upgrade(words: list[str]) -> bool:
+        status, said = told(*words)
+        assert status == 1, words
+        # Until the front-end has found the upgraded supernodes again, s3 alone answers, and has no such call.
+        return "needs feature level 2, the cluster is at level 1, and nothing was done; upgrade s3 (" in said
+
+    for words in CHANGES:
+        wait_until(lambda words=words: names_the_member_to_upgrade(words))
+    assert told("acl", "check", "cam", "put", "video")[0] == 0
+    upgrade(cluster, 2)
+    wait_until(lambda: told("acl", "add", "cam", "put", "video")[0] == 0, "the level has risen")
+    serves()
+    status, token = told("token", "issue", "cam")
+    assert status == 0
+    with st.connect(cluster.address, secret=token.split()[0]) as rt:
+        video = rt.channel("video")
+        assert video.info.created_by == "", "nobody knew when it was made"
+        video.put(b"frame")
+        with pytest.raises(st.PermissionDenied, match="client cam may not read channel video"):
+            video.newest()
+    assert told("token", "revoke", "a1" * 8)[0] == 0
+    assert told("acl", "rm", "cam", "put", "video")[0] == 0

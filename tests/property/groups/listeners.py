@@ -1,0 +1,262 @@
+"""Who listens to whole groups of a World: cut events and matches, each beside an oracle that says what must come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from stampede_rt_channel_host.core.group import (
+    OWN,
+    Boundary,
+    CutFollower,
+    EventDecider,
+    FarTrack,
+    Loss,
+    Matcher,
+    OwnTimes,
+    OwnTrack,
+    Track,
+)
+from tests.oracle.channel import Item
+from tests.oracle.group import OracleFollower, OracleMatcher
+from tests.oracle.reading import OracleReader
+from tests.property.channel_pair import items_of
+from tests.property.groups.readers import BEFORE_ALL, check_ends, has_lost_from
+from tests.property.groups.world import CHANNELS, LivingPair, World
+
+Meddle = Callable[[bytes], None]
+
+
+@dataclass
+class Follower:
+    """One channel's part of cut events. The cursor is what is kept of it between steps: a cut, a seq, an incarnation.
+
+    `hears_again`: the first step after it was resumed tells that items are gone, though it may have been told before.
+    `uncounted`: what was gone by then, so that nobody can count it.
+    """
+
+    channel_id: bytes
+    core: CutFollower
+    oracle: OracleFollower
+    cursor: tuple[int | None, int, int]
+    hears_again: bool = False
+    uncounted: set[int] = field(default_factory=set)
+
+
+@dataclass
+class Events:
+    """A subscription to a group's cut events: one host decides, every channel's owner brings its part."""
+
+    group: int
+    decider_host: int
+    decider: EventDecider
+    followers: dict[bytes, Follower]
+    decided: int | None
+    max_wait: int
+    lateness: int
+    pending: list[tuple[int, int]] = field(default_factory=list)  # cuts that are not decided yet, and since when
+
+
+@dataclass
+class Match:
+    """Channel a against b, at the same host as the matcher, and c, of which only the keys of items are known."""
+
+    core: Matcher
+    oracle: OracleMatcher
+    far: FarTrack
+    followed: dict[bytes, OwnTimes]
+    begun: int
+    told: int
+    taken: int = 0
+
+    def has_passed(self, name: bytes, instant: int) -> bool:
+        return self.followed[name].times(1).has_passed(instant, self.oracle.lateness)
+
+
+@dataclass
+class Listeners:
+    """`take_...` lets all of a kind take what there is; `channel_moved` and the like carry them on."""
+
+    world: World
+    events: list[Events] = field(default_factory=list)
+    matches: list[Match] = field(default_factory=list)
+
+    def pair(self, channel_id: bytes) -> LivingPair:
+        """The channel, aged to now."""
+        pair = self.world.pair(channel_id)
+        OracleReader(pair.oracle, self.world.clock)
+        return pair
+
+    def subscribe_cuts(self, group: int, host: int, max_wait: int, lateness: int) -> None:
+        cut = self.world.hosts[host].cuts[group].cut
+        made = Events(group, host, EventDecider(cut, max_wait, lateness), {}, cut, max_wait, lateness)
+        for channel_id in self.world.definitions[group].members:
+            made.followers[channel_id] = self._follower(channel_id, cut)
+        self.events.append(made)
+
+    def _follower(self, channel_id: bytes, cut: int | None) -> Follower:
+        pair = self.pair(channel_id)
+        core = CutFollower(pair.core, cut, self.world.clock)
+        cursor = cut, core.next_seq, pair.incarnation
+        return Follower(channel_id, core, OracleFollower.begin(pair.oracle, cut), cursor)
+
+    def note(self) -> None:
+        """Every deciding host looks where its cut is."""
+        for one in self.events:
+            cut = self.world.hosts[one.decider_host].cuts[one.group].cut
+            last = one.pending[-1][0] if one.pending else one.decided
+            if cut is not None and (last is None or cut > last):
+                one.pending.append((cut, self.world.clock))
+            one.decider.note(cut, self.world.clock)
+
+    def take_events(self, limit_bytes: int, meddle: Meddle) -> None:
+        """An event is due when every member is as far, or the wait is over. `meddle` comes between an event's parts."""
+        for one in self.events:
+            host, clock = self.world.hosts[one.decider_host], self.world.clock
+            boundary = one.decider.due(list(host.cuts[one.group].members(clock)), clock)
+            due = []
+            for cut, since in one.pending:
+                is_due, behind = host.oracles[one.group].due(cut, since, one.max_wait, one.lateness, clock)
+                if not is_due:
+                    break
+                due.append((cut, behind))
+            one.pending = one.pending[len(due) :]
+            if one.lateness and one.pending:
+                last = due[-1][0] if due else one.decided
+                between = host.oracles[one.group].between(last, one.pending[0][0], one.lateness, clock)
+                if between is not None:
+                    _, behind = host.oracles[one.group].due(between, clock, one.max_wait, one.lateness, clock)
+                    due.append((between, behind))
+            assert boundary == (Boundary(*due[-1]) if due else None)
+            assert one.decider.wake_at() == (one.pending[0][1] + one.max_wait + one.lateness if one.pending else None)
+            if boundary is not None:
+                one.decided = boundary.cut
+                self._take_parts(one, boundary.cut, limit_bytes, meddle)
+
+    def _take_parts(self, events: Events, cut: int, limit_bytes: int, meddle: Meddle) -> None:
+        """Each channel's part, once its owner's cut is there, which the reader's word does not raise."""
+        for channel_id, one in events.followers.items():
+            if not _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut):
+                self.world.exchange()
+                self.world.look()
+                self.world.exchange()
+                self.world.look()
+            assert _has_come_to(self.world.host_of(channel_id).cuts[events.group].cut, cut)
+            self._take_part(one, cut, limit_bytes, meddle)
+
+    def _take_part(self, one: Follower, cut: int, limit_bytes: int, meddle: Meddle) -> None:
+        """What is put between two of its steps comes with the next event."""
+        pair = self.pair(one.channel_id)
+        one.oracle.owe()
+        one.core.begin(cut)
+        new: list[Item] = []
+        late: list[Item] = []
+        while one.core.under_way:
+            step = one.core.take(self.world.clock, limit_bytes)
+            new += items_of([each.slice for each in step.slices])
+            late += items_of([each.slice for each in step.late])
+            assert step.is_last != one.core.under_way
+            check_ends(pair, step.slices + step.late, cut)
+            if one.core.under_way:
+                meddle(one.channel_id)
+                OracleReader(pair.oracle, self.world.clock)
+        lost = one.oracle.end_step(cut, new, late)
+        _check_loss(one, step.loss, lost, pair)
+        one.cursor = cut, one.core.next_seq, pair.incarnation
+        one.hears_again, one.uncounted = False, set()
+        assert one.core.cut == cut
+
+    def match(self, tolerance: int, lateness: int, *, unique: bool) -> None:
+        a, b, c = (self.world.pair(one) for one in CHANNELS)
+        clock = self.world.clock
+        OracleReader(a.oracle, clock)
+        far = FarTrack()
+        far.add((one.time, one.seq) for one in c.oracle.log.values())
+        tracks: dict[bytes, Track] = {b"b": OwnTrack(b.core), b"c": far}
+        position = (a.oracle.newest, len(a.oracle.log)) if a.oracle.newest is not None else BEFORE_ALL
+        oracle = OracleMatcher(a.oracle, {b"b": b.oracle, b"c": c.oracle}, tolerance, position, lateness)
+        oracle.last = {} if unique else None
+        followed = {name: OwnTimes(one.core, clock) for name, one in ((OWN, a), (b"b", b), (b"c", c))}
+        core = Matcher(a.core, tracks, tolerance, clock, partners={} if unique else None)
+        self.matches.append(Match(core, oracle, far, followed, len(a.oracle.log), 0))
+
+    def take_matches(self) -> None:
+        a, b, c = (self.world.pair(one) for one in CHANNELS)
+        clock = self.world.clock
+        for one in self.matches:
+            one.far.add((c.oracle.log[seq].time, seq) for seq in range(one.told + 1, len(c.oracle.log) + 1))
+            one.told = len(c.oracle.log)
+            for pair in (a, b, c):
+                OracleReader(pair.oracle, clock)
+            for own in one.followed.values():
+                own.observe(clock)
+            kept, c.oracle.held = (
+                c.oracle.held,
+                list(c.oracle.log.values()),
+            )  # a listener keeps the keys that it heard
+            taken = one.core.take(one.has_passed, clock, 1000)
+            wanted = one.oracle.take(1000 if one.oracle.last is None else len(taken))
+            assert not one.oracle.stalls
+            c.oracle.held = kept
+            one.taken += len(taken)
+            assert [
+                (each.item.slice.first_seq, {name: near.seq for name, near in each.matched.items()}) for each in taken
+            ] == [(item.seq, {name: near.seq for name, near in found.items()}) for item, found in wanted]
+            assert one.core.unmatched == one.oracle.unmatched
+            waiting = [item for item in a.oracle.held if (item.time, item.seq) > one.oracle.position]
+            assert one.core.dropped == len(a.oracle.log) - one.begun - one.taken - len(waiting)
+
+    def member_changed(self, group: int, channel_id: bytes, *, joins: bool) -> None:
+        """Events of a group bring who joined it, from their cut on, and leave out who left."""
+        for one in self.events:
+            if one.group == group and joins:
+                one.followers[channel_id] = self._follower(channel_id, one.decided)
+            elif one.group == group:
+                one.followers.pop(channel_id, None)
+
+    def channel_moved(self, channel_id: bytes) -> None:
+        """The same channel at another host: events go on there."""
+        pair = self.pair(channel_id)
+        held = {item.seq for item in pair.oracle.held}
+        for one in (events.followers.get(channel_id) for events in self.events):
+            if one is None:
+                continue
+            cut, next_seq, incarnation = one.cursor
+            one.core = CutFollower(pair.core, cut, self.world.clock, next_seq=next_seq, incarnation=incarnation)
+            one.hears_again |= has_lost_from(pair, cut)
+            if incarnation == pair.incarnation:
+                one.uncounted |= {seq for seq in one.oracle.owed if seq < next_seq and seq not in held}
+
+    def channels_lost(self, host: int, channel_ids: Sequence[bytes], heir: int) -> None:
+        """Nothing of them is left. Events go on with what comes, another host decides, and matches end."""
+        self.matches = [] if channel_ids else self.matches
+        for events in self.events:
+            if events.decider_host == host:
+                decider = EventDecider(events.decided, events.max_wait, events.lateness)
+                events.decider_host, events.decider, events.pending = heir, decider, []
+            for channel_id in set(channel_ids) & events.followers.keys():
+                cursor, pair = events.followers[channel_id].cursor, self.world.pair(channel_id)
+                cut, next_seq, incarnation = cursor
+                core = CutFollower(pair.core, cut, self.world.clock, next_seq=next_seq, incarnation=incarnation)
+                oracle = OracleFollower.begin(pair.oracle, cut, 0)
+                events.followers[channel_id] = Follower(channel_id, core, oracle, cursor, hears_again=True)
+
+    def groups_began_anew(self, groups: Sequence[int]) -> None:
+        """Who listens to them hears of it, and begins again by itself."""
+        self.events = [one for one in self.events if one.group not in groups]
+
+
+def _has_come_to(reached: int | None, cut: int) -> bool:
+    return reached is not None and reached >= cut
+
+
+def _check_loss(one: Follower, loss: Loss | None, lost: set[int], pair: LivingPair) -> None:
+    """What was due and is gone is counted, and bounded in time and in seqs."""
+    assert (loss is not None) == (bool(lost) or one.hears_again)
+    if loss is None:
+        return
+    assert loss.is_exact != one.hears_again
+    assert loss.items == len(lost - one.uncounted)
+    assert loss.reason == ("COLLECTED" if one.cursor[2] == pair.incarnation else "LOST")
+    assert all(pair.oracle.log[seq].time < loss.before for seq in lost)
+    assert all(loss.first_seq <= seq <= loss.last_seq for seq in lost)

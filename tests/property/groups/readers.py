@@ -1,0 +1,300 @@
+"""Whoever reads descriptors of the groups of a World, each beside an oracle that says what it must be told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import pytest
+
+from stampede_rt.errors import IncarnationLost
+from stampede_rt.values.timeline import Bound
+from stampede_rt_channel_host.core.channel import DeliveredSlice, Gap, Pending, Position, Query, SavedCursor, WakeAt
+from stampede_rt_channel_host.core.group import Horizon, VisibleAll, VisibleChannel, VisibleNewest
+from tests.oracle.channel import Item
+from tests.oracle.group import OracleFollower, OracleView
+from tests.oracle.reading import OracleReader
+from tests.property.channel_pair import ends_as_read, facts, items_of
+from tests.property.groups.world import LivingPair, World
+
+BEFORE_ALL = (-(2**64), 0)
+
+
+@dataclass
+class Subscriber:
+    """Of one channel through one group, in both modes.
+
+    `hears_again`: the first step after it was resumed tells that items are gone, though that may have been told before.
+    """
+
+    group: int
+    channel_id: bytes
+    every: VisibleAll
+    oracle: OracleFollower
+    newest: VisibleNewest
+    of_newest: OracleFollower
+    last: tuple[int, int]
+    hears_again: bool
+    newest_hears_again: bool
+    meant: int = 0
+    last_given: Item | None = None
+
+
+@dataclass
+class Readers:
+    """Blocked gets and subscriptions; `channels_gone` and the like end those that cannot go on."""
+
+    world: World
+    gets: list[tuple[int, bytes, Pending]] = field(default_factory=list)
+    subscribers: list[Subscriber] = field(default_factory=list)
+    seen: dict[int, int] = field(default_factory=dict)  # the highest cut of each group that a reader was shown
+
+    def view(self, group: int, channel_id: bytes) -> tuple[VisibleChannel, Horizon, LivingPair]:
+        pair = self.world.pair(channel_id)
+        OracleReader(pair.oracle, self.world.clock)  # ages it
+        return VisibleChannel(pair.core), self.world.host_of(channel_id).horizon(group), pair
+
+    def read(self, group: int, channel_id: bytes, query: Query, at: int | None) -> None:
+        """At the host's cut or at an earlier one; a host that is behind what the reader saw shows nothing."""
+        view, horizon, pair = self.view(group, channel_id)
+        seen = self.seen.get(group)
+        if seen is not None and (horizon.cut is None or horizon.cut < seen):
+            answer = view.stalled(seen, horizon)
+            assert (answer.slices, answer.complete, answer.reason) == ((), False, "HIDDEN")
+            return
+        if horizon.cut is not None:
+            self.seen[group] = horizon.cut
+            horizon = horizon if at is None else horizon._replace(cut=min(at, horizon.cut))
+        if _is_foreign(query, pair.incarnation):
+            with pytest.raises(IncarnationLost):
+                view.read(query, horizon, pair.clock)
+            return
+        self._read(view, horizon, pair, query)
+
+    def _read(self, view: VisibleChannel, horizon: Horizon, pair: LivingPair, query: Query) -> None:
+        reader = OracleView(pair.oracle, pair.clock, horizon.cut)
+        answer = view.read(query, horizon, pair.clock)
+        within = reader.resolve(query)
+        expected = reader.read(query, within)
+        items = items_of(answer.slices)
+        assert facts(items) == facts(expected.items)
+        assert all(horizon.cut is not None and item.time < horizon.cut for item in items)
+        assert answer.next_time is None or (horizon.cut is not None and answer.next_time < horizon.cut)
+        assert ends_as_read(items, answer.next_time, pair.oracle.overlap) == expected.ends
+        assert (answer.interval, answer.complete, answer.truncated, answer.more, answer.incarnation) == (
+            within, expected.complete, expected.truncated, expected.more, pair.incarnation,
+        )  # fmt: skip
+        assert answer.reason == reader.reason(query, within)
+        hidden = [one for one in pair.oracle.held if horizon.cut is None or one.time >= horizon.cut]
+        assert view.hidden_items(horizon.cut, pair.clock) == len(hidden)
+        assert view.window_too_short(horizon.cut, pair.clock) == reader.window_is_too_short
+
+    def begin(self, group: int, channel_id: bytes, query: Query) -> None:
+        view, horizon, pair = self.view(group, channel_id)
+        if not _is_foreign(query, pair.incarnation):
+            self.gets.append((group, channel_id, view.begin(query, horizon, self.world.clock)))
+
+    def poll_all(self) -> None:
+        """A blocked get is released as soon as an answer is due, and wakes for nothing but what can bring one."""
+        self.gets = [one for one in self.gets if not self._is_released(*one)]
+
+    def _is_released(self, group: int, channel_id: bytes, pending: Pending) -> bool:
+        view, horizon, pair = self.view(group, channel_id)
+        clock, within = self.world.clock, pending.interval
+        reader = OracleView(pair.oracle, clock, horizon.cut)
+        answer = view.poll(pending, horizon, clock)
+        within = reader.resolve(pending.query) if within is None else within
+        assert pending.interval == within
+        if within is None:
+            assert isinstance(answer, WakeAt)
+            assert answer.instant is None
+            return False
+        expected = reader.read(pending.query, within)
+        due = expected.complete or (bool(expected.items) and not pending.query.complete)
+        assert isinstance(answer, WakeAt) != due
+        if isinstance(answer, WakeAt):
+            assert answer.instant == reader.wake_at(within)
+            return False
+        assert facts(items_of(answer.slices)) == facts(expected.items)
+        return True
+
+    def give_up(self) -> None:
+        """The oldest blocked get's time is over."""
+        if not self.gets:
+            return
+        group, channel_id, pending = self.gets.pop(0)
+        view, horizon, pair = self.view(group, channel_id)
+        reader = OracleView(pair.oracle, self.world.clock, horizon.cut)
+        answer = view.give_up(pending, horizon, self.world.clock)
+        expected = reader.read(pending.query, pending.interval)
+        assert facts(items_of(answer.slices)) == facts(expected.items)
+        assert answer.reason == reader.reason(pending.query, pending.interval)
+
+    def subscribe(
+        self, group: int, channel_id: bytes, start: Bound | None, exclusive: bool, after: Position | None,
+        saved: tuple[SavedCursor, SavedCursor] | None = None,
+    ) -> Subscriber | None:  # fmt: skip
+        """To what becomes visible from now on, from a bound on, or behind an item; or from `saved`, at `after`."""
+        _, horizon, pair = self.view(group, channel_id)
+        clock, core, channel, cut = self.world.clock, pair.core, pair.oracle, horizon.cut
+        if after is not None and after.incarnation not in (0, pair.incarnation):
+            with pytest.raises(IncarnationLost):
+                VisibleAll(core, horizon, clock, after=after)
+            return None
+        reader = OracleView(channel, clock, cut)
+        low = reader.instant_of(start) if start is not None and after is None else None
+        start = None if after is not None else start
+        last = reader.newest_key or BEFORE_ALL
+        begin = cut
+        if after is not None:
+            assert after.seq is not None
+            begin, last = None if cut is None else min(cut, after.time + 1), (after.time, after.seq)
+        elif start is not None:
+            begin = cut if cut is None or low is None else min(cut, low + exclusive)
+            last = BEFORE_ALL if low is None else (low, 2**65 if exclusive else -1)
+        if saved is not None:
+            every = VisibleAll(core, horizon, clock, saved=saved[0])
+            newest = VisibleNewest(core, horizon, clock, saved=saved[1])
+        else:
+            every = VisibleAll(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
+            newest = VisibleNewest(core, horizon, clock, start=start, start_exclusive=exclusive, after=after)
+        oracles = [OracleFollower.begin(channel, begin, None if after is None else after.seq) for _ in range(2)]
+        again = after is not None and has_lost_from(pair, begin)
+        made = Subscriber(group, channel_id, every, oracles[0], newest, oracles[1], last, again, again)
+        self.subscribers.append(made)
+        return made
+
+    def resume(self, which: int) -> None:
+        """A subscriber breaks off amid a delivery, and begins again behind the last item that it was given."""
+        if not self.subscribers:
+            return
+        one = self.subscribers.pop(which % len(self.subscribers))
+        _, horizon, pair = self.view(one.group, one.channel_id)
+        one.oracle.owe()
+        given = items_of([part.slice for part in one.every.take(horizon, self.world.clock, 1).slices])
+        given = given[: 1 + which % max(1, len(given))]
+        one.oracle.owed -= {item.seq for item in given}
+        last = given[-1] if given else one.last_given
+        if last is None:
+            return
+        position = Position(last.time, last.seq, pair.incarnation)
+        made = self.subscribe(one.group, one.channel_id, None, False, position)
+        assert made is not None
+        held = {item.seq for item in pair.oracle.held}
+        assert one.oracle.owed & held <= made.oracle.meant, "whatever it has not been given is still meant for it"
+        made.last_given = last
+
+    def go_on(self, which: int) -> None:
+        """A subscriber is carried on by its cursor: nothing is left out, and nothing comes twice."""
+        if not self.subscribers:
+            return
+        one = self.subscribers.pop(which % len(self.subscribers))
+        every, newest = one.every.saved, one.newest.saved
+        assert every is not None
+        assert newest is not None
+        assert every.cut is not None
+        made = self.subscribe(
+            one.group,
+            one.channel_id,
+            None,
+            False,
+            Position(every.cut - 1, every.next_seq - 1, every.incarnation),
+            saved=(every, newest),
+        )
+        assert made is not None
+        made.last = one.last
+        held = {item.seq for item in self.world.pair(one.channel_id).oracle.held}
+        assert one.oracle.meant & held == made.oracle.meant & held
+        made.last_given = one.last_given
+
+    def deliver(self, limit_bytes: int) -> None:
+        """Every subscription through the groups takes what there is."""
+        for one in self.subscribers:
+            _, horizon, pair = self.view(one.group, one.channel_id)
+            self._deliver_newest(one, pair, horizon)
+            self._deliver(one, pair, horizon, limit_bytes)
+
+    def _deliver(self, one: Subscriber, pair: LivingPair, horizon: Horizon, limit_bytes: int) -> None:
+        oracle, clock = one.oracle, self.world.clock
+        if not _has_news(oracle, horizon.cut):
+            assert one.every.take(horizon, clock, limit_bytes).is_empty
+            return
+        assert horizon.cut is not None
+        oracle.owe()
+        items: list[Item] = []
+        gaps: list[Gap] = []
+        while (part := one.every.take(horizon, clock, limit_bytes)).more or not part.is_empty:
+            assert not gaps, "a gap comes behind the items of its step"
+            items += items_of([each.slice for each in part.slices])
+            gaps += [part.gap] if part.gap else []
+            check_ends(pair, part.slices, horizon.cut)
+        late = [item for item in items if oracle.cut is not None and item.time < oracle.cut]
+        assert items[: len(late)] == late
+        lost = oracle.end_step(horizon.cut, items[len(late) :], late)
+        assert [gap.items for gap in gaps] == ([max(1, len(lost))] if lost or one.hears_again else [])
+        assert all(gap.first_seq <= seq <= gap.last_seq for gap in gaps for seq in lost)
+        one.hears_again = False
+        one.last_given = items[-1] if items else one.last_given
+        assert one.every.lowest_owed_seq(clock) == min([*oracle.owed, len(pair.oracle.log) + 1])
+
+    def _deliver_newest(self, one: Subscriber, pair: LivingPair, horizon: Horizon) -> None:
+        reader = OracleView(pair.oracle, self.world.clock, horizon.cut)
+        best = reader.newest_key
+        part = one.newest.take(horizon, self.world.clock)
+        given = [(each.slice.first_time, each.slice.first_seq, each.slice.items) for each in part.slices]
+        assert given == ([] if best is None or best <= one.last else [(*best, 1)])
+        one.last = best if given and best is not None else one.last
+        while part.more:
+            part = one.newest.take(horizon, self.world.clock)
+            assert part.is_empty
+        if _has_news(one.of_newest, horizon.cut):
+            assert horizon.cut is not None
+            one.of_newest.owe()
+            visible = one.of_newest.owed & one.of_newest.visible(horizon.cut)
+            lost = one.of_newest.pass_over(horizon.cut) - visible
+            one.meant += len(visible) + (max(1, len(lost)) if lost or one.newest_hears_again else 0)
+            one.newest_hears_again = False
+        assert one.newest.skipped == max(0, one.meant - one.newest.delivered)
+
+    def member_left(self, group: int, channel_id: bytes) -> None:
+        """Who read it through that group ends."""
+        self._end(lambda a_group, a_channel: (a_group, a_channel) == (group, channel_id))
+
+    def channels_gone(self, channel_ids: Sequence[bytes]) -> None:
+        """They are at another host, or lost: their readers begin again by themselves."""
+        self._end(lambda _, a_channel: a_channel in channel_ids)
+
+    def groups_began_anew(self, groups: Sequence[int]) -> None:
+        """Their readers hear of it, and begin again by themselves."""
+        self._end(lambda group, _: group in groups)
+        self.seen = {group: cut for group, cut in self.seen.items() if group not in groups}
+
+    def _end(self, ends: Callable[[int, bytes], bool]) -> None:
+        """Those of a group and a channel that it ends."""
+        self.gets = [one for one in self.gets if not ends(one[0], one[1])]
+        self.subscribers = [one for one in self.subscribers if not ends(one.group, one.channel_id)]
+
+
+def _is_foreign(query: Query, incarnation: int) -> bool:
+    """It names a place of another life of the channel."""
+    positions = [one for one in (query.after, query.newer_than) if one is not None]
+    return any(one.incarnation not in (0, incarnation) for one in positions)
+
+
+def _has_news(oracle: OracleFollower, cut: int | None) -> bool:
+    if cut is None or (oracle.cut is not None and cut < oracle.cut):
+        return False
+    return cut != oracle.cut or len(oracle.channel.log) != oracle.seen_seq
+
+
+def has_lost_from(pair: LivingPair, cut: int | None) -> bool:
+    """Some item at or past the cut is gone."""
+    gone = [*pair.oracle.collected_times, *pair.oracle.consumed_times]
+    return any(cut is None or time >= cut for time in gone)
+
+
+def check_ends(pair: LivingPair, slices: Sequence[DeliveredSlice], cut: int) -> None:
+    """Each part's last span ends where it does among what is visible."""
+    shown = sorted(one.time for one in pair.oracle.held if one.time < cut)
+    for one in slices:
+        assert one.next_time == next((time for time in shown if time > one.slice.last_time), None)

@@ -1,0 +1,283 @@
+"""Whatever happens to channels and hosts, the cuts, views and events of their groups tell what the oracle tells.
+
+After any schedule of puts, late items, collection, consumption, joins, leaves, migrations, lost and returned hosts: no
+reader of any descriptor sees an item at or past the cut, no cut moves back, every item becomes visible exactly once, in
+order, and the original channels are not affected.
+
+`STAMPEDE_PROPERTY_EXAMPLES=1000000 pytest tests/property/groups/test_group_against_oracle.py` searches at length.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from unittest import mock
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core.channel import pieces, tally
+from stampede_rt_channel_host.core.group import GroupDefinition
+from tests.property.channel_pair import INCARNATION
+from tests.property.groups.listeners import Listeners
+from tests.property.groups.readers import Readers
+from tests.property.groups.world import CHANNELS, World
+from tests.property.random_source import RandomSource
+from tests.property.test_channel_against_oracle import (
+    FIRST_CLOCK,
+    a_bound,
+    a_query,
+    a_time,
+    an_item_position,
+    an_offer,
+    consume,
+)
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "400"))
+
+POLICIES = (
+    Policy(max_age_nanos=200, max_future_nanos=8),
+    Policy(max_items=4, max_future_nanos=8),
+    Policy(max_age_nanos=12, max_items=5, max_bytes=500, max_future_nanos=8),
+    Policy(max_items=40, max_future_nanos=8),
+    Policy(max_age_nanos=9, max_future_nanos=0),
+    Policy(consumers=1, max_items=12, max_future_nanos=8),
+    Policy(consumers=2, max_age_nanos=30, max_future_nanos=8),
+)
+
+
+@dataclass
+class Story:
+    """A world, who reads and listens in it, and what has happened so far."""
+
+    world: World
+    readers: Readers
+    listeners: Listeners
+    told: list[str] = field(default_factory=list)
+
+    def a_group(self, rng: RandomSource) -> int:
+        return rng.below(len(self.world.definitions))
+
+    def a_member(self, rng: RandomSource) -> tuple[int, bytes]:
+        """A group, and one of its channels."""
+        group = self.a_group(rng)
+        return group, rng.pick(sorted(self.world.definitions[group].members))
+
+
+def a_definition(rng: RandomSource) -> GroupDefinition:
+    members = rng.pick((CHANNELS, CHANNELS, CHANNELS[:2], CHANNELS[:1], CHANNELS[1:]))
+    return GroupDefinition(
+        members=frozenset(members),
+        reference=rng.pick((None, None, members[0])),
+        by_end=rng.one_in(3),
+        max_lead_nanos=rng.pick((5, 0, 50)),
+        idle_after_nanos=rng.pick((None, None, 7)),
+    )
+
+
+def put(rng: RandomSource, story: Story) -> None:
+    put_into(rng, story, rng.pick(CHANNELS))
+
+
+def put_into(rng: RandomSource, story: Story, channel_id: bytes) -> None:
+    pair = story.world.pair(channel_id)
+    pair.put(an_offer(rng, pair))
+    story.world.spoken(channel_id)
+
+
+def advance(rng: RandomSource, story: Story) -> None:
+    channel_id = rng.pick(CHANNELS)
+    pair = story.world.pair(channel_id)
+    pair.advance(min(a_time(rng, pair), pair.clock))
+    story.world.spoken(channel_id)
+
+
+def tick(rng: RandomSource, story: Story) -> None:
+    nanos = rng.pick((1, 2, 0, 5, 9, 30))
+    story.world.clock += nanos
+    for channel_id in CHANNELS:
+        story.world.pair(channel_id).tick(nanos)
+
+
+def use_up(rng: RandomSource, story: Story) -> None:
+    """Consume on a channel that counts it; on others they do as they do without groups."""
+    consume(rng, story.world.pair(rng.pick(CHANNELS)))
+
+
+def original(rng: RandomSource, story: Story) -> None:
+    """Somebody reads the channel itself."""
+    pair = story.world.pair(rng.pick(CHANNELS))
+    if len(pair.all_subscriptions) < 2:
+        pair.subscribe(None, False, None)
+    pair.deliver(rng.pick((10**6, 1)))
+    if pair.incarnation == INCARNATION:
+        pair.read(a_query(rng, pair))
+
+
+def read(rng: RandomSource, story: Story) -> None:
+    group, channel_id = story.a_member(rng)
+    earlier = rng.pick((None, None, FIRST_CLOCK))
+    story.readers.read(group, channel_id, a_query(rng, story.world.pair(channel_id)), earlier)
+
+
+def begin(rng: RandomSource, story: Story) -> None:
+    group, channel_id = story.a_member(rng)
+    if len(story.readers.gets) < 4:
+        story.readers.begin(group, channel_id, a_query(rng, story.world.pair(channel_id)))
+
+
+def give_up(rng: RandomSource, story: Story) -> None:
+    story.readers.give_up()
+
+
+def subscribe(rng: RandomSource, story: Story) -> None:
+    group, channel_id = story.a_member(rng)
+    pair, kind = story.world.pair(channel_id), rng.below(4)
+    start = a_bound(rng, pair) if kind == 1 else None
+    after = an_item_position(rng, pair) if kind == 2 and pair.oracle.log else None
+    if len(story.readers.subscribers) < 4:
+        story.readers.subscribe(group, channel_id, start, bool(rng.below(2)), after)
+
+
+def resume(rng: RandomSource, story: Story) -> None:
+    story.readers.resume(rng.below(12))
+
+
+def go_on(rng: RandomSource, story: Story) -> None:
+    story.readers.go_on(rng.below(4))
+
+
+def deliver(rng: RandomSource, story: Story) -> None:
+    story.readers.deliver(rng.pick((10**6, 1, 150)))
+
+
+def subscribe_cuts(rng: RandomSource, story: Story) -> None:
+    if len(story.listeners.events) < 2:
+        story.listeners.subscribe_cuts(
+            story.a_group(rng), rng.pick(story.world.up), rng.pick((6, 0, 15)), rng.pick((0, 0, 4))
+        )
+
+
+def take_events(rng: RandomSource, story: Story) -> None:
+    limit_bytes, meddles = rng.pick((10**6, 1, 150)), bool(rng.below(2))
+
+    def meddle(channel_id: bytes) -> None:
+        if meddles:
+            put_into(rng, story, channel_id)
+
+    story.listeners.take_events(limit_bytes, meddle)
+
+
+def match(rng: RandomSource, story: Story) -> None:
+    if len(story.listeners.matches) < 2:
+        story.listeners.match(rng.pick((2, 0, 5)), rng.pick((0, 0, 3)), unique=bool(rng.below(2)))
+
+
+def take_matches(rng: RandomSource, story: Story) -> None:
+    story.listeners.take_matches()
+
+
+def exchange(rng: RandomSource, story: Story) -> None:
+    """All hosts tell all others, or one tells one."""
+    teller, hearer = rng.pick(story.world.up), rng.pick(story.world.up)
+    if rng.below(2) and teller != hearer:
+        story.world.tell(teller, hearer)
+    else:
+        story.world.exchange()
+
+
+def change_member(rng: RandomSource, story: Story) -> None:
+    group, channel_id, joins = story.a_group(rng), rng.pick(CHANNELS), bool(rng.below(2))
+    if story.world.change_member(group, channel_id, joins=joins):
+        story.listeners.member_changed(group, channel_id, joins=joins)
+        if not joins:
+            story.readers.member_left(group, channel_id)
+
+
+def migrate(rng: RandomSource, story: Story) -> None:
+    channel_id = rng.pick(CHANNELS)
+    if story.world.migrate(channel_id, rng.below(len(story.world.hosts)), heard=bool(rng.below(2))):
+        story.listeners.channel_moved(channel_id)
+        story.readers.channels_gone([channel_id])
+
+
+def lose(rng: RandomSource, story: Story) -> None:
+    """A host, which another one of those that are left inherits."""
+    if not rng.one_in(3):
+        return
+    world = story.world
+    host = rng.pick(world.up)
+    heir = rng.pick([one for one in world.up if one != host] or [host])
+    incarnations = [one.incarnation for one in world.definitions]
+    lost = world.lose(host, heir)
+    anew = [group for group, one in enumerate(world.definitions) if one.incarnation != incarnations[group]]
+    story.listeners.channels_lost(host, lost, heir)
+    story.readers.channels_gone(lost)
+    for one in (story.listeners, story.readers):
+        one.groups_began_anew(anew)
+
+
+def bring_back(rng: RandomSource, story: Story) -> None:
+    story.world.bring_back(rng.below(len(story.world.hosts)))
+
+
+def stale_words(rng: RandomSource, story: Story) -> None:
+    story.world.stale_words(rng.pick(CHANNELS))
+
+
+def rest(rng: RandomSource, story: Story) -> None:
+    """Nothing happens: what a step shrinks to."""
+
+
+Happening = Callable[[RandomSource, Story], None]
+
+STEPS: tuple[Happening, ...] = (
+    rest, put, put, tick, read, put, deliver, take_events, subscribe, put, subscribe_cuts, exchange, match, put, begin,
+    take_matches, advance, tick, change_member, stale_words, put, use_up, original, migrate, resume, exchange, lose,
+    bring_back, put, read, give_up, take_events, deliver, go_on,
+)  # fmt: skip
+
+
+def play(numbers: list[int]) -> None:
+    """One story: hosts, channels and groups, then a step for each number."""
+    first = RandomSource(numbers[0])
+    definitions = [a_definition(first) for _ in range(first.pick((1, 2, 3)))]
+    policies = [first.pick(POLICIES) for _ in CHANNELS]
+    with (
+        mock.patch.object(tally, "BLOCK_ITEMS", first.pick((2, 1, 3, 1024))),
+        mock.patch.object(pieces, "STEPS_PER_PIECE", first.pick((1, 2, 512))),
+    ):
+        world = World(policies, definitions, first.pick((1, 2, 2, 3)), FIRST_CLOCK)
+        story = Story(world, Readers(world), Listeners(world))
+        try:
+            _play_steps(story, numbers[1:])
+        except BaseException as error:
+            error.add_note(f"{definitions} {policies}, {len(world.hosts)} hosts: " + ", ".join(story.told))
+            raise
+
+
+def _play_steps(story: Story, numbers: list[int]) -> None:
+    world, readers, listeners = story.world, story.readers, story.listeners
+    for number in numbers:
+        rng = RandomSource(number)
+        step = rng.pick(STEPS)
+        story.told.append(step.__name__)
+        step(rng, story)
+        world.look()
+        listeners.note()
+        readers.poll_all()
+    readers.deliver(10**6)
+    listeners.take_events(10**6, lambda _: None)
+    listeners.take_matches()
+    world.agree()
+    world.check()
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 5000 else 240)
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(st.lists(st.integers(0, 2**96), min_size=10, max_size=40))
+def test_a_group_does_what_the_oracle_does_in_every_story(numbers: list[int]) -> None:
+    play(numbers)

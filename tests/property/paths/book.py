@@ -1,0 +1,116 @@
+"""A channel behind a whole path and the oracle side by side: what both are, and the counters on which they agree."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import stampede_rt as st
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import clamp
+from stampede_rt_channel_host.core.channel import Position
+from tests.oracle import OracleChannel, OracleReader
+from tests.property.channel_pair import check_causes
+from tests.property.paths.surfaces import Surface
+from tests.property.paths.values import Follower, RunInBook, stated
+
+LOOKS_MAX = 20_000
+REASONS = {"TOO_OLD": "too_old", "IN_FUTURE": "in_future", "ITEM_TOO_LARGE": "too_large", "CHANNEL_FULL": "full"}
+OWN_CONSUMER = 0
+"""By the book, the consumer that the first connection is: nobody but the library knows its number."""
+_names = itertools.count()
+
+
+class SteeredHost(Protocol):
+    """Whoever serves the channels: its clock stands until it is moved."""
+
+    def tick(self, nanos: int, *, wall_step: int = 0) -> int:
+        """Let `nanos` pass, and set the wall clock on or back by `wall_step`; the host's time after it."""
+
+    def settle_wall_clock(self) -> int:
+        """Put the wall clock where the host's time is, so that nothing is left to slew; that time."""
+
+
+class PathBook:
+    """One channel, twice. Two participants have a handle of it each, and take turns at what is asked of it."""
+
+    def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
+        self.surface, self.host, self.policy = surface, host, policy
+        self.clock = host.settle_wall_clock()
+        self.oracle = OracleChannel(policy)
+        self.name = f"story/{next(_names)}"
+        self.handles = [self.open(0, **stated(policy)), self.open(1)]
+        self._turns = itertools.cycle(self.handles)
+        self.payloads: dict[int, bytes] = {}
+        self.line: list[RunInBook] = []
+        self.followers: list[Follower] = []
+
+    def open(self, who: int, **policy: Any) -> Any:
+        """A further handle of one of the participants."""
+        return self.surface.do(lambda: self.surface.connections[who].channel(self.name, **policy))
+
+    @property
+    def channel(self) -> Any:
+        """A handle: the one that was not used the last time."""
+        return next(self._turns)
+
+    def reader(self) -> OracleReader:
+        return OracleReader(self.oracle, self.clock)
+
+    def outcome(self, call: Callable[[], Any]) -> Any:
+        """What a call gives, or the error that it raises."""
+        try:
+            return self.surface.do(call)
+        except st.StampedeError as error:
+            return error
+
+    def position(self, after: Position | None) -> st.Item | int | None:
+        """As callers state it: an instant, or an item that they have read."""
+        if after is None or after.seq is None:
+            return None if after is None else after.time
+        return self.item(after.time, after.seq)
+
+    def item(self, time: int, seq: int) -> st.Item:
+        """Of an item as much as tells it from others."""
+        return st.Item(time, None, None, seq, b"", {}, "", 0, self.channel.incarnation)
+
+    def until(self, condition: Callable[[st.ChannelStats], bool]) -> st.ChannelStats:
+        """Look, over the path, until it is so; the counters at that moment."""
+        for _ in range(LOOKS_MAX):
+            stats: st.ChannelStats = self.surface.do(self.channel.stats)
+            if condition(stats):
+                return stats
+        raise AssertionError(f"it never came: {stats}, {self.line}, {self.followers}")
+
+    def check_counters(self, stats: st.ChannelStats) -> None:
+        """Counts add up and bounds agree."""
+        oracle = self.oracle
+        assert stats.accepted == stats.held + sum(stats.collected.values()) == len(oracle.log)
+        check_causes(stats.collected, oracle.collected)
+        counted = {name: oracle.rejected[reason] for reason, name in REASONS.items()}
+        assert {name: stats.rejected[name] for name in counted} == counted
+        assert stats.held_bytes == sum(item.length for item in oracle.held)
+        assert stats.accepted_bytes == sum(item.length for item in oracle.log.values())
+        assert (stats.newest, stats.oldest) == (oracle.newest, oracle.oldest)
+        frontier = None if oracle.frontier is None else clamp(oracle.frontier)
+        assert (stats.frontier, stats.advance) == (frontier, oracle.advanced_to)
+        assert (stats.host_time, stats.subscriptions) == (self.clock, len(self.followers))
+        assert all(one.newest or one.followed.subscription.dropped == one.dropped for one in self.followers)
+        self._check_places(stats)
+
+    def _check_places(self, stats: st.ChannelStats) -> None:
+        """Each consumer's lease and what it owes; the library renews its own place whenever it thinks fit."""
+        taken = self.oracle.consumers.taken if self.oracle.consumers else []
+        held = [item.seq for item in self.oracle.held]
+        expected = {
+            place.consumer_id: (place.until - self.clock if not place.ended else 0, sum(map(place.owes, held)))
+            for place in taken
+        }
+        own = expected.pop(OWN_CONSUMER, None)
+        shown = {one.consumer_id: (one.lease_nanos, one.waiting) for one in stats.consumers}
+        others = {consumer_id: place for consumer_id, place in shown.items() if consumer_id in expected}
+        assert others == expected
+        left = [place for consumer_id, place in shown.items() if consumer_id not in expected]
+        assert [waiting for lease, waiting in left if lease] == ([] if own is None else [own[1]])
+        assert len(left) == (own is not None)

@@ -1,0 +1,96 @@
+"""Calls to the owner of a core channel that may have to wait."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt_channel_host.core.channel import PutOutcome
+from stampede_rt_channel_host.core.judging import Judged, Judging
+from tests.oracle import Ack
+from tests.property.paths.values import Run
+
+
+class Call:
+    """One that may have to wait, until `finish` tells what came of it."""
+
+    def __init__(self, give_up: Callable[[], None]) -> None:
+        self._give_up = give_up
+        self._outcomes: list[Any] = []
+        self._convert: Callable[[Any], Any] = lambda outcome: outcome
+
+    def then(self, convert: Callable[[Any], Any]) -> Call:
+        """The same, with its result as `convert` makes it; an error stays one."""
+        self._convert = convert
+        return self
+
+    def is_done(self) -> bool:
+        return bool(self._outcomes)
+
+    def finish(self, outcome: Any) -> None:
+        assert not self._outcomes, "a call ends once"
+        self._outcomes.append(outcome)
+
+    def outcome(self) -> Any:
+        """The result or the StampedeError."""
+        assert self._outcomes, "it ought to be done by now"
+        (outcome,) = self._outcomes
+        return outcome if isinstance(outcome, st.StampedeError) else self._convert(outcome)
+
+    def run_to_end(self) -> Any:
+        """The outcome of a call that has no time to wait, or none left."""
+        if not self.is_done():
+            self._give_up()
+        return self.outcome()
+
+
+class WaitingPut:
+    """A run as far as it is settled; `retry_at` is when time makes room for the rest."""
+
+    def __init__(self, run: Run, call: Call) -> None:
+        self.run, self.call = run, call
+        self.offer = run.offer
+        self.retry_at: int | None = None
+        self.judging = Judging(len(run.payloads))
+
+    @property
+    def payloads(self) -> Sequence[bytes]:
+        return self.run.payloads[self.judging.judged_items :]
+
+    def take_outcome(self, outcome: PutOutcome, now: int) -> bool:
+        """True if none of its items has to wait."""
+        judged_items = self.judging.judged_items
+        for one in outcome.rejections:
+            self.judging.refuse(judged_items + one.index, one.error)
+        self.judging.judged_items = len(self.run.payloads)
+        if outcome.waiting is not None:
+            self.offer, self.retry_at = self.offer.rest(outcome.waiting, now), outcome.retry_at
+            self.judging.judged_items = judged_items + outcome.waiting
+        return outcome.waiting is None
+
+    def resume(self, known: Judged, now: int) -> None:
+        """The run came before, and its front was judged then."""
+        judged_items = self.judging.judged_items
+        if self.judging.resume(known) and not known.is_whole:
+            self.offer = self.offer.rest(known.judged_items - judged_items, now)
+
+    def fail(self, error: st.StampedeError, now: int) -> None:
+        """The rest is not taken; if nothing was, the run is refused as a whole."""
+        if not self.judging.accepted_any:
+            self.call.finish(error)
+        else:
+            for position in range(self.judging.judged_items, len(self.run.payloads)):
+                self.judging.refuse(position, error)
+            self.call.finish(ack_of(self.judging.outcome(now)))
+
+
+def ack_of(judged: Judged) -> Ack:
+    """What the run's producer is told."""
+    refused = {one.position: one.error.reason for one in judged.refusals}
+    bounds = [*(part.position for part in judged.parts[1:]), judged.items]
+    accepted = {}
+    for part, bound in zip(judged.parts, bounds, strict=False):
+        positions = (position for position in range(part.position, bound) if position not in refused)
+        accepted |= {position: (seq, part.stamped_time) for seq, position in enumerate(positions, part.first_seq)}
+    return Ack(accepted, refused, judged.time)

@@ -1,0 +1,169 @@
+"""Puts over a path: single ones of the client's, runs of any producer's, the line of those that wait for room."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.core.channel import Offer
+from tests.oracle import Ack, Item, OracleRetries, Refused, put_run
+from tests.property.paths.book import SteeredHost
+from tests.property.paths.reads import PathReads
+from tests.property.paths.surfaces import Surface
+from tests.property.paths.values import Run, RunInBook
+
+FULL = "CHANNEL_FULL"
+
+
+class PathPuts(PathReads):
+    """And everybody who puts."""
+
+    def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
+        super().__init__(surface, host, policy)
+        self.sent: list[Run] = []
+        self._retries = OracleRetries()
+        self._numbers: defaultdict[int, int] = defaultdict(lambda: 1)
+        self._marks = itertools.count(1)
+
+    def put_one(self, who: int, time: int | None, duration: int | None, length: int, timeout: float | None) -> None:
+        """A put of a participant's; with no timeout one that has to wait stays in line."""
+        column = None if duration is None else [duration]
+        offer = Offer(times=None if time is None else [time], durations=column, lengths=[length])
+        run = Run(offer, [self._payload(length)], waits=timeout is None)
+        fields = {"time": time, "duration": duration, "timeout": timeout}
+        handle = self.open(who) if run.waits else self.handles[who]  # the puts of one handle wait for each other
+        self._put(run, lambda: handle.put(run.payloads[0], **fields))
+
+    def put_run(self, offer: Offer, producer_id: int, *, waits: bool) -> None:
+        """A run under the producer's next numbers."""
+        first_number = self._numbers[producer_id]
+        self._numbers[producer_id] += len(offer.lengths)
+        self._send(Run(offer, [self._payload(length) for length in offer.lengths], producer_id, first_number, waits))
+
+    def contends(self, producer_id: int, numbers: range) -> bool:
+        """A run in line has some of these numbers, but not the same ones: which of the two is in the wrong is not
+        known before the first one is answered."""
+        in_line = (one.run for one in self.line if one.run.producer_id == producer_id)
+        return any(run.numbers != numbers and set(run.numbers) & set(numbers) for run in in_line)
+
+    def put_again(self, run: Run) -> None:
+        """A producer sends a run a second time, since it does not know what became of it."""
+        self._send(run)
+
+    def put_overlapping(self, former: Run) -> None:
+        """A producer that cannot count puts a new item beside some of its former ones, under their numbers."""
+        lengths = [*former.offer.lengths, 8]
+        payloads = [self._payload(length) for length in lengths]
+        offer = Offer(times=None, durations=None, lengths=lengths)
+        self._send(Run(offer, payloads, former.producer_id, former.first_number))
+
+    def hang_up(self, entry: RunInBook) -> None:
+        """The stream of a run in line breaks: what is in stays in, and is known when the run comes again."""
+        self.surface.hang_up(entry.run)
+        self.line.remove(entry)
+        self._remember(entry)
+        self.until(lambda stats: bool(stats.waiting_puts <= len(self.line)))
+        self.advance_line()
+        self.settle()
+
+    def _send(self, run: Run) -> None:
+        if run.producer_id and run not in self.sent:
+            self.sent.append(run)
+        self._put(run, lambda: self.surface.put_run(self.channel, run))
+
+    def _payload(self, length: int) -> bytes:
+        """Bytes that no other item of the story has, as far as the length allows."""
+        return (next(self._marks).to_bytes(4, "big") * (length // 4 + 1))[:length]
+
+    def _put(self, run: Run, call: Any) -> None:
+        entry = RunInBook(run, run.offer)
+        expected = self._judge(entry)
+        if expected is not None:
+            _same(self.outcome(call), expected, run)
+        else:
+            self.line.append(entry)
+            entry.started = self.surface.start(call)
+            self.until(lambda stats: bool(stats.waiting_puts == len(self.line)))
+        self.settle()
+
+    # --- by the book
+
+    def _judge(self, entry: RunInBook) -> Ack | Refused | None:
+        """What the run's producer is told; None: it has to wait."""
+        known = self._known(entry)
+        if known is not None:
+            return known
+        if not self.line and self._offer(entry):
+            return self._answer(entry)
+        if entry.run.waits:
+            return None
+        return self._refuse_rest(entry)
+
+    def _refuse_rest(self, entry: RunInBook) -> Ack:
+        self.oracle.rejected[FULL] += entry.refuse_rest(FULL)
+        return self._answer(entry)
+
+    def _known(self, entry: RunInBook) -> Ack | Refused | None:
+        """The answer that the run had before. One of which only the front is known goes on behind it."""
+        run = entry.run
+        known = self._retries.find(run.producer_id, run.first_number, len(run.payloads), self.clock)
+        if known is None or isinstance(known, Refused):
+            return known
+        entry.resume(known.verdicts, self.clock)
+        return entry.ack(known.judged_at) if known.is_whole else None
+
+    def _offer(self, entry: RunInBook) -> bool:
+        """What is left of the run, up to the first item that has to wait; True: none has to."""
+        taken = put_run(self.oracle, entry.rest, self.clock)
+        for verdict, payload in zip(taken.verdicts, entry.payloads_left, strict=False):
+            if isinstance(verdict, Item):
+                self.payloads[verdict.seq] = payload
+        entry.verdicts += taken.verdicts
+        if any(isinstance(verdict, Item) for verdict in taken.verdicts):
+            self.announce()
+        if taken.waits is not None:
+            entry.rest = entry.rest.rest(len(taken.verdicts), self.clock)
+        return taken.waits is None
+
+    def _answer(self, entry: RunInBook) -> Ack:
+        self._remember(entry)
+        return entry.ack(self.clock)
+
+    def _remember(self, entry: RunInBook) -> None:
+        run = entry.run
+        self._retries.record(run.producer_id, run.first_number, len(run.payloads), entry.verdicts, self.clock)
+
+    def advance_line(self) -> None:
+        """Room may have been made: those in line are offered again, the first one first."""
+        while self.line:
+            head = self.line[0]
+            expected = self._known(head)
+            if expected is None:
+                if not self._offer(head):
+                    return
+                expected = self._answer(head)
+            self.line.pop(0)
+            assert head.started is not None
+            _same(head.started.outcome(), expected, head.run)
+
+
+def _same(outcome: Any, expected: Ack | Refused, run: Run) -> None:
+    """What a put gave: the ack of a run, the item as the client gives it back, or a refusal."""
+    if isinstance(expected, Refused):
+        assert isinstance(outcome, st.StampedeError), outcome
+        assert outcome.reason == expected.reason
+    elif run.first_number:
+        assert outcome == expected
+    elif expected.refused:
+        assert isinstance(outcome, st.StampedeError), outcome
+        assert {0: outcome.reason} == expected.refused
+    else:
+        seq, stamped = expected.first
+        time = stamped if run.offer.times is None else run.offer.times[0]
+        duration = None if run.offer.durations is None else run.offer.durations[0]
+        assert isinstance(outcome, st.Item), outcome
+        facts = (outcome.time, outcome.seq, outcome.duration, outcome.payload)
+        assert facts == (time, seq, duration, run.payloads[0])

@@ -1,0 +1,186 @@
+"""Reads and subscriptions over a path, each answered as the book says, and at the moment that it says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import stampede_rt as st
+from stampede_rt.values.model import Policy
+from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Bound, Interval, Match
+from stampede_rt_channel_host.core.channel import Position, Query
+from tests.oracle import OracleAnswer, OracleGet, OracleNewest, OracleSubscription
+from tests.property.paths.agreement import same_answer, same_found, same_items
+from tests.property.paths.book import PathBook, SteeredHost
+from tests.property.paths.surfaces import Surface
+from tests.property.paths.values import Follower, Started
+
+EVERYTHING = Interval(Bound(None, MIN_INSTANT), Bound(None, MAX_INSTANT))
+
+
+class PathReads(PathBook):
+    """And everybody who waits for items."""
+
+    def __init__(self, surface: Surface, host: SteeredHost, policy: Policy) -> None:
+        super().__init__(surface, host, policy)
+        self.gets: list[tuple[Query, bool, OracleGet, Started]] = []
+        self._released: list[tuple[Started, OracleAnswer, Query, bool]] = []
+        self.settle()
+
+    def get(self, query: Query, *, payloads: bool = True, waits_s: float = 0) -> st.Items:
+        """A get that is answered within a moment: at once, or, with `waits_s`, when its time is over."""
+        reader = self.reader()
+        book = OracleGet(query)
+        at_once = None if waits_s else reader.read(query, reader.resolve(query))
+        expected = at_once or book.poll(reader) or book.give_up(reader)
+        found: st.Items = self.surface.do(self._call(query, payloads, waits_s))
+        self._agree(found, expected, query, payloads)
+        return found
+
+    def begin(self, query: Query, *, payloads: bool = True) -> None:
+        """A get that waits until it is released."""
+        book = OracleGet(query)
+        expected = book.poll(self.reader())
+        started = self.surface.start(self._call(query, payloads, None))
+        if expected is not None:
+            self._agree(started.outcome(), expected, query, payloads)
+            return
+        self.gets.append((query, payloads, book, started))
+        self.until(lambda stats: bool(stats.waiting_gets == len(self.gets)))
+
+    def may_block_on_time(self, query: Query) -> bool:
+        """The get would be looked at again when an instant comes."""
+        book, reader = OracleGet(query), self.reader()
+        return book.poll(reader) is None and book.wake_at(reader) is not None
+
+    def pages(self, query: Query) -> None:
+        """The whole of an answer, page after page, each going on behind the last item of the one before."""
+        whole = self.get(replace(query, limit=None))
+        paged: list[st.Item] = []
+        while True:
+            page = self.get(query)
+            paged += page
+            if not page.more:
+                break
+            query = replace(query, after=Position(page[-1].time, page[-1].seq))
+        assert paged == list(whole)
+
+    def named_reads(self, bound: Bound, after: Position | None) -> None:
+        """`at`, `before`, `oldest` and `newest`."""
+        point = bound.offset if bound.meta is None else bound
+        at = Query(interval=Interval(bound, bound))
+        self._agree(self.surface.do(lambda: self.channel.at(point)), self._read(at), at, True)
+        before = Interval(EVERYTHING.start, bound, end_exclusive=True)
+        position = self.position(after)
+        for call, interval, newest_first, newer_than in (
+            (lambda: self.channel.before(point), before, True, None),
+            (lambda: self.channel.oldest(), EVERYTHING, False, None),
+            (lambda: self.channel.newest(after=position), EVERYTHING, True, after),
+        ):
+            query = Query(
+                interval=interval, match=Match.START, limit=1, newest_first=newest_first, newer_than=newer_than
+            )
+            found = self.surface.do(call)
+            same_found([] if found is None else [found], self._read(query), query, self.payloads)
+
+    def refused_interval(self, start: int, end: int) -> None:
+        """Two instants the wrong way round."""
+        outcome = self.outcome(lambda: self.channel.get(max(start, end) + 1, min(start, end)))
+        assert isinstance(outcome, st.InvalidInterval)
+        assert str(max(start, end) + 1) in str(outcome)
+
+    def _read(self, query: Query) -> OracleAnswer:
+        reader = self.reader()
+        return reader.read(query, reader.resolve(query))
+
+    def _call(self, query: Query, payloads: bool, timeout: float | None) -> Callable[[], Any]:
+        interval = query.interval
+        bounds = ("(" if interval.start_exclusive else "[") + (")" if interval.end_exclusive else "]")
+        return lambda: self.channel.get(
+            interval.start,
+            interval.end,
+            bounds=bounds,
+            match=query.match,
+            limit=query.limit,
+            newest_first=query.newest_first,
+            after=self.position(query.after),
+            complete=query.complete,
+            payloads=payloads,
+            timeout=timeout,
+        )
+
+    def _agree(self, found: st.Items, expected: OracleAnswer, query: Query, payloads: bool) -> None:
+        same_answer(found, expected, query, self.payloads if payloads else None)
+        assert found.incarnation == self.channel.incarnation
+
+    # --- subscriptions
+
+    def subscribe(self, start: Bound | None, after: Position | None, *, newest: bool) -> None:
+        """In either mode, from either beginning."""
+        reader, oracle = self.reader(), self.oracle
+        last = max(((item.time, item.seq) for item in oracle.held), default=None)
+        owed: list[int] = []
+        if after is not None and after.seq is not None:
+            owed, last = [seq for seq in oracle.log if seq > after.seq], (after.time, after.seq)
+        elif start is not None and (instant := reader.instant_of(start)) is not None:
+            owed, last = [item.seq for item in oracle.held if item.time >= instant], (instant, 0)
+        mode = "newest" if newest else "all"
+        position = None if after is None else self.position(after)
+        followed = self.surface.follow(lambda: self.channel.subscribe(start, mode, position))
+        book = OracleNewest(oracle, last, owed) if newest else OracleSubscription(oracle, owed)
+        self.followers.append(Follower(followed, newest, book))
+        self.settle()
+
+    def _expect(self, follower: Follower) -> None:
+        """What the subscription owes by now: held items in the order of seq, and the rest counted as dropped."""
+        book = follower.book
+        if isinstance(book, OracleNewest):
+            item = book.take()
+            if item is not None:
+                follower.expected.append((item, self.oracle.end(item)))
+            return
+        owed = list(book.owed())
+        follower.expected += [
+            (self.oracle.log[seq], self.oracle.end(self.oracle.log[seq])) for seq in owed if book.is_held(seq)
+        ]
+        follower.dropped += sum(not book.is_held(seq) for seq in owed)
+        book.settle(owed)
+
+    # --- what holds after every step
+
+    def announce(self) -> None:
+        """The channel has changed, or time has passed: blocked gets are looked at, first come first."""
+        still = []
+        reader = self.reader()
+        for query, payloads, book, started in self.gets:
+            expected = book.poll(reader)
+            if expected is None:
+                still.append((query, payloads, book, started))
+            else:
+                self._released.append((started, expected, query, payloads))
+        self.gets = still
+
+    def settle(self) -> None:
+        """Everything that was set going has arrived, nothing else has, and the counters agree."""
+        while self._released:
+            started, expected, query, payloads = self._released.pop(0)
+            self._agree(started.outcome(), expected, query, payloads)
+        self.oracle.age(self.clock)
+        for follower in self.followers:
+            self._expect(follower)
+        stats = self.until(self._has_all_been_delivered)
+        for follower in self.followers:
+            assert not follower.followed.ended, follower.followed.error
+            same_items(follower.followed.items, follower.expected, self.payloads)
+        for _, _, _, started in self.gets:
+            assert not started.is_done(), started.outcome()
+        assert (stats.waiting_gets, stats.waiting_puts) == (len(self.gets), len(self.line))
+        self.check_counters(stats)
+
+    def _has_all_been_delivered(self, stats: st.ChannelStats) -> bool:
+        return stats.waiting_gets == len(self.gets) and all(
+            len(one.followed.items) >= len(one.expected)
+            and (one.newest or one.followed.subscription.dropped >= one.dropped)
+            for one in self.followers
+        )

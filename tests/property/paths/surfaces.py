@@ -1,0 +1,271 @@
+"""The ways to a channel under test, behind one face that blocks: a further transport is one more `Surface`.
+
+`do` performs a call and gives what it gives; `start` performs one that may block, beside everything else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+import grpc
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.status import from_error_message, from_rpc_error
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.v1.channel_service_pb2_grpc import ChannelServiceStub
+from stampede_rt.wire.runs import encode_run
+from tests.oracle import Ack
+from tests.property.paths.values import Followed, Run, Started
+
+WAIT_SECONDS_MAX = 20.0
+THREADS_MAX = 24
+
+
+class Surface(Protocol):
+    """One way to a host."""
+
+    connections: Sequence[Any]  # several participants
+
+    def do(self, call: Callable[[], Any]) -> Any:
+        """The result of a call of the surface, awaited if that is its way."""
+
+    def start(self, call: Callable[[], Any]) -> Started:
+        """Begin a call."""
+
+    def put_run(self, handle: Any, run: Run) -> Any:
+        """A call of the surface, which puts a run as any producer would send it and gives its Ack."""
+
+    def hang_up(self, run: Run) -> None:
+        """Break the stream of a run that waits."""
+
+    def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> Any:
+        """A call of the surface, which consumes as any consumer would and says how many items and for how long."""
+
+    def follow(self, subscribe: Callable[[], Any]) -> Followed:
+        """Begin a subscription; when this returns it has begun."""
+
+
+class BlockingSurface:
+    """`stampede_rt`, each blocking call in a thread."""
+
+    def __init__(self, connections: Sequence[Any], target: str, pool: ThreadPoolExecutor) -> None:
+        self.connections = connections
+        self._pool = pool
+        self._wire = grpc.insecure_channel(target)
+        self._channels = ChannelServiceStub(self._wire)
+        self._puts: dict[int, Any] = {}  # under way, by the identity of their runs
+
+    def do(self, call: Callable[[], Any]) -> Any:
+        return call()
+
+    def start(self, call: Callable[[], Any]) -> Started:
+        return _InThread(self._pool.submit(call))
+
+    def put_run(self, handle: Any, run: Run) -> Ack:
+        call = self._puts[id(run)] = self._channels.Put(iter((put_request(handle, run),)))
+        try:
+            (ack,) = [ack for response in call for ack in response.acks]
+        finally:
+            _forget(self._puts, run, call)
+        return ack_of(ack)
+
+    def hang_up(self, run: Run) -> None:
+        self._puts[id(run)].cancel()
+
+    def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
+        try:
+            response = self._channels.Consume(consume_request(handle, consumer_id, seqs, lease_nanos))
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, "the host") from error
+        return response.consumed, response.lease_nanos
+
+    def follow(self, subscribe: Callable[[], Any]) -> Followed:
+        followed = Followed()
+        followed.subscription = subscribe()
+        followed.work = self._pool.submit(self._collect, followed)
+        return followed
+
+    def _collect(self, followed: Followed) -> None:
+        try:
+            for item in followed.subscription:
+                followed.items.append(item)
+        except st.StampedeError as error:
+            followed.error = error
+        finally:
+            followed.ended = True
+
+    def close(self) -> None:
+        self._wire.close()
+
+
+class _InThread:
+    def __init__(self, future: Future[Any]) -> None:
+        self._future = future
+
+    def is_done(self) -> bool:
+        return self._future.done()
+
+    def outcome(self) -> Any:
+        try:
+            return self._future.result(WAIT_SECONDS_MAX)
+        except st.StampedeError as error:
+            return error
+
+
+class AwaitedSurface:
+    """`stampede_rt.aio`, on a loop that runs while something is done or waited for."""
+
+    def __init__(self, connections: Sequence[Any], target: str, loop: asyncio.AbstractEventLoop) -> None:
+        self.connections = connections
+        self._loop = loop
+        self._wire = self.do(lambda: _aio_channel(target))
+        self._channels = ChannelServiceStub(self._wire)
+        self._puts: dict[int, Any] = {}  # under way, by the identity of their runs
+
+    def do(self, call: Callable[[], Any]) -> Any:
+        async def performed() -> Any:
+            return await call()
+
+        return self._loop.run_until_complete(performed())
+
+    def start(self, call: Callable[[], Any]) -> Started:
+        return _AsTask(self._loop.create_task(call()), self._loop)
+
+    async def put_run(self, handle: Any, run: Run) -> Ack:
+        call = self._puts[id(run)] = self._channels.Put(iter((put_request(handle, run),)))
+        try:
+            (ack,) = [ack async for response in call for ack in response.acks]
+        finally:
+            _forget(self._puts, run, call)
+        return ack_of(ack)
+
+    def hang_up(self, run: Run) -> None:
+        self._puts[id(run)].cancel()
+
+    async def consume(self, handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> tuple[int, int]:
+        try:
+            response = await self._channels.Consume(consume_request(handle, consumer_id, seqs, lease_nanos))
+        except grpc.RpcError as error:
+            raise from_rpc_error(error, "the host") from error
+        return response.consumed, response.lease_nanos
+
+    def follow(self, subscribe: Callable[[], Any]) -> Followed:
+        followed = Followed()
+        followed.subscription = subscribe()
+        self.do(followed.subscription.__aenter__)
+        followed.work = self._loop.create_task(self._collect(followed))
+        return followed
+
+    async def _collect(self, followed: Followed) -> None:
+        try:
+            async for item in followed.subscription:
+                followed.items.append(item)
+        except st.StampedeError as error:
+            followed.error = error
+        finally:
+            followed.ended = True
+
+    def close(self) -> None:
+        self.do(lambda: self._wire.close(None))
+
+
+async def _aio_channel(target: str) -> Any:
+    return grpc.aio.insecure_channel(target)
+
+
+class _AsTask:
+    def __init__(self, task: asyncio.Task[Any], loop: asyncio.AbstractEventLoop) -> None:
+        self._task = task
+        self._loop = loop
+
+    def is_done(self) -> bool:
+        return self._task.done()
+
+    def outcome(self) -> Any:
+        try:
+            return self._loop.run_until_complete(asyncio.wait_for(asyncio.shield(self._task), WAIT_SECONDS_MAX))
+        except st.StampedeError as error:
+            return error
+
+
+def _forget(puts: dict[int, Any], run: Run, call: Any) -> None:
+    """The call is over, unless the run has been sent again meanwhile."""
+    if puts.get(id(run)) is call:
+        del puts[id(run)]
+
+
+def put_request(handle: Any, run: Run) -> pb.PutRequest:
+    """One run on the wire."""
+    encoded = encode_run(run.payloads, times=run.offer.times, durations=run.offer.durations)
+    info = handle.info
+    request = pb.PutRequest(channel_id=info.channel_id, epoch=info.epoch, producer_id=run.producer_id)
+    put = request.puts.add(first_number=run.first_number, wait_nanos=None if run.waits else 0)
+    put.run.ParseFromString(encoded)
+    return request
+
+
+def ack_of(ack: pb.PutAck) -> Ack:
+    """The ack as a value. Raises what refused the run as a whole."""
+    if ack.HasField("error"):
+        raise from_error_message(ack.error)
+    refused = {one.index: from_error_message(one.error).reason for one in ack.rejections}
+    stamp = ack.stamped_unix_nano if ack.HasField("stamped_unix_nano") else None
+    parts = [(0, ack.first_seq, stamp)] if ack.HasField("first_seq") else []
+    for one in ack.later_parts:
+        parts.append((one.index, one.first_seq, one.stamped_unix_nano if one.HasField("stamped_unix_nano") else None))
+    accepted: dict[int, tuple[int, int | None]] = {}
+    for (index, first_seq, stamp), end in zip(parts, [*(one[0] for one in parts[1:]), ack.items], strict=False):
+        positions = (position for position in range(index, end) if position not in refused)
+        accepted |= {position: (seq, stamp) for seq, position in enumerate(positions, first_seq)}
+    return Ack(accepted, refused, ack.host_time_unix_nano)
+
+
+def consume_request(handle: Any, consumer_id: int, seqs: Sequence[int], lease_nanos: int) -> pb.ConsumeRequest:
+    """One consumer's word on the wire."""
+    info = handle.info
+    return pb.ConsumeRequest(
+        channel_id=info.channel_id,
+        epoch=info.epoch,
+        consumer_id=consumer_id,
+        seqs=seqs,
+        incarnation=handle.incarnation,
+        lease_nanos=lease_nanos,
+    )
+
+
+@contextmanager
+def blocking_surface(frontend: str, target: str) -> Iterator[BlockingSurface]:
+    """The synchronous client, connected over both transports."""
+    with (
+        st.connect(frontend, transport="grpc") as one,
+        st.connect(frontend, transport="socket") as other,
+        ThreadPoolExecutor(THREADS_MAX) as pool,
+    ):
+        surface = BlockingSurface((one, other), target, pool)
+        try:
+            yield surface
+        finally:
+            surface.close()
+
+
+@contextmanager
+def awaited_surface(frontend: str, target: str) -> Iterator[AwaitedSurface]:
+    """The asynchronous client, connected over both transports, on a loop of its own."""
+    with asyncio.Runner() as runner:
+        connections = [runner.run(_connected(frontend, transport)) for transport in ("grpc", "socket")]
+        surface = AwaitedSurface(connections, target, runner.get_loop())
+        try:
+            yield surface
+        finally:
+            surface.close()
+            for connection in connections:
+                runner.run(connection.aclose())
+
+
+async def _connected(frontend: str, transport: str) -> Any:
+    return await aio.connect(frontend, transport=transport)

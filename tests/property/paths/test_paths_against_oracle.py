@@ -1,0 +1,59 @@
+"""Whatever happens to a channel, the core, a client over either transport and the oracle tell the same story.
+
+`STAMPEDE_PROPERTY_EXAMPLES=20000 pytest tests/property/paths/test_paths_against_oracle.py` searches at length;
+`python -m tests.property core 0 100000` does so several times as fast.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import HealthCheck, given, note, settings
+from hypothesis import strategies as st
+
+from tests.property.paths.book import SteeredHost
+from tests.property.paths.core_surface import core_surface
+from tests.property.paths.steps import play
+from tests.property.paths.surfaces import Surface, awaited_surface, blocking_surface
+from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
+
+# The clients draw the delays of their retries in threads of their own, whatever hypothesis is at.
+pytestmark = pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
+
+EXAMPLES = int(os.environ.get("STAMPEDE_PROPERTY_EXAMPLES", "100"))
+SURFACES = {"awaited": awaited_surface, "blocking": blocking_surface}
+
+
+@pytest.fixture(scope="module")
+def host() -> Iterator[LoopbackHost]:
+    with loopback_host() as running:
+        yield running
+
+
+@pytest.fixture(scope="module", params=SURFACES)
+def surface(request: pytest.FixtureRequest, host: LoopbackHost) -> Iterator[Surface]:
+    with SURFACES[request.param](host.frontend, host.target) as connected:
+        yield connected
+
+
+def play_stories(surface: Surface, host: SteeredHost, examples: int) -> None:
+    @settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @given(st.lists(st.integers(0, 2**96), min_size=20, max_size=40))
+    def every_story(numbers: list[int]) -> None:
+        play(surface, host, numbers, note)
+
+    every_story()
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
+def test_a_client_sees_what_the_oracle_says_in_every_story(surface: Surface, host: LoopbackHost) -> None:
+    play_stories(surface, host, EXAMPLES)
+
+
+@pytest.mark.timeout(0 if EXAMPLES > 500 else 240)
+@pytest.mark.parametrize("items_per_block", [2, 1024])
+def test_a_path_that_is_the_core_alone_says_what_the_oracle_says_in_every_story(items_per_block: int) -> None:
+    with core_surface(items_per_block) as (surface, host):
+        play_stories(surface, host, 2 * EXAMPLES)

@@ -1,0 +1,61 @@
+"""A cluster whose one host is reached through a relay that cuts connections."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from stampede_rt_local.cluster import LocalCluster
+from stampede_rt_local.ports import free_ports
+from stampede_rt_local.process import ServiceProcess
+from tests.support.cluster import running_cluster
+from tests.support.cutting_relay import CUTS, CuttingRelay
+
+PAUSE_S_MAX = 0.25  # between cuts
+REFUSES_SHARE = 0.1  # of cuts, after which nobody gets through for a while
+READY_S = 40.0
+HOST_NAME = "relayed"
+
+
+@dataclass(frozen=True, slots=True)
+class RelayedCluster:
+    """`host` is the name under which channels and queues are opened behind the relay."""
+
+    cluster: LocalCluster
+    relay: CuttingRelay
+    host: str = HOST_NAME
+
+    @property
+    def address(self) -> str:
+        """What clients are given."""
+        return self.cluster.address
+
+    async def cut(self, rng: random.Random) -> None:
+        """Cut connections again and again, until this is cancelled. What comes then gets through again."""
+        try:
+            while True:
+                await asyncio.sleep(rng.random() * PAUSE_S_MAX)
+                self.relay.refuses = rng.random() < REFUSES_SHARE
+                self.relay.cut(rng.choice(CUTS))
+        finally:
+            self.relay.refuses = False
+
+
+@contextmanager
+def running_relayed_cluster() -> Iterator[RelayedCluster]:
+    """The cluster and its relay, and nothing of them afterwards."""
+    with running_cluster(hosts=0, supernodes=1) as cluster:
+        port, inner_port = free_ports(2)
+        arguments = ("--listen", f"localhost:{inner_port}", "--advertise", f"localhost:{port}", "--name", HOST_NAME)
+        access = ("--frontend", cluster.address, "--secret-file", str(cluster.secret_file))
+        host = ServiceProcess("relayed host", "stampede_rt_channel_host", [*arguments, *access])
+        with CuttingRelay(port, inner_port) as relay:
+            try:
+                host.start()
+                host.wait_ready(READY_S)
+                yield RelayedCluster(cluster, relay)
+            finally:
+                host.stop()

@@ -1,0 +1,55 @@
+"""A service as users start it, `python -m tests.support.service_process PACKAGE FLAGS`, with two seams: a wall clock
+that can be stepped, and for supernodes a log that is compacted early.
+
+The kernel has no namespace for CLOCK_REALTIME (time_namespaces(7): monotonic and boottime only), so the step is put
+between the process and `time.time_ns`, from which services take all their wall-clock times. The lease clock
+(CLOCK_BOOTTIME) does not see it, just as when an operator sets the date. `time.time` is left alone: gRPC makes
+deadlines of it, which its C code then compares with the kernel's clock, so that half a step would break what a whole
+one does not. A library before the C library (libfaketime 0.9.10) steps gRPC's clock, too, but does more harm than a
+stepped clock: `time.sleep` fails, and timed waits on the monotonic clock go wrong.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import time
+from pathlib import Path
+
+CLOCK_FILE, SNAPSHOT_EVERY = "ROBUSTNESS_CLOCK_FILE", "ROBUSTNESS_SNAPSHOT_EVERY"
+
+
+def shift_wall_clock(file: Path) -> None:
+    """From now on `file` (a decimal number) says how many nanoseconds the wall clock is off."""
+    descriptor = os.open(file, os.O_RDONLY)
+    true_time_ns = time.time_ns
+
+    def time_ns() -> int:
+        return true_time_ns() + int(os.pread(descriptor, 32, 0) or b"0")
+
+    time.time_ns = time_ns
+
+
+def compact_early(entries: int) -> None:
+    """Snapshots after so few entries that a short partition outlasts the log."""
+    from stampede_rt_supernode.replication.settings import ReplicationSettings
+
+    defaults = ReplicationSettings.__init__.__kwdefaults__
+    assert defaults is not None
+    assert "snapshot_every_entries" in defaults, "the setting has another name now"
+    defaults["snapshot_every_entries"] = entries
+
+
+def main() -> int:
+    """Run the service; returns its exit code."""
+    package, *words = sys.argv[1:]
+    if file := os.environ.get(CLOCK_FILE):
+        shift_wall_clock(Path(file))
+    if entries := os.environ.get(SNAPSHOT_EVERY):
+        compact_early(int(entries))
+    return int(importlib.import_module(f"{package}.app").main(words))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
