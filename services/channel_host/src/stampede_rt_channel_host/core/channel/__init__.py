@@ -14,6 +14,8 @@ duties:
 - Subscriptions: the caller calls `subscribe_all` and then `since`, or `subscribe_newest` and then `latest`.
 - Consumption: the caller calls `consume` and `consumers`. `consumer_places` and `restore_consumers` move the places to
   another owner.
+- Copies: the source's host calls `ChannelFeed(channel, place, now)` and then `take`. The copy's host makes a
+  `FedChannel`, and passes each part to `apply`.
 - Housekeeping: the caller calls `collect(now)` at `next_deadline(now)`, and repeats the call while it returns True.
 - Long work: for reads and for the beginning of subscriptions there are methods that work in pieces (`reading`,
   `polling`, `giving_up`, `subscribing_all`). Others may use the channel between two pieces. The result is as of the
@@ -33,6 +35,8 @@ from stampede_rt_channel_host.core.channel.consumer_places import (
     ConsumerStanding,
 )
 from stampede_rt_channel_host.core.channel.consumption import LEASE_NANOS_MAX, SEQS_MAX, Consumed
+from stampede_rt_channel_host.core.channel.fed_channel import FedChannel
+from stampede_rt_channel_host.core.channel.feeding import ChannelFeed, Collection, FeedPart, FeedPlace
 from stampede_rt_channel_host.core.channel.gathered import drained, emptying
 from stampede_rt_channel_host.core.channel.limits import ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import HeldThen, Moment
@@ -79,13 +83,18 @@ __all__ = [
     "SEQS_MAX",
     "AllCursor",
     "ChannelCore",
+    "ChannelFeed",
     "ChannelLimits",
+    "Collection",
     "ColumnRun",
     "Consumed",
     "ConsumerPlace",
     "ConsumerStanding",
     "Counters",
     "DeliveredSlice",
+    "FedChannel",
+    "FeedPart",
+    "FeedPlace",
     "Gap",
     "HeldThen",
     "Moment",

@@ -39,7 +39,7 @@ class AgedChannel:
         self._policy = policy
         self._incarnation = incarnation
         self.lost_before = lost_before
-        self._held = Holdings(cut)
+        self._held = self._empty_holdings(cut)
         self._retention = Retention(ChannelLimits.of(policy), self._held)
         self.name = name
         self._acceptance = Acceptance(self._held, self._retention, name)
@@ -48,6 +48,10 @@ class AgedChannel:
         self._puts_since_aging = 0  # puts since `_age_and_free` last applied the age limit
         self._aged_at: int | None = None  # the clock to which `_age_and_free` last applied the age limit
         self._entries_to_free = 0  # entries that puts may have added since they last freed memory
+
+    @staticmethod
+    def _empty_holdings(cut: Cut | None) -> Holdings:
+        return Holdings(cut)
 
     def collect(self, now: int, entries_max: int = 64) -> bool:
         """Free about `entries_max` index entries of outdated items. Returns True if more work is left.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from typing import NamedTuple
 
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
 from stampede_rt_channel_host.core.channel.run import ITEM_OVERHEAD_BYTES, Slice
 
 
@@ -33,6 +34,21 @@ def before(time: int) -> CountInFront:
 
     def count_in_front(part: Slice) -> int:
         return part.items if part.last_time < time else bisect_left(part.run.times, time, part.lo, part.hi) - part.lo
+
+    return count_in_front
+
+
+def below(key: ItemKey) -> CountInFront:
+    """A `CountInFront` that counts the items below `key`."""
+    time, seq = key
+
+    def count_in_front(part: Slice) -> int:
+        if part.last_time < time:
+            return part.items
+        times = part.run.times
+        bucket = bisect_left(times, time, part.lo, part.hi)
+        bucket_end = bisect_right(times, time, bucket, part.hi)
+        return min(max(bucket, seq - part.run.first_seq), bucket_end) - part.lo
 
     return count_in_front
 

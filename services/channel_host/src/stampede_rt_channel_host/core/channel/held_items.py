@@ -34,14 +34,16 @@ class HeldItems:
     is the cause for which the item with that span end was collected. `newest_consumed` is the latest time of an item
     collected by consumption. `last_cause` is the cause of the last collection. `overlap_nanos`: within this time after
     an item with a duration, a later item does not end its span. `freed_entries` counts the entries freed so far.
+    `missed` counts the seqs of items that a copy never received; it is 0 in a channel that is no copy. `floor_resets`
+    counts how often a late item has set the floor back.
     """
 
     __slots__ = (
-        "_came_up_to", "_cut", "_following", "_kept_body_bytes", "_newest_bytes_most", "_newest_is_open",
-        "_newest_items_most", "_newest_longest", "_on_gone", "_reported_to", "_snapshots", "_stored_bytes",
-        "_stored_items", "_tally", "accepted", "accepted_bytes", "collected", "collected_by", "collected_end", "floor",
-        "freed_entries", "index", "items", "last_cause", "newest", "newest_collected", "newest_consumed", "oldest",
-        "overlap_nanos", "payload_bytes", "shared_batches",
+        "_cut", "_following", "_kept_body_bytes", "_newest_bytes_most", "_newest_is_open", "_newest_items_most",
+        "_newest_longest", "_on_floor_reset", "_on_gone", "_reported_to", "_snapshots", "_stored_bytes",
+        "_stored_items", "_tally", "accepted", "accepted_bytes", "came_up_to", "collected", "collected_by",
+        "collected_end", "floor", "floor_resets", "freed_entries", "index", "items", "last_cause", "missed", "newest",
+        "newest_collected", "newest_consumed", "oldest", "overlap_nanos", "payload_bytes", "shared_batches",
     )  # fmt: skip
 
     def __init__(self, cut: Cut | None = None) -> None:
@@ -65,7 +67,7 @@ class HeldItems:
         self.overlap_nanos = 0
         self._on_gone: Callable[[int, int], None] | None = None  # tells the consumers; see `Holdings.tell`
         self._reported_to: ItemKey = FIRST_KEY  # the consumers know of all collected items below this key
-        self._came_up_to: int | None = None  # the upper bound of `frontier` while no item is held
+        self.came_up_to: int | None = None  # the upper bound of `frontier` while no item is held
         # A time and the time of the next bucket, as of the last `next_time`; a new item resets both.
         self._following: tuple[int | None, int | None] = (None, None)
         self._newest_is_open = False  # whether an item of the newest bucket has no duration
@@ -79,13 +81,16 @@ class HeldItems:
         self._kept_body_bytes = 0  # the bodies of all runs with an entry in the index
         self._cut = cut
         self.freed_entries = 0
+        self.missed = 0
+        self.floor_resets = 0
+        self._on_floor_reset: dict[Callable[[ItemKey], None], None] | None = None  # the feeds of copies; few have one
         self.shared_batches: SharedBatches | None = None
         """The batches that readers have taken since the last change of the items; None if there are none."""
 
     @property
     def next_seq(self) -> int:
         """The seq of the next accepted item."""
-        return self.accepted + 1
+        return self.accepted + self.missed + 1
 
     @property
     def charged_bytes(self) -> int:
@@ -130,7 +135,7 @@ class HeldItems:
         count. So the long duration of a collected item does not move the frontier past times at which items may still
         come.
         """
-        bound = self._came_up_to if self.oldest is None else self.oldest
+        bound = self.came_up_to if self.oldest is None else self.oldest
         if self.collected_end is None or bound is None:
             return self.collected_end
         return min(self.collected_end, bound)

@@ -87,6 +87,9 @@ class Holdings(HeldItems):
         These are few, except those that a snapshot has kept: consumption collects nothing while the backlog is long
         (see `Retention.collect_consumed`), and no item may come before items outdated later for another cause.
         """
+        self.floor_resets += 1
+        for note_reset in self._on_floor_reset or ():
+            note_reset(self.floor)
         for snapshot in self._snapshots:
             snapshot.detach(self.floor)
         while self.report_gone(REPORTED_SLICES_MAX) or self._free_entry(self._free_floor):
@@ -214,6 +217,13 @@ class Holdings(HeldItems):
             self._note_end(front, last, cause, now)
         # Not the key of the next held item, because another item may come between the two.
         self.floor = last.last_time, last.end_seq
+        self._leave(front, cause)
+        if front.rest is None:
+            self.came_up_to = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
+        self.report_gone(REPORTED_SLICES_MAX)
+
+    def _leave(self, front: Front, cause: str) -> None:
+        """Count the items of a front as collected."""
         self.items -= front.items
         self.payload_bytes -= front.payload_bytes
         self._tally.take(front.items, front.payload_bytes)
@@ -221,8 +231,15 @@ class Holdings(HeldItems):
         self.oldest = None if front.rest is None else front.rest.first_time
         if front.rest is None:
             self.newest = None
-            self._came_up_to = last.last_time if cause == CONSUMPTION else max(last.last_time, now)
-        self.report_gone(REPORTED_SLICES_MAX)
+
+    def tell_resets(self, note_reset: Callable[[ItemKey], None], *, stop: bool = False) -> None:
+        """From now on call `note_reset` with the floor before each reset of the floor. `stop`: stop these calls."""
+        told = self._on_floor_reset or {}
+        if stop:
+            told.pop(note_reset, None)
+        else:
+            told[note_reset] = None
+        self._on_floor_reset = told or None
 
     def tell(self, on_gone: Callable[[int, int], None] | None) -> None:
         """From now on call `on_gone` with the seqs of collected items: the first seq and the end, exclusive.

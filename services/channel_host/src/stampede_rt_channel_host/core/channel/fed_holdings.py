@@ -1,0 +1,45 @@
+"""The items of a copy of a channel. They come from a feed, and the feed also says which of them leave. Pure."""
+
+from __future__ import annotations
+
+from stampede_rt_channel_host.core.channel.feeding import Collection
+from stampede_rt_channel_host.core.channel.front import Front, below
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+from stampede_rt_channel_host.core.channel.run import Run
+
+
+class FedHoldings(Holdings):
+    """Holdings whose seqs may have gaps, and from which the feed's `Collection` takes items."""
+
+    __slots__ = ()
+
+    def store_fed(self, run: Run) -> None:
+        """Add a run of the feed. The seqs between the last run and this one count as missed."""
+        self.skip_to(run.first_seq)
+        self.store(run, run.payload_bytes(0, len(run)), min(run.times), max(run.times))
+
+    def skip_to(self, next_seq: int) -> None:
+        """Count the seqs up to `next_seq`, exclusive, as missed, unless they are held or were missed before."""
+        self.missed += max(0, next_seq - self.next_seq)
+
+    def clear_below(self, key: ItemKey) -> None:
+        """Collect and free the items below `key`, because the source has done so and then set its floor back."""
+        self._collect_below(key)
+        self.floor = max(self.floor, key)
+        self._make_way()
+
+    def follow(self, collection: Collection) -> None:
+        """Collect the items that the source has collected, and take over what it knows of collected items."""
+        self.last_cause, self.shared_batches = collection.last_cause, None
+        self._collect_below(collection.floor)
+        self.floor = self._reported_to = collection.floor
+        self.floor_resets = collection.floor_resets
+        self.newest_collected = collection.newest_collected
+        self.collected_end, self.collected_by = collection.collected_end, collection.collected_by
+        self.newest_consumed, self.came_up_to = collection.newest_consumed, collection.came_up_to
+
+    def _collect_below(self, key: ItemKey) -> None:
+        front: Front = self.front(below(key), self._tally.whole_below(key))
+        if front.items:
+            self._leave(front, self.last_cause)

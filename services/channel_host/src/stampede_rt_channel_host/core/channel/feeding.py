@@ -1,0 +1,148 @@
+"""The feed of a channel: the facts from which a copy of the channel is made (paper, section 4.1: proxies). Pure.
+
+The source of a feed is the channel's owner, or another copy. It keeps no queue for a copy. As for a subscription, it
+keeps the copy's place in the order of seqs, and takes the next items from the channel. Each part of the feed has the
+items from that place on, and the source's present state. After each part the copy therefore holds exactly those items
+of the source that lie before the copy's place. What left the source before the copy received it is missing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_channel_host.core.channel.channel import ChannelCore
+from stampede_rt_channel_host.core.channel.holdings import Holdings
+from stampede_rt_channel_host.core.channel.item_keys import ItemKey
+from stampede_rt_channel_host.core.channel.subscribing import AllCursor
+from stampede_rt_channel_host.core.channel.values import DeliveredSlice
+
+
+class FeedPlace(NamedTuple):
+    """The place of a copy: it holds the state of the source up to the seq `next_seq`, exclusive.
+
+    `floor_resets`: how often the source had set its floor back (see `HeldItems.floor_resets`).
+    """
+
+    incarnation: int
+    next_seq: int
+    floor_resets: int
+
+
+class Collection(NamedTuple):
+    """What retention has taken from a channel (see the attributes of `HeldItems`).
+
+    All items below the key `floor` are collected. `came_up_to` bounds the frontier while the channel holds no item.
+    """
+
+    floor: ItemKey
+    floor_resets: int
+    last_cause: str
+    newest_collected: int | None
+    collected_end: int | None
+    collected_by: str
+    newest_consumed: int | None
+    came_up_to: int | None
+
+
+class FeedPart(NamedTuple):
+    """The next part of a feed. The copy applies the fields in their order.
+
+    `first_seq`: the copy's place before this part. `cleared`: the copy drops the items below this key that it held
+    before this part, because the source has set its floor back since the part before. None: it has not. `slices`: the
+    next items, in the order of seqs. `next_seq`: the copy's place after this part. Seqs before it that the copy has not
+    got are missing: the source no longer holds their items. `collection` and `advance` are None if they have not
+    changed since the part before.
+    """
+
+    first_seq: int
+    cleared: ItemKey | None
+    slices: tuple[DeliveredSlice, ...]
+    next_seq: int
+    collection: Collection | None
+    advance: int | None
+
+
+class ChannelFeed:
+    """The source's side of one feed. Call `close` at its end."""
+
+    def __init__(self, source: ChannelCore, place: FeedPlace | None, now: int) -> None:
+        """Begin a feed at `place`. None: the copy holds nothing, and the feed begins with the oldest item.
+
+        If the source cannot continue at `place`, because the incarnation or the floor differs, `is_anew` is True. The
+        copy then drops its items, and the feed begins with the oldest item. Raises Unavailable if the source is itself
+        a copy that is behind `place`.
+        """
+        held, _ = source.look(now)
+        self.is_anew = not _continues(source, held, place)
+        first_seq = 1 if self.is_anew or place is None else place.next_seq
+        self._source = source
+        self._cursor = AllCursor(iter(()), first_seq)
+        self._cleared: ItemKey | None = None
+        self._sent: tuple[Collection | None, int | None] = None, None
+        held.tell_resets(self._note_reset)
+
+    @property
+    def next_seq(self) -> int:
+        """The copy's place, as far as the source has fed it."""
+        return self._cursor.next_seq
+
+    def take(self, now: int, limit_bytes: int) -> FeedPart | None:
+        """The next part of about `limit_bytes` at most, or None if nothing has changed. Moves the place.
+
+        With a limit of 0 the part has no items. The sizes are counted as in `ChannelCore.since`.
+        """
+        before = self.next_seq
+        batch = self._source.since(self._cursor, now, limit_bytes)
+        held, _ = self._source.look(now)
+        collection, advance = collection_of(held), self._source.advanced_to
+        cleared, self._cleared = self._cleared, None
+        known_collection, known_advance = self._sent
+        if self.next_seq == before and (known_collection, known_advance) == (collection, advance):
+            return None
+        self._sent = collection, advance
+        return FeedPart(
+            before,
+            cleared,
+            tuple(batch.slices),
+            self.next_seq,
+            None if collection == known_collection else collection,
+            None if advance == known_advance else advance,
+        )
+
+    def close(self) -> None:
+        """End the feed. Idempotent."""
+        held, _ = self._source.look(0)
+        held.tell_resets(self._note_reset, stop=True)
+
+    def _note_reset(self, floor: ItemKey) -> None:
+        self._cleared = floor if self._cleared is None else max(self._cleared, floor)
+
+
+def _continues(source: ChannelCore, held: Holdings, place: FeedPlace | None) -> bool:
+    """Whether a feed from this source can continue at `place`."""
+    if place is None:
+        return True
+    if place.incarnation != source.incarnation:
+        return False
+    if place.floor_resets > held.floor_resets or place.next_seq > held.next_seq:
+        raise Unavailable(
+            f"this host has the channel up to seq {held.next_seq - 1}, and the copy that asks is further; ask again "
+            "soon, or ask the owner",
+            reason="BEHIND",
+        )
+    return place.floor_resets == held.floor_resets
+
+
+def collection_of(held: Holdings) -> Collection:
+    """What retention has taken from a channel."""
+    return Collection(
+        held.floor,
+        held.floor_resets,
+        held.last_cause,
+        held.newest_collected,
+        held.collected_end,
+        held.collected_by,
+        held.newest_consumed,
+        held.came_up_to,
+    )

@@ -1,0 +1,158 @@
+"""Copies of the channel of a story: fed by the core or by another copy, over feeds that break, repeat and lag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from stampede_rt.errors import Unavailable
+from stampede_rt_channel_host.core.channel import (
+    ChannelCore,
+    ChannelFeed,
+    FedChannel,
+    FeedPart,
+    Query,
+    SavedCursor,
+    Slice,
+)
+from stampede_rt_channel_host.core.channel.run import Run, make_run
+from tests.oracle import Item
+from tests.property.channel_pair import INCARNATION, ChannelPair, facts, items_of
+
+
+def stored(part: Slice) -> Run:
+    """The run that a copy stores for a slice of the feed, as if it came over the wire."""
+    run = part.run
+    durations = None if run.durations is None else run.durations[part.lo : part.hi]
+    lengths = run.lengths[part.lo : part.hi]
+    return make_run(part.first_seq, run.times[part.lo : part.hi], durations, lengths, run.body)
+
+
+def held_by(channel: ChannelCore, clock: int) -> list[Item]:
+    return items_of([*channel.look(clock)[0].slices()])
+
+
+@dataclass
+class FedCopy:
+    """One copy, and the open feed from its source."""
+
+    pair: ChannelPair
+    upstream: FedCopy | None = None
+    source: ChannelCore = field(init=False)
+    channel: FedChannel = field(init=False)
+    feed: ChannelFeed | None = None
+    last: FeedPart | None = None
+    begun_anew: int = 0
+
+    def __post_init__(self) -> None:
+        self.source = self._present_source()
+        self._drop_items()
+
+    def _present_source(self) -> ChannelCore:
+        return self.pair.core if self.upstream is None else self.upstream.channel
+
+    def _drop_items(self) -> None:
+        lost_before = self.pair.core.lost_before
+        self.channel = FedChannel(self.pair.core.policy, incarnation=INCARNATION, name="pair", lost_before=lost_before)
+
+    def cut(self) -> None:
+        """The stream breaks."""
+        if self.feed is not None:
+            self.feed.close()
+        self.feed = None
+
+    def take(self, limit_bytes: int) -> bool:
+        """Open a feed if there is none, and apply its next part. Returns whether anything came."""
+        clock = self.pair.clock
+        if self.source is not self._present_source():  # that copy began anew, so it is another channel
+            self.cut()
+            self.source = self._present_source()
+        if self.feed is None:
+            try:
+                self.feed = ChannelFeed(self.source, self.channel.place, clock)
+            except Unavailable:
+                assert self.source is not self.pair.core, "an owner is never behind"
+                return False
+            if self.feed.is_anew:
+                self.begun_anew += 1
+                self._drop_items()
+        if self.channel.policy != self.source.policy:
+            self.channel.configure(self.source.policy, clock)
+        self.last = self.feed.take(clock, limit_bytes)
+        if self.last is not None:
+            self.apply(self.last)
+            self.check_part()
+        return self.last is not None
+
+    def apply(self, part: FeedPart) -> None:
+        self.channel.apply(
+            first_seq=part.first_seq,
+            cleared=part.cleared,
+            runs=[stored(one.slice) for one in part.slices],
+            next_seq=part.next_seq,
+            collection=part.collection,
+            advance=part.advance,
+            now=self.pair.clock,
+        )
+
+    def repeat(self) -> None:
+        """The last part comes twice: the second one changes nothing."""
+        if self.last is not None and self.feed is not None:
+            before = held_by(self.channel, self.pair.clock), self.channel.place, self.channel.counters(0)
+            self.apply(self.last)
+            assert before == (held_by(self.channel, self.pair.clock), self.channel.place, self.channel.counters(0))
+
+    def check_part(self) -> None:
+        """The copy holds the items of its source that lie before its place, and no others."""
+        clock, place = self.pair.clock, self.channel.next_seq
+        expected = [item for item in held_by(self.source, clock) if item.seq < place]
+        assert facts(held_by(self.channel, clock)) == facts(expected)
+        counters = self.channel.counters(clock)
+        assert counters.accepted == counters.held + sum(counters.collected.values())
+        assert counters.held == len(expected)
+        assert counters.held_bytes == sum(item.length for item in expected)
+        assert counters.accepted + self.channel.missed == place - 1
+
+    def catch_up(self) -> None:
+        if self.upstream is not None:
+            self.upstream.catch_up()
+        while self.take(10**6):
+            pass
+
+    def check_equal(self, query: Query) -> None:
+        """A copy without lag gives the answers of its owner."""
+        clock, core = self.pair.clock, self.pair.core
+        core.read(query, clock)  # so that both have settled the time
+        self.catch_up()
+        mine, its = self.channel.read(query, clock), core.read(query, clock)
+        assert facts(items_of(mine.slices)) == facts(items_of(its.slices))
+        assert mine[1:] == its[1:]
+        assert (self.channel.newest, self.channel.oldest) == (core.newest, core.oldest)
+        assert (self.channel.frontier, self.channel.advanced_to) == (core.frontier, core.advanced_to)
+
+
+@dataclass
+class Wanderer:
+    """A subscription that goes from host to host, each time with the cursor of the host before."""
+
+    saved: SavedCursor
+    seen: list[int] = field(default_factory=list)
+    missing: list[int] = field(default_factory=list)
+
+    def visit(self, channel: ChannelCore, clock: int, limit_bytes: int) -> None:
+        """Take one batch, unless the host is behind the cursor."""
+        if channel.next_seq < self.saved.next_seq:
+            return
+        cursor = channel.subscribe_all(clock, saved=self.saved)
+        batch = channel.since(cursor, clock, limit_bytes)
+        if batch.gap is not None:
+            self.missing += range(batch.gap.first_seq, batch.gap.last_seq + 1)
+        self.seen += [item.seq for item in items_of([one.slice for one in batch.slices])]
+        self.saved = cursor.saved(INCARNATION)
+        assert sorted(self.seen + self.missing) == [*range(1, self.saved.next_seq)]
+
+
+def refuses_behind(source: FedChannel, place: FedChannel, clock: int) -> None:
+    with pytest.raises(Unavailable):
+        ChannelFeed(source, place.place, clock)
