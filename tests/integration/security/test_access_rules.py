@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import secrets
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,17 @@ def test_who_may_only_put_may_open_put_and_nothing_else(cluster: LocalCluster, o
         assert "may not create channel video/9" in refused(lambda: rt.channel("video/9"))
         assert "may not configure channel video/1" in refused(lambda: rt.channel("video/1", content_type="image/jpeg"))
         assert list(rt.channels()) == []
+
+
+def test_nobody_finds_the_host_of_a_hidden_channel_by_opening_beside_it(
+    cluster: LocalCluster, operator: Operator
+) -> None:
+    with st.connect(cluster.address) as rt:
+        rt.channel("unseen/channel")
+    operator.add("cam", "create,put", "video/*", "--kind", "channel")
+    with st.connect(cluster.address, secret=operator.token("cam")) as rt:
+        for name in ("unseen/channel", "unseen/not-there"):
+            assert "cam may do nothing with" in refused(partial(rt.channel, "video/new", beside=name))
 
 
 def test_no_error_tells_a_hidden_name_to_a_caller_that_gave_only_an_id(

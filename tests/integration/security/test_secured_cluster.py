@@ -44,6 +44,7 @@ from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.identity import Role
 from stampede_rt_supernode.core.cluster.feature_levels import HIGHEST_LEVEL
 from tests.support.certificates import ask
+from tests.support.waiting import wait_until
 
 DAY = timedelta(days=1)
 PATIENCE_SECONDS = 5.0
@@ -455,3 +456,53 @@ async def test_hosts_alone_say_where_a_dead_letter_comes_from(
             assert f"{role} robot may not set the origin of a run" in ack.error.message
             assert "hosts alone forward dead letters; leave origin out" in ack.error.message
         assert (await queue.stats()).held == int(believed)
+
+
+@pytest.fixture
+def several_hosts(cluster: LocalCluster, certificates: ClusterCertificates) -> Iterator[ServiceProcess]:
+    """`stampede host --processes 2`, with a certificate for each process."""
+    for number in range(2):
+        certificates.issue(Role.HOST, f"rig-{number}")
+    folder = certificates.folder
+    words = ["--name", "rig", "--frontend", cluster.address, "--listen", "localhost:0", "--processes", "2"]
+    words += ["--tls-ca", str(certificates.ca), "--tls-certificate", str(folder / "host-rig-{process}.pem")]
+    words += ["--tls-key", str(folder / "host-rig-{process}.key")]
+    supervisor = ServiceProcess("hosts", "stampede_rt_channel_host", words)
+    supervisor.start()
+    yield supervisor
+    supervisor.stop()
+
+
+def test_each_of_several_host_processes_proves_its_own_name(
+    cluster: LocalCluster, several_hosts: ServiceProcess
+) -> None:
+    with st.connect(cluster.address, tls=cluster.tls_files()) as rt:
+        wait_until(
+            lambda: {"rig-0", "rig-1"} <= {host.name for host in rt.hosts()},
+            "both processes have registered",
+            PATIENCE_SECONDS * 4,
+        )
+        for name in ("rig-0", "rig-1"):
+            channel = rt.channel(f"at/{name}", host=name)
+            channel.put(b"in")
+            newest = channel.newest()
+            assert newest is not None
+            assert newest.payload == b"in"
+
+
+def test_several_host_processes_with_one_certificate_end_with_a_reason(
+    cluster: LocalCluster, certificates: ClusterCertificates
+) -> None:
+    files = certificates.issue(Role.HOST, "lone-0")
+    ca, certificate, key = map(str, files.paths())
+    words = ["--name", "lone", "--frontend", cluster.address, "--listen", "localhost:0", "--processes", "2"]
+    words += ["--tls-ca", ca, "--tls-certificate", certificate, "--tls-key", key]
+    ended = subprocess.run(
+        [sys.executable, "-m", "stampede_rt_channel_host", *words],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert ended.returncode in (1, 2), ended.stderr
+    assert "{process}" in ended.stderr

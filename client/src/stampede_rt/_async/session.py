@@ -166,11 +166,19 @@ class Session:
         self._attached.pop(one, None)
 
     async def open_channel(
-        self, name: str, policy: Policy, host: str | None, create: bool, timeout_s: float = CALL_TIMEOUT_S
+        self,
+        name: str,
+        policy: Policy,
+        host: str | None,
+        create: bool,
+        timeout_s: float = CALL_TIMEOUT_S,
+        *,
+        beside: str | None = None,
     ) -> ChannelInfo:
         """Get a channel by name, or create it if `create` is True. Returns its description.
 
-        If the lease of the channel's owner has ended, the directory gives the channel another owner.
+        `beside` is the name of another channel, at whose host a new channel should be. If the lease of the channel's
+        owner has ended, the directory gives the channel another owner.
         """
         request = directory_service_pb2.OpenChannelRequest(
             request_id=request_id(),
@@ -178,6 +186,7 @@ class Session:
             spec=policy_to_spec(policy),
             create=flag_of("create", create),
             host_name=parse_name(host, "host") if host else "",
+            beside=parse_name(beside) if beside else "",
         )
         response = await self.supernodes.call("OpenChannel", request, timeout_s)
         return self._learn(response.channel, response.host)

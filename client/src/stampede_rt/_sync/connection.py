@@ -121,6 +121,7 @@ class Connection(Discovery, Reference):
         content_type: str | None = None,
         codec: CodecLike | None = None,
         host: str | None = None,
+        beside: Channel | str | None = None,
         create: bool = True,
     ) -> Channel:
         """Get or create a channel (paper, section 3.4 for the policies).
@@ -133,6 +134,11 @@ class Connection(Discovery, Reference):
         do not end its span. `host` names the host of a new channel. If the channel exists at another live host, the
         call raises ChannelExists. If the channel does not exist and `create` is False, the call raises ChannelNotFound.
         Blocks for at most 10 s.
+
+        `beside` is another channel, as a handle or a name. A new channel goes to the host of that channel, unless that
+        host is full or more than 95 % busy. Open the channels of a group beside each other, so that their hosts need
+        not exchange times. A channel that exists stays where it is. Do not state both `host` and `beside`. If a new
+        channel names one that does not exist, the call raises ChannelNotFound.
 
         `codec` belongs to the handle, not to the channel. It turns the values of `put` into payloads, and payloads into
         `item.value`: "bytes" (default), "json", "numpy" (keeps shape and dtype), or an object with `content_type`,
@@ -150,7 +156,8 @@ class Connection(Discovery, Reference):
             content_type=content_type,
         )
         coding = Coding.parse(codec, f"channel {parse_name(name)!r}", content_type)
-        info = self._session.open_channel(name, stated, host, create)
+        near = beside.name if isinstance(beside, Channel) else beside
+        info = self._session.open_channel(name, stated, host, create, beside=near)
         return Channel(self._session, self._session.state_of(info, stated, create, coding))
 
     def group(

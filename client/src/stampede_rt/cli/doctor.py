@@ -10,6 +10,7 @@ from typing import Any
 from stampede_rt.cli.arguments import add_verb
 from stampede_rt.cli.clock_findings import CLOCK_OFFSET_NANOS_MAX, UNKNOWN
 from stampede_rt.cli.diagnosis import diagnose
+from stampede_rt.cli.hosts import core_text, memory_text
 from stampede_rt.cli.observations import PEER, CheckResult, Inventory, Observation
 from stampede_rt.cli.output import print_rows
 from stampede_rt.escaping import escaped
@@ -74,8 +75,16 @@ def _row(finding: CheckResult, form: str) -> dict[str, Any]:
         "round_trip": duration(seen.round_trip_nanos) if seen else None,
         "clock_offset": (_vague(seen) if people else None)
         or (duration(seen.clock_offset_nanos, UNKNOWN if seen.kind == PEER else None) if seen else None),
+        "load": (_load(seen) if people else seen.busy_permille) if seen else None,
         "version": (seen.version or None) if seen else None,
     } | ({} if people else {"clock_uncertainty": seen and seen.clock_doubt_nanos, "advice": finding.advice})
+
+
+def _load(seen: Observation) -> str | None:
+    """Return the load of a host as a text; None if it is not known, and for other parts."""
+    memory = memory_text(seen.held_bytes, seen.memory_bytes_max) if seen.memory_bytes_max else None
+    busy = None if seen.busy_permille is None else core_text(seen.busy_permille)
+    return ", ".join(filter(None, (busy, memory))) or None
 
 
 def _vague(seen: Observation | None) -> str | None:

@@ -122,7 +122,8 @@ class Examination:
         hosts = response.hosts if response else ()
         alive = [host for host in hosts if host.alive]
         lost = [_lost(one) for one in hosts if not one.alive]
-        return [*self._ask(map(_host, alive)), *(_Answer(None, one) for one in lost)]
+        asked = self._ask(map(_host, alive))
+        return [*map(_with_load, asked, alive), *(_Answer(None, one) for one in lost)]
 
     def _peers(self, supernodes: Sequence[_Answer]) -> Iterator[Any]:
         """Yield the records of live peers, with the clock offsets that the peers told the leader.
@@ -246,6 +247,12 @@ def _supernode(name: str, address: str) -> _Part:
 def _host(host: Any) -> _Part:
     request = gatekeeper_pb.GatekeeperServicePingRequest()
     return _Part(HOST, host.name, _gatekeeper(host), "gatekeeper", "Ping", request)
+
+
+def _with_load(answer: _Answer, host: Any) -> _Answer:
+    """Return the answer of a host, with the load that the host has reported to the directory."""
+    busy = host.load.busy_permille if host.HasField("load") else None
+    return answer._replace(seen=replace(answer.seen, busy_permille=busy))
 
 
 def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:

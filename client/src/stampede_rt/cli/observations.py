@@ -21,6 +21,8 @@ class Observation:
       `refused_ago_nanos` ago.
     - `refused_calls`: the number of calls that a host refused or ended as Overloaded since its start, the last one
       `refused_call_ago_nanos` ago.
+    - `busy_permille`: the share of a core that a host used by its last report to the directory, in thousandths; None if
+      the directory knows none.
     - `denials`: the number of calls that the part denied since its start, because of the caller's proof or role or by
       the rules of access, the last one `denied_ago_nanos` ago.
     - `quota_refusals`: the number of calls that the part refused since its start because their callers were beyond a
@@ -54,6 +56,7 @@ class Observation:
     quota_refusals: int = 0
     quota_refused_ago_nanos: int | None = None
     limits_caller: bool = False
+    busy_permille: int | None = None
     held_bytes: int = 0
     memory_bytes_max: int = 0
     in_memory: bool = False

@@ -136,7 +136,7 @@ class MarkTimeCommand(_message.Message):
     def __init__(self, tenure: _Optional[int] = ..., after_index: _Optional[int] = ...) -> None: ...
 
 class OpenChannelCommand(_message.Message):
-    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation", "created_by", "created_max")
+    __slots__ = ("name", "spec", "create", "host_name", "new_channel_id", "new_incarnation", "created_by", "created_max", "beside")
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
@@ -145,6 +145,7 @@ class OpenChannelCommand(_message.Message):
     NEW_INCARNATION_FIELD_NUMBER: _ClassVar[int]
     CREATED_BY_FIELD_NUMBER: _ClassVar[int]
     CREATED_MAX_FIELD_NUMBER: _ClassVar[int]
+    BESIDE_FIELD_NUMBER: _ClassVar[int]
     name: str
     spec: _channel_pb2.ChannelSpec
     create: bool
@@ -153,7 +154,8 @@ class OpenChannelCommand(_message.Message):
     new_incarnation: int
     created_by: str
     created_max: int
-    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ..., created_max: _Optional[int] = ...) -> None: ...
+    beside: str
+    def __init__(self, name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., new_channel_id: _Optional[bytes] = ..., new_incarnation: _Optional[int] = ..., created_by: _Optional[str] = ..., created_max: _Optional[int] = ..., beside: _Optional[str] = ...) -> None: ...
 
 class UpdateChannelCommand(_message.Message):
     __slots__ = ("channel_id", "epoch", "spec")

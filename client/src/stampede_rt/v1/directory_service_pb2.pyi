@@ -48,18 +48,20 @@ class DirectoryServicePingResponse(_message.Message):
     def __init__(self, time_unix_nano: _Optional[int] = ..., supernode_id: _Optional[str] = ..., ready: bool = ..., cluster_id: _Optional[str] = ..., version: _Optional[str] = ..., refused_supernodes: _Optional[_Mapping[str, str]] = ..., former_cluster_ids: _Optional[_Iterable[str]] = ..., feature_level: _Optional[int] = ..., highest_feature_level: _Optional[int] = ..., boot_incarnation: _Optional[int] = ..., access: _Optional[_Union[_access_pb2.AccessStatus, _Mapping]] = ...) -> None: ...
 
 class OpenChannelRequest(_message.Message):
-    __slots__ = ("request_id", "name", "spec", "create", "host_name")
+    __slots__ = ("request_id", "name", "spec", "create", "host_name", "beside")
     REQUEST_ID_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     SPEC_FIELD_NUMBER: _ClassVar[int]
     CREATE_FIELD_NUMBER: _ClassVar[int]
     HOST_NAME_FIELD_NUMBER: _ClassVar[int]
+    BESIDE_FIELD_NUMBER: _ClassVar[int]
     request_id: bytes
     name: str
     spec: _channel_pb2.ChannelSpec
     create: bool
     host_name: str
-    def __init__(self, request_id: _Optional[bytes] = ..., name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ...) -> None: ...
+    beside: str
+    def __init__(self, request_id: _Optional[bytes] = ..., name: _Optional[str] = ..., spec: _Optional[_Union[_channel_pb2.ChannelSpec, _Mapping]] = ..., create: bool = ..., host_name: _Optional[str] = ..., beside: _Optional[str] = ...) -> None: ...
 
 class OpenChannelResponse(_message.Message):
     __slots__ = ("channel", "host", "created")

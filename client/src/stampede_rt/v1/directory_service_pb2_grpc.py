@@ -153,7 +153,7 @@ class DirectoryServiceServicer(object):
         """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
         CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
         channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
-        HOST_NOT_FOUND, NO_HOST, INVALID_NAME, INVALID_ARGUMENT.
+        HOST_NOT_FOUND, NO_HOST, VERSION_MISMATCH (beside, below feature level 4), INVALID_NAME, INVALID_ARGUMENT.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

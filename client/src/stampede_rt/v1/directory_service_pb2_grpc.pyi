@@ -58,7 +58,7 @@ class DirectoryServiceStub:
     """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
     CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
     channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
-    HOST_NOT_FOUND, NO_HOST, INVALID_NAME, INVALID_ARGUMENT.
+    HOST_NOT_FOUND, NO_HOST, VERSION_MISMATCH (beside, below feature level 4), INVALID_NAME, INVALID_ARGUMENT.
     """
     ResolveChannel: _grpc.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveChannelRequest, _directory_service_pb2.ResolveChannelResponse]
     """Find a channel by id or name, with its owner."""
@@ -125,7 +125,7 @@ class DirectoryServiceAsyncStub(DirectoryServiceStub):
     """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
     CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
     channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
-    HOST_NOT_FOUND, NO_HOST, INVALID_NAME, INVALID_ARGUMENT.
+    HOST_NOT_FOUND, NO_HOST, VERSION_MISMATCH (beside, below feature level 4), INVALID_NAME, INVALID_ARGUMENT.
     """
     ResolveChannel: _aio.UnaryUnaryMultiCallable[_directory_service_pb2.ResolveChannelRequest, _directory_service_pb2.ResolveChannelResponse]  # type: ignore[assignment]
     """Find a channel by id or name, with its owner."""
@@ -201,7 +201,7 @@ class DirectoryServiceServicer(metaclass=_abc_1.ABCMeta):
         """Get or create a channel by name. Atomic: of two creators one wins. The other gets the same channel, or
         CHANNEL_EXISTS if a field that it states contradicts the value in effect. If the owner's lease has ended, the
         channel gets a new owner, epoch and incarnation. Errors: CHANNEL_EXISTS, CHANNEL_NOT_FOUND (create = false),
-        HOST_NOT_FOUND, NO_HOST, INVALID_NAME, INVALID_ARGUMENT.
+        HOST_NOT_FOUND, NO_HOST, VERSION_MISMATCH (beside, below feature level 4), INVALID_NAME, INVALID_ARGUMENT.
         """
 
     @_abc_1.abstractmethod

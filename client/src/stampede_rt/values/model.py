@@ -223,8 +223,25 @@ class ChannelInfo:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class LoadInfo:
+    """How busy a host was, by its own report, when the directory last noted it. The note is a few seconds old or more.
+
+    - `busy_permille` is the share of one core that the host's process used, in thousandths.
+    - `held_bytes` are the bytes of its channels and queues, of at most `bytes_max`; 0 if the host has not told them.
+    """
+
+    busy_permille: int
+    held_bytes: int
+    bytes_max: int
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class HostInfo:
-    """A channel host as the directory knows it."""
+    """A channel host as the directory knows it.
+
+    `load` is None if the directory knows none. `lease_ended` is the time, in Unix nanoseconds, at which the directory
+    ended the lease of a host that did not renew it; None if the host lives or has deregistered.
+    """
 
     host_id: bytes
     name: str
@@ -232,6 +249,8 @@ class HostInfo:
     alive: bool
     channels: int
     version: str
+    load: LoadInfo | None = None
+    lease_ended: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -12,6 +12,7 @@ from stampede_rt.values.model import (
     ChannelStats,
     ConsumerStats,
     HostInfo,
+    LoadInfo,
     OnFull,
     Policy,
     SupernodeInfo,
@@ -85,7 +86,14 @@ def host_info(record: directory_pb2.HostRecord) -> HostInfo:
         alive=record.alive,
         channels=record.channels,
         version=record.version,
+        load=host_load(record.load) if record.HasField("load") else None,
+        lease_ended=record.lease_ended_unix_nano if record.HasField("lease_ended_unix_nano") else None,
     )
+
+
+def host_load(message: directory_pb2.HostLoad) -> LoadInfo:
+    """Return the load of a host, as callers see it."""
+    return LoadInfo(busy_permille=message.busy_permille, held_bytes=message.held_bytes, bytes_max=message.bytes_max)
 
 
 def channel_info(record: channel_pb2.ChannelRecord, host: directory_pb2.HostRecord | None) -> ChannelInfo:

@@ -35,6 +35,7 @@ from stampede_rt_supernode.core.channels.commands import (
     UpdateChannel,
 )
 from stampede_rt_supernode.core.channels.transitions import open_unchanged
+from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import DeregisterHost, HostDeregistered, HostRegistered, RegisterHost
 from stampede_rt_supernode.core.lookups import channel_by_id, channel_by_name, host_by_id, host_by_name
@@ -104,6 +105,9 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
         """Open a channel. If nothing changes, a confirmed read answers the first attempt without a log entry."""
         as_of = self._calls.applied_index()
         check_known(AccessKind.CHANNEL, request.name)
+        if request.beside:
+            check_known(AccessKind.CHANNEL, request.beside)
+            await self._calls.check_level(context, "a channel that opens beside another", LOADS_LEVEL)
         policy = policy_from(request.spec)
         check_max_bytes("channel", request.name, policy.max_bytes)
         operation = OpenChannel(
@@ -111,6 +115,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             policy=policy,
             create=request.create,
             host_name=request.host_name,
+            beside=request.beside,
             new_channel_id=secrets.token_bytes(ID_BYTES),
             new_incarnation=_random_incarnation(),
             created_by=caller_name(),

@@ -15,7 +15,13 @@ from stampede_rt_supernode.core.cluster.commands import RaiseFeatureLevel
 from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
 from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.hosts.commands import HostLoadsNoted, NoteHostLoads, ReportedLoad
-from stampede_rt_supernode.core.hosts.placement import CHANNELS_PER_HOST_MAX, STEP_PERMILLE, THING_PERMILLE
+from stampede_rt_supernode.core.hosts.placement import (
+    CHANNELS_PER_HOST_MAX,
+    SHARE_FACTOR,
+    SHARE_FREE,
+    STEP_PERMILLE,
+    THING_PERMILLE,
+)
 from stampede_rt_supernode.core.records import HostLoad
 from tests.support.supernode.operations import Log, deregister, id_of, open_channel, open_group, open_queue, register
 
@@ -166,3 +172,107 @@ def test_a_note_of_loads_is_no_change_for_watchers() -> None:
     before = log.directory.tables.changes.end_position
     assert note(log, {1: HostLoad(busy_permille=900)}) == 1
     assert log.directory.tables.changes.end_position == before
+
+
+def opened_beside(log: Log, name: str, beside: str) -> str:
+    opened = log.apply(replace(open_channel(name), beside=beside))
+    assert isinstance(opened, ChannelOpened), opened
+    return opened.host.name
+
+
+def test_a_channel_opens_at_the_host_of_the_channel_that_it_names_though_others_have_less_to_do() -> None:
+    log = log_with_hosts(3)
+    log.apply(open_channel("left", host="host-3"))
+    note(log, {3: HostLoad(busy_permille=940)})
+    assert {opened_beside(log, f"member/{number}", "left") for number in range(60)} == {"host-3"}
+    assert opened_at(log, "stranger") != "host-3"
+
+
+@pytest.mark.parametrize("load", [HostLoad(busy_permille=960), HostLoad(held_bytes=99, bytes_max=100)])
+def test_a_channel_opens_elsewhere_if_the_host_beside_which_it_should_be_has_no_room(load: HostLoad) -> None:
+    log = log_with_hosts(2)
+    log.apply(open_channel("left", host="host-1"))
+    note(log, {1: load})
+    assert opened_beside(log, "right", "left") == "host-2"
+
+
+def test_a_channel_opens_elsewhere_if_the_host_beside_which_it_should_be_is_gone() -> None:
+    log = log_with_hosts(2)
+    log.apply(open_channel("left", host="host-1"))
+    log.apply(deregister(1))
+    assert opened_beside(log, "right", "left") == "host-2"
+
+
+def test_a_channel_that_exists_stays_where_it_is_whatever_it_should_be_beside() -> None:
+    log = log_with_hosts(2)
+    log.apply(open_channel("left", host="host-1"))
+    log.apply(open_channel("right", host="host-2"))
+    assert opened_beside(log, "right", "left") == "host-2"
+    assert opened_beside(log, "right", "nobody") == "host-2"
+
+
+def test_a_channel_whose_host_is_lost_opens_beside_another_and_anywhere_if_that_one_is_gone() -> None:
+    log = log_with_hosts(3)
+    log.apply(open_channel("left", host="host-3"))
+    log.apply(open_channel("right", host="host-1"))
+    log.apply(open_channel("depth", host="host-1"))
+    log.apply(deregister(1))
+    assert opened_beside(log, "right", "left") == "host-3"
+    assert opened_beside(log, "depth", "nobody") == "host-2"
+
+
+@pytest.mark.parametrize(
+    ("host", "beside", "reason", "text"),
+    [
+        ("", "nobody", "CHANNEL_NOT_FOUND", "there is no such channel; open that one first"),
+        ("host-1", "left", "INVALID_ARGUMENT", "state one of them"),
+        ("", "a name", "INVALID_NAME", "a name"),
+    ],
+)
+def test_a_channel_that_cannot_be_beside_another_is_refused(host: str, beside: str, reason: str, text: str) -> None:
+    log = log_with_hosts(1)
+    log.apply(open_channel("left"))
+    refused = log.apply(replace(open_channel("right", host=host), beside=beside))
+    assert isinstance(refused, Refused)
+    assert refused.reason == reason
+    assert text in refused.message
+
+
+def test_below_its_feature_level_nothing_opens_beside_another() -> None:
+    log = log_with_hosts(2, level=LOADS_LEVEL - 1)
+    log.apply(open_channel("left", host="host-1"))
+    assert opened_beside(log, "right", "left") == "host-2"
+
+
+@given(hosts=st.integers(2, 5), busy=st.integers(100, 900))
+def test_a_host_that_always_says_it_is_idle_does_not_get_everything(hosts: int, busy: int) -> None:
+    log = log_with_hosts(hosts)
+    opens = 300
+    found: Counter[str] = Counter()
+    for number in range(opens):
+        if number % 5 == 0:  # it reports: all its channels do nothing, and the others have much to do
+            owned = {one: found[f"host-{one}"] for one in range(1, hosts + 1)}
+            note(log, {one: HostLoad(busy_permille=0 if one == 1 else busy, owned=owned[one]) for one in owned})
+        found[opened_at(log, f"c/{number}")] += 1
+    others = (opens - found["host-1"]) / (hosts - 1)
+    assert found["host-1"] <= SHARE_FREE + SHARE_FACTOR * others + 1
+    assert others > 0
+
+
+def test_a_host_that_owns_far_more_gets_channels_if_the_others_have_no_room() -> None:
+    log = log_with_hosts(2)
+    for number in range(SHARE_FREE + 1):
+        log.apply(open_channel(f"c/{number}", host="host-1"))
+    note(log, {1: HostLoad(owned=SHARE_FREE + 1), 2: HostLoad(busy_permille=500)})
+    assert opened_at(log, "one") == "host-2"
+    note(log, {2: HostLoad(busy_permille=960, owned=1)})
+    assert opened_at(log, "another") == "host-1"
+
+
+def test_a_host_that_reports_nothing_counts_with_what_it_owns() -> None:
+    log = log_with_hosts(2)
+    tables = log.directory.tables
+    tables.hosts[id_of(1)] = replace(tables.hosts[id_of(1)], load=None)  # of a release without reports
+    note(log, {2: HostLoad(busy_permille=100)})
+    found = Counter(opened_at(log, f"c/{number}") for number in range(40))
+    assert min(found.values()) >= 15, "neither gets all"

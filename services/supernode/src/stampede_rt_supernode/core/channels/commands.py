@@ -13,6 +13,7 @@ from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 class OpenChannel(Creation):
     """Get or create a channel. `host_name`: the host that shall own it; empty if the caller does not care.
 
+    `beside`: the name of another channel, at whose host it shall be if there is room; empty if the caller names none.
     A new channel gets `new_channel_id` and `new_incarnation`. If the owner of an existing channel is not alive, the
     channel gets a new owner and `new_incarnation`.
     """
@@ -21,6 +22,7 @@ class OpenChannel(Creation):
     policy: Policy = field(default_factory=Policy)
     create: bool = True
     host_name: str = ""
+    beside: str = ""
     new_channel_id: bytes
     new_incarnation: int
 

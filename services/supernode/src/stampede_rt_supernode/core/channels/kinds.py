@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from stampede_rt_supernode.core import late_opens
@@ -20,6 +21,7 @@ from stampede_rt_supernode.core.channels.transitions import (
     open_channel,
     update_channel,
 )
+from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
 from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables, on_tables_with_creator
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
@@ -35,6 +37,15 @@ def _check_open_not_late(state: DirectoryState, operation: OpenChannel, as_of_in
         )
 
 
+_open_by_level_of_creators = on_tables_with_creator(open_channel)
+
+
+def _open(state: DirectoryState, operation: OpenChannel, time_unix_nano: int) -> ChannelOpened:
+    if state.feature_level < LOADS_LEVEL:
+        operation = replace(operation, beside="")
+    return _open_by_level_of_creators(state, operation, time_unix_nano)
+
+
 KINDS: tuple[CommandKind[Any, Any], ...] = (
     CommandKind(
         operation=OpenChannel,
@@ -43,7 +54,7 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         subject=lambda one: one.name,
         check=check_open,
         check_not_late=_check_open_not_late,
-        apply=on_tables_with_creator(open_channel),
+        apply=_open,
     ),
     CommandKind(
         operation=UpdateChannel,

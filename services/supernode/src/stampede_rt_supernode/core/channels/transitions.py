@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt.errors import Overloaded, Unavailable
+from stampede_rt.errors import ChannelNotFound, InvalidArgument, Overloaded, Unavailable
 from stampede_rt_supernode.core.channels.commands import (
     ChannelDeleted,
     ChannelOpened,
@@ -19,7 +19,12 @@ from stampede_rt_supernode.core.channels.commands import (
 )
 from stampede_rt_supernode.core.channels.policies import agree, check_fixed, check_policy, check_ranges, merge
 from stampede_rt_supernode.core.groups.transitions import note_lost_cuts
-from stampede_rt_supernode.core.hosts.placement import beside_its_group, check_has_place, least_loaded
+from stampede_rt_supernode.core.hosts.placement import (
+    beside_its_group,
+    check_has_place,
+    has_room_by_report,
+    least_loaded,
+)
 from stampede_rt_supernode.core.lookups import channel_by_id, check_host_agrees, host_by_name, no_such_channel
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
 from stampede_rt_supernode.core.replicas.transitions import check_epoch
@@ -35,9 +40,21 @@ def check_open(operation: OpenChannel) -> None:
     check_name(operation.name, "channel")
     if operation.host_name:
         check_name(operation.host_name, "host")
+    if operation.beside:
+        _check_beside(operation)
     check_ranges(operation.name, operation.policy)
     check_id(operation.new_channel_id, "new_channel_id")
     check_incarnation(operation.new_incarnation, "new_incarnation")
+
+
+def _check_beside(operation: OpenChannel) -> None:
+    check_name(operation.beside, "channel")
+    if operation.host_name:
+        raise InvalidArgument(
+            f"channel {operation.name} has a host, {operation.host_name}, and a channel to be beside, "
+            f"{operation.beside}; state one of them",
+            metadata={"channel": operation.name, "field": "beside"},
+        )
 
 
 def check_update(operation: UpdateChannel) -> None:
@@ -156,13 +173,14 @@ def _choose_host(
     """The host for a new channel, or for the channel `channel_id`, whose owner is not alive.
 
     It is the live host that the caller names, if any. Else it is the live host with the name of the `former` owner,
-    which is that owner, restarted without its data folder. Else it is the host of the other members of the channel's
-    groups, if it has room. Else it is the least loaded live host, see `placement`.
+    which is that owner, restarted without its data folder. Else it is the host of the channel `operation.beside`, if it
+    is alive and has room. Else it is the host of the other members of the channel's groups, if it has room. Else it is
+    the least loaded live host, see `placement`.
     """
     if operation.host_name:
         return host_by_name(tables, operation.host_name)
     successor = tables.live_host_named(former) if former is not None else None
-    near = successor or beside_its_group(tables, channel_id)
+    near = successor or _host_beside(tables, operation, channel_id) or beside_its_group(tables, channel_id)
     least = near or least_loaded(tables, tables.live_hosts(), lambda host: host.channels)
     if least is None:
         raise Unavailable(
@@ -171,3 +189,22 @@ def _choose_host(
             metadata={"channel": operation.name},
         )
     return least
+
+
+def _host_beside(tables: Tables, operation: OpenChannel, channel_id: bytes) -> HostRecord | None:
+    """The live host of the channel `operation.beside`, if it has room; else None.
+
+    Raises ChannelNotFound if a new channel names one that does not exist. A channel that exists already gets another
+    host anyway: its program cannot open the missing one first.
+    """
+    if not operation.beside:
+        return None
+    other = tables.channel_named(operation.beside)
+    if other is None and not channel_id:
+        raise ChannelNotFound(
+            f"channel {operation.name} cannot be created beside channel {operation.beside}, because there is no such "
+            "channel; open that one first, or leave `beside` out",
+            metadata={"channel": operation.beside},
+        )
+    host = tables.hosts[other.host_id] if other is not None else None
+    return host if host is not None and host.alive and has_room_by_report(tables, host) else None

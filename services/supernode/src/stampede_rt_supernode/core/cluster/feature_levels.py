@@ -13,7 +13,7 @@ kind checks the level of the state, and has its former effect while that level i
 from __future__ import annotations
 
 # The highest level that this release knows. 2: rules of access, client tokens and quotas. 3: quotas of groups and of
-# peers. 4: loads of hosts.
+# peers. 4: loads of hosts, and channels that open beside others.
 HIGHEST_LEVEL = 4
 # The level of a cluster that was founded before there were levels.
 FIRST_LEVEL = 1

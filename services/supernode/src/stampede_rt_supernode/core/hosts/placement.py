@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from itertools import islice
 
 from stampede_rt.errors import Overloaded
-from stampede_rt_supernode.core.records import HostRecord
+from stampede_rt_supernode.core.records import HostLoad, HostRecord
 from stampede_rt_supernode.core.tables import Tables
 
 CHANNELS_PER_HOST_MAX = 100_000
@@ -23,27 +23,48 @@ STEP_PERMILLE = 100
 FULL_PERMILLE = 950
 """A host with less room than this is chosen only if all hosts are like that."""
 GROUPS_LOOKED_AT_MAX, MEMBERS_LOOKED_AT_MAX = 8, 64
+SHARE_FACTOR, SHARE_FREE = 4, 64
+"""Loads are the hosts' own word. A host gets channels and queues for its low load only until it owns this many times as
+many as the others on average, and this number more."""
 
 
 def least_loaded(tables: Tables, hosts: Iterable[HostRecord], count: Callable[[HostRecord], int]) -> HostRecord | None:
     """Of `hosts` the one with the lowest load; None if there is none.
 
-    Among hosts with about the same load it is the one with the lowest `count`, and among these the first one. Hosts
-    without a known load all count as idle.
+    Full hosts come last, before them those without room, and before these the hosts that own far more than the others
+    (SHARE_FACTOR). Among hosts with about the same load it is the one with the lowest `count`, and among these the
+    first one. If no load is known, as below LOADS_LEVEL, only `count` decides.
     """
-    return min(
-        hosts,
-        key=lambda host: (is_full(tables, host), load_permille(tables, host) // STEP_PERMILLE, count(host)),
-        default=None,
-    )
+    among = list(hosts)
+    if all(host.load is None for host in among):
+        return min(among, key=count, default=None)
+    owned = sum(_owned(tables, host) for host in among)
+
+    def rank(host: HostRecord) -> tuple[bool, bool, bool, int, int]:
+        load = load_permille(tables, host)
+        far_more = _owns_far_more(_owned(tables, host), owned, len(among))
+        return is_full(tables, host), load >= FULL_PERMILLE, far_more, load // STEP_PERMILLE, count(host)
+
+    return min(among, key=rank)
 
 
 def load_permille(tables: Tables, host: HostRecord) -> int:
-    """The estimated load in thousandths: of a core, or of the memory, whichever is more. 0 if it is not known."""
-    if host.load is None:
-        return 0
-    new = max(0, host.channels + tables.queues.count_at(host.host_id) - host.load.owned)
-    return max(host.load.busy_permille + new * THING_PERMILLE, _memory_permille(host))
+    """The estimated load in thousandths: of a core, or of the memory, whichever is more.
+
+    A host without a report counts with what the choice assumes for each thing that it owns.
+    """
+    load = host.load or HostLoad()
+    new = max(0, _owned(tables, host) - load.owned)
+    return max(load.busy_permille + new * THING_PERMILLE, _memory_permille(host))
+
+
+def _owned(tables: Tables, host: HostRecord) -> int:
+    return host.channels + tables.queues.count_at(host.host_id)
+
+
+def _owns_far_more(owned: int, by_all: int, hosts: int) -> bool:
+    """Whether a host that owns `owned` of `by_all` things of `hosts` hosts has its share and far more."""
+    return hosts > 1 and (owned - SHARE_FREE) * (hosts - 1) > SHARE_FACTOR * (by_all - owned)
 
 
 def _memory_permille(host: HostRecord) -> int:
@@ -88,6 +109,11 @@ def beside_its_group(tables: Tables, channel_id: bytes) -> HostRecord | None:
     near = [tables.hosts[one] for one in owned]
     fitting = [host for host in near if host.alive and host.load is not None and _has_room(tables, host)]
     return min(fitting, key=lambda host: (-owned[host.host_id], host.name), default=None)
+
+
+def has_room_by_report(tables: Tables, host: HostRecord) -> bool:
+    """Whether the host had room at its last report. Things that it got since do not count yet."""
+    return not is_full(tables, host) and (host.load is None or host.load.busy_permille < FULL_PERMILLE)
 
 
 def _has_room(tables: Tables, host: HostRecord) -> bool:

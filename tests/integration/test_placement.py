@@ -1,0 +1,113 @@
+"""Where real channels come to be: by the loads that real hosts report, and beside other channels."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
+
+import pytest
+
+import stampede_rt as st
+from stampede_rt import aio
+from stampede_rt.cli.main import main as stampede
+from stampede_rt_local.cluster import LocalCluster
+from tests.support.cluster import cluster_fixture
+from tests.support.waiting import wait_until
+
+cluster = cluster_fixture(hosts=2, supernodes=1, durable=False)
+PATIENCE_SECONDS = 60.0
+BUSY_PERMILLE, IDLE_PERMILLE = 150, 100
+
+
+@pytest.fixture
+def rt(cluster: LocalCluster) -> Iterator[st.Connection]:
+    with st.connect(cluster.address) as made:
+        yield made
+
+
+@contextmanager
+def keeping_busy(address: str, host: str) -> Iterator[None]:
+    """Put items at `host` as fast as it takes them, until the end of the block."""
+    stop = Event()
+
+    def put() -> None:
+        with st.connect(address) as rt:
+            channel = rt.channel("busy", host=host, max_items=1000)
+            with channel.producer() as producer:
+                while not stop.is_set():
+                    producer.put(b"x" * 64)
+
+    thread = Thread(target=put)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join(PATIENCE_SECONDS)
+
+
+def loads(rt: st.Connection) -> dict[str, int]:
+    """By name, the shares of a core that the hosts reported."""
+    return {host.name: host.load.busy_permille for host in rt.hosts() if host.load is not None}
+
+
+def test_new_channels_and_queues_go_to_the_idle_host_of_two_and_the_listings_say_why(
+    cluster: LocalCluster, rt: st.Connection, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with keeping_busy(cluster.address, "h1"):
+        wait_until(
+            lambda: loads(rt).get("h1", 0) >= BUSY_PERMILLE and loads(rt).get("h2", 1000) < IDLE_PERMILLE,
+            "one host is busy and the other one is idle",
+            PATIENCE_SECONDS,
+        )
+        for number in range(3):
+            assert rt.channel(f"new/{number}").host == "h2"
+        assert rt.queue("jobs").host == "h2"
+        capsys.readouterr()
+        assert stampede(["hosts", "--url", cluster.address, "-o", "json"]) == 0
+        rows = {row["host"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["h1"]["busy_permille"] >= BUSY_PERMILLE > IDLE_PERMILLE > rows["h2"]["busy_permille"]
+    assert rows["h1"]["held_bytes"] > 0
+    assert rows["h2"]["memory_bytes_max"] > 0
+    assert (rows["h2"]["channels"] >= 3, rows["h2"]["machine"], rows["h2"]["alive"]) == (True, "localhost", True)
+
+
+def test_doctor_and_hosts_show_the_loads_to_people(
+    cluster: LocalCluster, rt: st.Connection, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wait_until(lambda: len(loads(rt)) == len(cluster.hosts), "each host has a load", PATIENCE_SECONDS)
+    assert stampede(["doctor", "--url", cluster.address, "-o", "json"]) == 0
+    found = {one["part"]: one["load"] for one in json.loads(capsys.readouterr().out)}
+    assert isinstance(found["host h1"], int)
+    assert found["supernode s1"] is None
+    assert stampede(["hosts", "--url", cluster.address]) == 0
+    assert re.search(
+        r"h1 +localhost:\d+ +localhost +held +\d+ +\d+ % of a core +[\d.]+ \w+ of", capsys.readouterr().out
+    )
+
+
+def test_channels_of_both_clients_open_beside_the_channel_that_they_name(
+    cluster: LocalCluster, rt: st.Connection
+) -> None:
+    for host in ("h1", "h2"):
+        first = rt.channel(f"{host}/first", host=host)
+        assert rt.channel(f"{host}/second", beside=first).host == host
+        assert rt.channel(f"{host}/third", beside=f"{host}/second").host == host
+
+        async def open_fourth(near: str) -> str:
+            async with aio.connect(cluster.address) as connection:
+                beside = await connection.channel(f"{near}/first", create=False)
+                return (await connection.channel(f"{near}/fourth", beside=beside)).host
+
+        assert asyncio.run(open_fourth(host)) == host
+
+
+def test_a_channel_beside_an_unknown_one_is_refused_with_what_to_do(rt: st.Connection) -> None:
+    with pytest.raises(st.ChannelNotFound, match="beside channel nobody, because there is no such channel; open"):
+        rt.channel("lonely", beside="nobody")
+    with pytest.raises(st.InvalidArgument, match="state one of them"):
+        rt.channel("lonely", host="h1", beside="h1/first")
