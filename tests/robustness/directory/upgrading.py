@@ -25,7 +25,7 @@ from stampede_rt_supernode.core.commands import Command, Operation
 from stampede_rt_supernode.core.hosts.commands import RegisterHost
 from stampede_rt_supernode.core.records import Endpoint
 from stampede_rt_supernode.replica import DirectoryReplica
-from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
+from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.servicers.level_keeper import TICK_SECONDS
 from tests.robustness.directory.releases import CheckedReplica, UpgradedMember, UpgradeWorld

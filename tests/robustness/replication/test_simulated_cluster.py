@@ -10,7 +10,7 @@ from stampede_rt_supernode.replication.interface import Member
 from stampede_rt_supernode.replication.log_entries import Entry
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
-from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome
+from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome
 from stampede_rt_supernode.replication.rules.proposals import Outcome
 from stampede_rt_supernode.replication.rules.raft_node import InvariantViolation
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest

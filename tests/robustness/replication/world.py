@@ -13,7 +13,7 @@ from stampede_rt_supernode.replication.network.hello import introduced_member, i
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.elections import PreVoteElections
-from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange
+from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.settings import RaftTiming
 from stampede_rt_supernode.replication.wire.buffered_transport import (

@@ -16,6 +16,7 @@ from stampede_rt._sync.message import Message, Settler
 from stampede_rt._sync.prefetch_buffer import PrefetchBuffer
 from stampede_rt._sync.queue_locator import QueueState
 from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
+from stampede_rt._sync.waiting_take import WaitingTake
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import InvalidArgument, StampedeError, Unavailable
 from stampede_rt.pacing.retry import FIRST_DELAY_S
@@ -32,17 +33,6 @@ from stampede_rt.wire.queues import deliveries_of
 DRAIN_TIMEOUT_S = CALL_TIMEOUT_S + 2.0
 END_TIMEOUT_S = 1.0  # for each step of the end of a handle
 _log = logging.getLogger("stampede_rt")
-
-
-class WaitingTake:
-    """One `get` that waits for a message. It ends with a message, with an error, or after its timeout with neither."""
-
-    def __init__(self) -> None:
-        self.come = Signal()  # is set together with `message` or `error`
-        self.asked = Signal()  # is set once the taker has asked the host for a message for this caller
-        self.leaving = False  # the caller's time is over; it only takes a message that is already on the way
-        self.message: Message | None = None
-        self.error: StampedeError | None = None
 
 
 class Taker:
@@ -198,9 +188,7 @@ class Taker:
             waiting = tuple(self._waiting)
             self._waiting.clear()
         for waiter in waiting:
-            waiter.error = error
-            waiter.asked.set()
-            waiter.come.set()
+            waiter.finish(error=error)
 
     def interrupt(self, error: StampedeError) -> None:
         """End the stream, because the peer is no longer registered. Waiting callers raise `error`.
@@ -305,9 +293,7 @@ class Taker:
                 return True
         if waiter is None:
             return False
-        waiter.message = message
-        waiter.asked.set()
-        waiter.come.set()
+        waiter.finish(message)
         return True
 
     def _give_back(self, messages: list[Message]) -> None:
@@ -336,9 +322,7 @@ class Taker:
             waiting, worker = tuple(self._waiting), self._worker
             self._waiting.clear()
         for waiter in waiting:
-            waiter.error = connection_closed() if self._session.closing else None
-            waiter.asked.set()
-            waiter.come.set()
+            waiter.finish(error=connection_closed() if self._session.closing else None)
         self._drain(END_TIMEOUT_S)
         with self._mutex:
             stream, unwanted = self._stream, self._ready.take_all()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import secrets
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -14,12 +13,9 @@ import grpc
 from stampede_rt._sync.endpoints import EndpointPool
 from stampede_rt.administration.in_force import Judge, parts_behind, ping_frontend, ping_host, ping_supernode
 from stampede_rt.administration.quota_use import PartUse, uses_at
+from stampede_rt.administration.removal import remove_member
 from stampede_rt.cluster.connecting import parse_target
-from stampede_rt.cluster.majority import UNREACHED
 from stampede_rt.errors import (
-    DeadlineExceeded,
-    NotLeader,
-    Overloaded,
     StampedeError,
     Unavailable,
     VersionMismatch,
@@ -37,10 +33,7 @@ from stampede_rt.v1.directory_pb2 import HostRecord, SupernodeRecord
 from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 CALL_SECONDS = 3.0  # for one call to one supernode or front-end
-CHANGE_SECONDS = 30.0  # how long `remove` tries again if there is a leader
-LEADERLESS_SECONDS = 8.0  # how long `remove` waits for a leader; an election takes 4 s at most
 SNAPSHOT_SECONDS = 120.0  # for all parts of a snapshot
-BACKOFF_SECONDS = 0.5  # between two tries of `remove`
 HOST_PAGES_MAX = 1000  # the pages of the list of hosts
 
 
@@ -173,32 +166,18 @@ class Cluster:
 
         If the outcome is unknown, the error says so, with the reason AMBIGUOUS.
         """
-        request, began = pb.RemoveSupernodeRequest(supernode_id=supernode_id), time.monotonic()
-        is_unknown = False
-        known, patience = self.members().supernodes, LEADERLESS_SECONDS
+        request, known = pb.RemoveSupernodeRequest(supernode_id=supernode_id), self.members().supernodes
         if supernode_id not in {one.supernode_id for one in known}:
             raise no_member(supernode_id, known)
-        waiting = self._leader_first(known)
-        while waiting:
-            endpoint = self._endpoints.to(waiting[0])
-            try:
-                removed: pb.RemoveSupernodeResponse = endpoint.call(
-                    _membership(endpoint).RemoveSupernode, request, CALL_SECONDS
-                )
-            except (NotLeader, Overloaded, Unavailable, DeadlineExceeded) as error:
-                is_unknown = is_unknown or _may_have_removed(error)
-                leader = error.metadata.get("leader_endpoint")
-                patience = CHANGE_SECONDS if leader or isinstance(error, Overloaded) else patience
-                if time.monotonic() - began > patience:
-                    failure = _leaderless(known) if patience == LEADERLESS_SECONDS else error
-                    raise _unknown_removal(supernode_id, failure) if is_unknown else failure from error
-                waiting = [*waiting[1:], waiting[0]]
-                if leader:
-                    waiting = [leader, *(one for one in waiting if one != leader)]
-                time.sleep(BACKOFF_SECONDS)
-            else:
-                return removed
-        raise _leaderless(known)
+
+        def ask(address: str) -> pb.RemoveSupernodeResponse:
+            endpoint = self._endpoints.to(address)
+            removed: pb.RemoveSupernodeResponse = endpoint.call(
+                _membership(endpoint).RemoveSupernode, request, CALL_SECONDS
+            )
+            return removed
+
+        return remove_member(supernode_id, known, self._leader_first(known), ask)
 
     def _leader_first(self, known: Sequence[SupernodeRecord]) -> list[str]:
         """Return the addresses of the members that answer, the leader's address first."""
@@ -255,29 +234,6 @@ def no_member(supernode_id: str, known: Sequence[SupernodeRecord]) -> StampedeEr
     """Return the error for an id that no member has."""
     names = ", ".join(one.supernode_id for one in known)
     return StampedeError(f"no supernode has the id {supernode_id}; the members are {names}")
-
-
-def _leaderless(known: Sequence[SupernodeRecord]) -> Unavailable:
-    return Unavailable(
-        f"no supernode leads, and only a leader removes a member: start supernodes until {len(known) // 2 + 1} of "
-        f"{', '.join(one.supernode_id for one in known)} serve, or, if they are lost for good, restore the cluster "
-        "from one that is left, or from a backup (stampede supernode init --restore)"
-    )
-
-
-def _may_have_removed(error: StampedeError) -> bool:
-    """Whether a supernode may have put the removal into its log, although the call has failed."""
-    if error.from_service:
-        return error.reason == "AMBIGUOUS"  # otherwise the supernode has answered that it did not
-    return "Connection refused" not in error.metadata.get(UNREACHED, "")
-
-
-def _unknown_removal(supernode_id: str, failure: StampedeError) -> Unavailable:
-    return Unavailable(
-        f"it is unknown whether {supernode_id} is removed: {failure.message}. Once a supernode leads, look at "
-        "`stampede supernode status`, and repeat the removal if it is still a member",
-        reason="AMBIGUOUS",
-    )
 
 
 @contextmanager

@@ -14,15 +14,14 @@ import grpc.aio
 from stampede_rt.cluster.call_metadata import CallMetadata
 from stampede_rt.cluster.request_age import age_metadata
 from stampede_rt.cluster.transport_choice import Transport
-from stampede_rt.errors import DeadlineExceeded, StampedeError, Unavailable
+from stampede_rt.errors import DeadlineExceeded, StampedeError
 from stampede_rt.security.tls import TlsMaterial
-from stampede_rt.status import from_rpc_error, raise_from_rpc_error
-from stampede_rt.transports import forking
+from stampede_rt.status import raise_from_rpc_error
 from stampede_rt.transports.bidi_methods import BidiMethod, BidiMethods
+from stampede_rt.transports.call_stream_async import CallStream, fail, within
 from stampede_rt.transports.grpc_credentials import channel_credentials
 from stampede_rt.transports.grpc_options import CHANNEL_OPTIONS, END_TIMEOUT_S, ENQUEUE_METHOD, PUT_METHOD
 from stampede_rt.transports.machine import this_machine
-from stampede_rt.transports.requests_async import Requests, spawn
 from stampede_rt.transports.socket_async import OpeningCall, SocketCall
 from stampede_rt.transports.socket_connecting_async import connect
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
@@ -38,7 +37,6 @@ from stampede_rt.wire.delivered import ItemCount
 # get until it learns of the cancellation.
 CALLS_MAX = 1000
 
-Response = TypeVar("Response")
 Stub = TypeVar("Stub")
 
 
@@ -189,62 +187,6 @@ class ServerEndpoint(Stubs):
             await asyncio.wait(tasks, timeout=END_TIMEOUT_S)
 
 
-class _Exchange:
-    """An open bidirectional stream with a task that reads its responses."""
-
-    def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
-        self._call = call
-        self._target = target
-        self._forks = forking.forks()
-        self._requests = Requests(call, tasks)
-        self.broken = False
-        spawn(tasks, self._read())
-
-    async def _read(self) -> None:
-        error: StampedeError = Unavailable(f"{self._target} ended the stream")
-        try:
-            async for response in self._call:
-                await self._receive(response)
-        except grpc.RpcError as failure:
-            error = from_rpc_error(failure, self._target)
-        except asyncio.CancelledError:
-            error = closed(self._target)
-        except StampedeError as defect:
-            error = defect
-        except Exception as defect:  # noqa: BLE001  # the waiting callers must get the error
-            error = StampedeError(f"{self._target} sent an unexpected message: {defect!r}")
-        self.cancel()
-        await self._end(error)
-
-    async def _receive(self, response: Any) -> None:
-        raise NotImplementedError
-
-    async def _end(self, error: StampedeError) -> None:
-        raise NotImplementedError
-
-    def cancel(self) -> None:
-        """End the stream."""
-        self.broken = True
-        if self._forks == forking.forks():
-            self._call.cancel()
-
-
-async def _within(future: asyncio.Future[Response], timeout_s: float | None, target: str) -> Response:
-    try:
-        async with asyncio.timeout(timeout_s):
-            return await future
-    except TimeoutError:
-        raise DeadlineExceeded(f"{target} did not answer within {timeout_s:g} s; it may be overloaded") from None
-    finally:
-        if not future.cancel() and not future.cancelled():
-            future.exception()  # mark the error as retrieved, so that asyncio does not log it
-
-
-def _fail(future: asyncio.Future[Any], error: StampedeError) -> None:
-    if not future.done():
-        future.set_exception(error)
-
-
 class _WaitingGet(NamedTuple):
     """A get that waits for the rest of its answer."""
 
@@ -253,7 +195,7 @@ class _WaitingGet(NamedTuple):
     received: ItemCount
 
 
-class GetExchange(_Exchange):
+class GetExchange(CallStream):
     """Gets on one open stream, at most CALLS_MAX at the same time, each with a call id."""
 
     def __init__(self, call: Any, target: str, tasks: set[asyncio.Task[None]]) -> None:
@@ -280,7 +222,7 @@ class GetExchange(_Exchange):
         self._waiting[call_id] = _WaitingGet(future, [], ItemCount(request.limit))
         number = self._requests.send(request)
         try:
-            return await _within(future, timeout_s, self._target)
+            return await within(future, timeout_s, self._target)
         except (asyncio.CancelledError, DeadlineExceeded):
             if not self._requests.withdraw(number):  # the host may have the request
                 self._requests.send(channel_pb.GetRequest(call_id=call_id, cancel=True))
@@ -299,10 +241,10 @@ class GetExchange(_Exchange):
 
     async def _end(self, error: StampedeError) -> None:
         for entry in self._waiting.values():
-            _fail(entry.future, error)
+            fail(entry.future, error)
 
 
-class PutExchange(_Exchange):
+class PutExchange(CallStream):
     """Puts on one open stream. The acks come in the order of the puts.
 
     If the caller of a put gave up, the put may still wait for room at the host. The stream then takes no new put, and
@@ -327,7 +269,7 @@ class PutExchange(_Exchange):
         self._waiting.append(future)
         self._requests.send(request)
         try:
-            return await _within(future, timeout_s, self._target)
+            return await within(future, timeout_s, self._target)
         except (asyncio.CancelledError, DeadlineExceeded) as reason:
             goes_on = stays and isinstance(reason, asyncio.CancelledError) and len(self._waiting) <= CALLS_MAX
             self.broken = self.broken or not goes_on
@@ -347,10 +289,10 @@ class PutExchange(_Exchange):
 
     async def _end(self, error: StampedeError) -> None:
         while self._waiting:
-            _fail(self._waiting.popleft(), error)
+            fail(self._waiting.popleft(), error)
 
 
-class PutDuplex(_Exchange):
+class PutDuplex(CallStream):
     """Puts on one open stream. It passes each response to `on_response`, and calls `on_end` once at the end."""
 
     def __init__(

@@ -16,13 +16,12 @@ from stampede_rt.values.model import Policy
 from stampede_rt.values.timeline import MAX_INSTANT, MIN_INSTANT, Match, parse_interval
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.channels.time_limits import LIMITS_PER_PIECE
+from stampede_rt_channel_host.channels.waiting_get import Outcome, WaitingGet
 from stampede_rt_channel_host.channels.waiting_gets import (
     GETS_PER_PIECE,
     RELEASES_MAX,
     SLICES_PER_LOOK,
     WAITING_GETS_MAX,
-    Outcome,
-    WaitingGet,
     WaitingGets,
 )
 from stampede_rt_channel_host.core.channel import (

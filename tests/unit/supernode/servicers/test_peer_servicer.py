@@ -14,7 +14,7 @@ from stampede_rt.v1 import peer_service_pb2 as pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queues_pb
 from stampede_rt_supernode.core import lease
 from stampede_rt_supernode.core.records import PeerRecord
-from stampede_rt_supernode.servicers import lease_keeper
+from stampede_rt_supernode.servicers import followed_peers, lease_keeper
 from tests.support.supernode.node import Node, reason_of, running_node
 from tests.support.supernode.operations import TTL_NANOS, id_of
 
@@ -142,7 +142,7 @@ async def test_a_leader_follows_the_peers_that_change_and_all_of_them_a_few_in_a
     node: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With 100,000 peers each one that came or went cost the leader 0.1 s."""
-    monkeypatch.setattr(lease_keeper, "PEERS_PER_TURN", 4)
+    monkeypatch.setattr(followed_peers, "PEERS_PER_TURN", 4)
     noted: list[int] = []
     note, turn = lease.LeaseTable.note, 0
 

@@ -24,7 +24,8 @@ from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.outbox import COUNTED_BYTES_MAX, Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
-from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE, Outcome, WaitingGet
+from stampede_rt_channel_host.channels.waiting_get import Outcome, WaitingGet
+from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE
 from stampede_rt_channel_host.core.channel import (
     ITEM_OVERHEAD_BYTES,
     Pending,

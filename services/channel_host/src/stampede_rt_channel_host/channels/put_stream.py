@@ -16,8 +16,9 @@ from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, St
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt_channel_host.channels.acks import refused
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
+from stampede_rt_channel_host.channels.incoming_run import IncomingRun
 from stampede_rt_channel_host.channels.put_requests import Put, read_request
-from stampede_rt_channel_host.channels.puts import ChannelPuts, IncomingRun, check_number
+from stampede_rt_channel_host.channels.puts import ChannelPuts, check_number
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream

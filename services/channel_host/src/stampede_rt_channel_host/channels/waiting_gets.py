@@ -10,20 +10,18 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Sequence
-from functools import partial
-from operator import attrgetter
-from typing import Protocol
+from collections.abc import Callable
 
 from stampede_rt.errors import Overloaded, StampedeError
-from stampede_rt_channel_host.channels.time_limits import TimeLimit, TimeLimits
+from stampede_rt_channel_host.channels.get_release import GetRelease, Polled, Source
+from stampede_rt_channel_host.channels.time_limits import TimeLimits
+from stampede_rt_channel_host.channels.waiting_get import NEED_KEYS, Outcome, WaitingGet, instant_key
 from stampede_rt_channel_host.core.channel import (
     AFTER_ALL,
     BEFORE_ALL,
     Needs,
     Pending,
     Pieces,
-    Reach,
     ReachTracker,
     ReadAnswer,
     Unfinished,
@@ -31,10 +29,7 @@ from stampede_rt_channel_host.core.channel import (
     first_of,
     run_to_end,
 )
-from stampede_rt_channel_host.core.keyed_list import Key, KeyedList
-
-Outcome = ReadAnswer | Unfinished[ReadAnswer | WakeAt] | Unfinished[ReadAnswer] | StampedeError
-"""`Unfinished`: the host has made the first piece of a long answer. The receiver of the outcome performs the rest."""
+from stampede_rt_channel_host.core.keyed_list import KeyedList
 
 WAITING_GETS_MAX = 20_000
 GETS_PER_PIECE = 32
@@ -48,126 +43,6 @@ A further change is joined to the last kept one, which then has the state after 
 _TIMER_SECONDS_MIN = 0.0001  # the host's clock may be slower than the loop's: the timer must not fire again and again
 # the host's clock may also be faster: a far instant may come sooner than the loop's clock says
 _TIMER_SECONDS_MAX = 10.0
-
-
-class WaitingGet:
-    """One blocked get. `on_outcome` is called once, from the event loop, unless the get is cancelled before.
-
-    The gets are sorted by `arrival` and `needs`. `instant` is the time at which the clock may release the get.
-    """
-
-    __slots__ = ("_limit", "_limits", "_on_outcome", "_waiting", "arrival", "instant", "needs", "pending")
-
-    def __init__(
-        self, pending: Pending, waiting: WaitingGets, arrival: int, on_outcome: Callable[[Outcome], None]
-    ) -> None:
-        self.pending = pending
-        self.arrival = arrival
-        self.needs = Needs()
-        self.instant: int | None = None
-        self._waiting = waiting
-        self._on_outcome = on_outcome
-        self._limits: TimeLimits | None = None
-        self._limit: TimeLimit | None = None
-
-    def limit(self, wait_nanos: int, limits: TimeLimits, give_up: Callable[[WaitingGet], None]) -> None:
-        """Call `give_up` with this get after `wait_nanos` nanoseconds, unless the get ends before."""
-        self._limits, self._limit = limits, limits.add(wait_nanos, partial(give_up, self))
-
-    def cancel(self) -> None:
-        """Stop the wait and its time limit, without an outcome. Idempotent."""
-        if self._limits is not None and self._limit is not None:
-            self._limits.remove(self._limit)
-            self._limit = None
-        self._waiting.remove(self)
-
-    def finish(self, outcome: Outcome) -> None:
-        """End the get with its outcome."""
-        self.cancel()
-        self._on_outcome(outcome)
-
-
-def _instant_key(get: WaitingGet) -> Key:
-    assert get.instant is not None, "only gets with an instant are in the order of the instants"
-    return get.instant, get.arrival
-
-
-def _need_key(position: int) -> Callable[[WaitingGet], Key]:
-    """The sort key by one need, then by arrival."""
-
-    def key(get: WaitingGet) -> Key:
-        need = get.needs[position]
-        assert need is not None, "a get without a need is not in the order of that need"
-        return need, get.arrival
-
-    return key
-
-
-_NEED_KEYS = tuple(_need_key(position) for position in range(len(Needs._fields)))
-
-
-class Polled(Protocol):
-    """An object in which blocked gets look for their answers: a `Source`, or a snapshot of one."""
-
-    def polling(self, pending: Pending, now: int) -> Pieces[ReadAnswer | WakeAt]:
-        """See `ChannelCore.polling`."""
-
-
-class SourceSnapshot(Polled, Protocol):
-    """A `Source` as it was at one moment."""
-
-    def close(self) -> None:
-        """Free the snapshot. The host polls no get with it any more."""
-
-
-class Source(Polled, Protocol):
-    """The source that gets wait for: a channel, or the visible part of a channel in a group."""
-
-    def giving_up(self, pending: Pending, now: int) -> Pieces[ReadAnswer]:
-        """See `ChannelCore.giving_up`."""
-
-    def moment(self, now: int) -> SourceSnapshot:
-        """See `ChannelCore.moment`."""
-
-
-class _Release:
-    """One change, and the gets that it may release: they arrived before the change, and it may fulfil their needs."""
-
-    def __init__(self, reach: Reach, arrivals: int) -> None:
-        self.reach = reach
-        self.arrivals = arrivals  # the `arrival` of the last get before the change
-        self.snapshot: SourceSnapshot | None = None  # the state right after the change
-        self.taken: deque[WaitingGet] = deque()  # gets that `take` returned, and that nobody has looked at yet
-        # for each kind of need, the sort key of the last get that `take` has looked at
-        self._last_keys: list[tuple[int, int] | None] = [None] * len(reach)
-
-    def merge(self, later: _Release) -> None:
-        """Join a later change.
-
-        The joined change has the state of the later one. Allowed only before the first `take`.
-        """
-        pairs = zip(self.reach, later.reach, strict=True)
-        self.reach = Reach(*(max((one for one in pair if one is not None), default=None) for pair in pairs))
-        self.arrivals = later.arrivals
-
-    def take(self, by_need: Sequence[KeyedList[WaitingGet]], gets_max: int) -> list[WaitingGet]:
-        """The next gets that the change may release, at most `gets_max`, in the order of arrival.
-
-        Between two calls, gets may be released or cancelled.
-        """
-        found: dict[WaitingGet, None] = {}
-        for position, (ordered, reached) in enumerate(zip(by_need, self.reach, strict=True)):
-            if reached is None:
-                continue
-            for get in ordered.after(self._last_keys[position], (reached, self.arrivals), gets_max - len(found)):
-                self._last_keys[position] = ordered.key(get)
-                if get.arrival <= self.arrivals:
-                    found[get] = None
-        return sorted(found, key=attrgetter("arrival"))
-
-    def close(self) -> None:
-        if self.snapshot is not None:
-            self.snapshot.close()
 
 
 class WaitingGets:
@@ -199,11 +74,11 @@ class WaitingGets:
         self._limits = TimeLimits(begin) if limits is None else limits
         self._arrivals = 0
         self._waiting: dict[WaitingGet, None] = {}
-        self._by_need: list[KeyedList[WaitingGet]] = [KeyedList(key) for key in _NEED_KEYS]
-        self._by_instant: KeyedList[WaitingGet] = KeyedList(_instant_key)
+        self._by_need: list[KeyedList[WaitingGet]] = [KeyedList(key) for key in NEED_KEYS]
+        self._by_instant: KeyedList[WaitingGet] = KeyedList(instant_key)
         self._timer: asyncio.TimerHandle | None = None
         self._timer_instant = 0
-        self._releases: list[_Release] = []
+        self._releases: list[GetRelease] = []
         self._working = False  # whether `_pieces` is under way
 
     def __len__(self) -> int:
@@ -221,7 +96,7 @@ class WaitingGets:
         if not self._waiting:
             self._tracker.begin(self._cut())
         self._arrivals += 1
-        get = WaitingGet(pending, self, self._arrivals, on_outcome)
+        get = WaitingGet(pending, self._arrivals, on_outcome, self.remove)
         self._insert(get, wake)
         self._arm()
         if wait_nanos >= 0:
@@ -242,13 +117,13 @@ class WaitingGets:
 
         Looks at all of them now, or, if they are many, in pieces, in the channel's present state.
         """
-        release = _Release(self._tracker.reach(now, self._cut()), self._arrivals)
+        release = GetRelease(self._tracker.reach(now, self._cut()), self._arrivals)
         found = deque(release.take(self._by_need, GETS_PER_PIECE + 1))
         if not self._releases and len(found) <= GETS_PER_PIECE:
             self._look_at(found, self._source, now)
             self._arm()
         if found:
-            self._keep(_Release(release.reach, release.arrivals), now)
+            self._keep(GetRelease(release.reach, release.arrivals), now)
             self._work()
 
     def ending(self, error: StampedeError) -> Pieces[None]:
@@ -263,7 +138,7 @@ class WaitingGets:
             if gets:
                 yield
 
-    def _keep(self, release: _Release, now: int) -> None:
+    def _keep(self, release: GetRelease, now: int) -> None:
         """Keep a change and the state after it, until `_pieces` has looked at the gets that the change may release."""
         if len(self._releases) >= RELEASES_MAX:
             self._releases[-1].close()
@@ -355,7 +230,7 @@ class WaitingGets:
 
     def _first_instant(self) -> int:
         """The earliest instant at which the clock may release a get; AFTER_ALL: there is none."""
-        return _instant_key(self._by_instant[0])[0] if len(self._by_instant) else AFTER_ALL
+        return instant_key(self._by_instant[0])[0] if len(self._by_instant) else AFTER_ALL
 
     def _arm(self) -> None:
         """Set the timer for the first instant. A timer that fires early does no harm."""

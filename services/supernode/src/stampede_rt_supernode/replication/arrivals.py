@@ -9,7 +9,7 @@ from typing import TypeVar
 from stampede_rt_supernode.replication.interface import LogUnavailable
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
-from stampede_rt_supernode.replication.rules.member_changes import MemberChange
+from stampede_rt_supernode.replication.rules.member_change import MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotRequest
 from stampede_rt_supernode.replication.settings import COMMAND_BYTES_MAX, ReplicationSettings

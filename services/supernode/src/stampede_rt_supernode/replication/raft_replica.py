@@ -15,7 +15,8 @@ from stampede_rt_supernode.replication.library.node import RandomSource
 from stampede_rt_supernode.replication.rules.confirmed_reads import ConfirmedRead
 from stampede_rt_supernode.replication.rules.elections import TERM_MAX, PreVoteElections
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
-from stampede_rt_supernode.replication.rules.member_changes import MemberChange, MemberChanges
+from stampede_rt_supernode.replication.rules.member_change import MemberChange
+from stampede_rt_supernode.replication.rules.member_changes import MemberChanges
 from stampede_rt_supernode.replication.rules.node_builder import build_node
 from stampede_rt_supernode.replication.rules.proposals import Proposal, Proposals
 from stampede_rt_supernode.replication.rules.raft_node import PeerAtFault

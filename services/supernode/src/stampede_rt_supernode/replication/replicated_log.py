@@ -27,7 +27,7 @@ from stampede_rt_supernode.replication.network.refusals import Grounds
 from stampede_rt_supernode.replication.network.servicer import RaftServicer
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
-from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange
+from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings

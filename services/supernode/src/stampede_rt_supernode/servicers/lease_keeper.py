@@ -17,7 +17,6 @@ from stampede_rt.values.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.cluster_ids import new_cluster_id
 from stampede_rt_supernode.core.answered import MARK_NANOS
-from stampede_rt_supernode.core.change_ring import ChangePage
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
 from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
 from stampede_rt_supernode.core.directory import Directory
@@ -27,11 +26,12 @@ from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
 from stampede_rt_supernode.core.lookups import host_by_id
 from stampede_rt_supernode.core.peers.commands import ExpirePeers, PeerLease, PeersExpired
 from stampede_rt_supernode.core.peers.transitions import check_peer_boot
-from stampede_rt_supernode.core.records import ID_BYTES, ChangeKind, DirectoryChange, HostRecord, PeerRecord
+from stampede_rt_supernode.core.records import ID_BYTES, HostRecord, PeerRecord
 from stampede_rt_supernode.core.validation import check_id
 from stampede_rt_supernode.joining.join_tokens import KEY_BYTES
 from stampede_rt_supernode.replica import DirectoryReplica
 from stampede_rt_supernode.replication.interface import ReplicatedLog, ReplicationStatus
+from stampede_rt_supernode.servicers.followed_peers import FollowedPeers
 from stampede_rt_supernode.servicers.host_loads import HostLoads
 from stampede_rt_supernode.servicers.submission import Submission
 
@@ -41,7 +41,6 @@ TICK_SECONDS = 0.1
 PROPOSAL_SECONDS = 5.0  # how long a tick waits for the outcome of a command
 ENDINGS_AT_ONCE_MAX = 64  # the most commands under way that each end the lease of a host
 PEERS_PER_ENTRY_MAX = 256  # the most leases of peers that one command ends
-PEERS_PER_TURN = 1024  # the most peers at which one turn of the event loop looks
 
 T = TypeVar("T", HostRecord, PeerRecord)
 
@@ -79,9 +78,7 @@ class LeaseKeeper:
         self.loads = HostLoads(replica, submission, clock)
         self._hosts = LeaseTable()
         self._peers = LeaseTable()
-        # How far the table of peers has followed the directory: `replica.restored` at that time, and the position in
-        # the ring of peers. None if it has followed nothing in this tenure.
-        self._peers_followed: tuple[int, int] | None = None
+        self._followed_peers = FollowedPeers(self._peers, replica, lambda: self._give_way())
         # The log position of the last mark of time, and when this leader first saw the mark, or began to lead.
         self._last_mark = self._marked_nanos = 0
         # The id that the founder gave the cluster. In a restored cluster, whether callers of the former cluster may go
@@ -143,11 +140,11 @@ class LeaseKeeper:
         if begun.tenure != status.tenure or self._log.status().tenure != status.tenure:
             return  # another supernode leads by now
         hosts, ttl_nanos = self._replica.read(lambda directory: (_live(directory), directory.lease_ttl_nanos))
-        self._peers_followed = None
+        self._followed_peers.begin()
         now = self._marked_nanos = self._clock.boottime_nanos()
         self._hosts.lead(status.tenure, hosts, now, ttl_nanos=ttl_nanos)
         self._peers.lead(status.tenure, (), now, ttl_nanos=ttl_nanos)
-        await self._follow_peers(now)
+        await self._followed_peers.follow(now)
         peers = self._replica.read(lambda directory: directory.tables.peers.live_count)
         logger.info("leading", extra={"tenure": status.tenure, "hosts": len(hosts), "peers": peers})
         if ttl_nanos != self._founding_ttl_nanos:
@@ -185,7 +182,7 @@ class LeaseKeeper:
 
     async def _end_due_peers(self) -> None:
         now = self._clock.boottime_nanos()
-        await self._follow_peers(now)
+        await self._followed_peers.follow(now)
         due = self._peers.due(now)
         while self._peers.is_behind(now):
             await self._give_way()
@@ -196,52 +193,6 @@ class LeaseKeeper:
             operation = ExpirePeers(leases=part, tenure=self._peers.tenure)
             ended = await self._submission.submit(operation, PeersExpired, op_id=_op_id(), seconds=PROPOSAL_SECONDS)
             logger.info("leases of peers ended", extra={"due": len(operation.leases), "expired": ended.expired})
-
-    async def _follow_peers(self, now: int) -> None:
-        """Apply the changes of peers to the table of leases, some in each turn of the event loop.
-
-        If the ring has dropped some of these changes, go through all peers.
-        """
-        while True:  # ends with the last change
-            page = self._replica.read(self._changed_peers)
-            if page is None:
-                await self._follow_all_peers(now)
-            elif page.changes:
-                for change in page.changes:
-                    self._note_peer(change, now)
-                self._peers_followed = (self._peers_followed or (-1, 0))[0], page.position
-            else:
-                return
-            await self._give_way()
-
-    def _changed_peers(self, directory: Directory) -> ChangePage | None:
-        """The next changes; None if the ring has dropped them, or the whole state was replaced."""
-        restored, position = self._peers_followed or (-1, 0)
-        ring = directory.tables.peers.changes
-        return ring.read(position, PEERS_PER_TURN) if restored == self._replica.restored else None
-
-    def _note_peer(self, change: DirectoryChange, now: int) -> None:
-        peer = change.subject
-        assert isinstance(peer, PeerRecord), "the ring of peers holds changes of peers only"
-        if change.kind is ChangeKind.REMOVED or not peer.alive:
-            self._peers.note_gone(peer.peer_id, change.index)
-        else:
-            self._peers.note(peer, now)
-
-    async def _follow_all_peers(self, now: int) -> None:
-        peers, index, followed = self._replica.read(self._all_peers)
-        live: list[PeerRecord] = []
-        for start in range(0, len(peers), PEERS_PER_TURN):
-            live += [one for one in peers[start : start + PEERS_PER_TURN] if one.alive]
-            await self._give_way()
-        for _ in self._peers.following(live, index, now):
-            await self._give_way()
-        self._peers_followed = followed
-
-    def _all_peers(self, directory: Directory) -> tuple[tuple[PeerRecord, ...], int, tuple[int, int]]:
-        peers = directory.tables.peers
-        state = self._replica.restored, peers.changes.end_position
-        return tuple(peers.by_id.values()), directory.applied_index, state
 
     @staticmethod
     async def _give_way() -> None:

@@ -15,10 +15,10 @@ from stampede_rt_channel_host.core.queue import (
     QueueCore,
     QueueLimits,
     dispatcher,
+    due_work,
     enqueuing,
 )
-from stampede_rt_channel_host.core.queue import queue as queue_module
-from stampede_rt_channel_host.core.queue.queue import DUE_PER_CALL_MAX
+from stampede_rt_channel_host.core.queue.due_work import DUE_PER_CALL_MAX
 from tests.support.channel_host.queue_cores import Core
 
 TEN_MINUTES = 600 * 10**9
@@ -354,7 +354,7 @@ def test_a_lowered_number_of_deliveries_holds_at_once_for_items_that_were_delive
 def test_after_other_limits_some_items_are_looked_at_in_one_go_and_none_is_given_out_before_all_were(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(queue_module, "CHECKED_PER_CALL_MAX", 4)
+    monkeypatch.setattr(due_work, "CHECKED_PER_CALL_MAX", 4)
     core = Core()
     core.put(*[1] * 10)
     giver = core.taker(1, credit=10)

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import pytest
 
 from stampede_rt_supernode.replication.interface import Member, ReleaseOutdated, too_old
-from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange, MemberChanges
+from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
+from stampede_rt_supernode.replication.rules.member_changes import MemberChanges
 from stampede_rt_supernode.replication.wire.buffered_transport import Connected, StreamOpened
 from tests.support.supernode.list_machine import ListMachine
 from tests.support.supernode.lone_node import LoneNode, acknowledgement

@@ -6,7 +6,8 @@ import pytest
 
 from stampede_rt_supernode.replication.interface import ChangeRefused, ChangeUnderWay, Member
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
-from stampede_rt_supernode.replication.rules.member_changes import ChangeOutcome, MemberChange, MemberChanges
+from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
+from stampede_rt_supernode.replication.rules.member_changes import MemberChanges
 from stampede_rt_supernode.replication.wire.buffered_transport import Connected, StreamOpened
 from stampede_rt_supernode.replication.wire.messages import TimeoutNow
 from tests.support.supernode.lone_node import LoneNode, acknowledgement

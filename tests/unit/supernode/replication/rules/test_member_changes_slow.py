@@ -5,13 +5,8 @@ from __future__ import annotations
 import pytest
 
 from stampede_rt_supernode.replication.interface import ChangeUnderWay, Member
-from stampede_rt_supernode.replication.rules.member_changes import (
-    GIVES_WAY_SECONDS,
-    JOIN_SECONDS_MAX,
-    ChangeOutcome,
-    MemberChange,
-    MemberChanges,
-)
+from stampede_rt_supernode.replication.rules.member_change import ChangeOutcome, MemberChange
+from stampede_rt_supernode.replication.rules.member_changes import GIVES_WAY_SECONDS, JOIN_SECONDS_MAX, MemberChanges
 from stampede_rt_supernode.replication.wire.buffered_transport import Connected
 from tests.support.supernode.lone_node import LoneNode, acknowledgement, command
 

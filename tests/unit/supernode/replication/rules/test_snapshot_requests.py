@@ -12,7 +12,7 @@ from stampede_rt_supernode.replication.arrivals import SNAPSHOT_REQUESTS_MAX
 from stampede_rt_supernode.replication.interface import LogUnavailable, Member
 from stampede_rt_supernode.replication.raft_replica import RaftReplica
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver
-from stampede_rt_supernode.replication.rules.member_changes import MemberChange
+from stampede_rt_supernode.replication.rules.member_change import MemberChange
 from stampede_rt_supernode.replication.rules.proposals import Outcome, Proposal
 from stampede_rt_supernode.replication.rules.snapshot_requests import SnapshotOutcome, SnapshotRequest
 from stampede_rt_supernode.replication.settings import ReplicationSettings

@@ -1,7 +1,7 @@
 """The core of queues and mailboxes (paper, section 3.5). Pure."""
 
 from stampede_rt_channel_host.core.queue.dispatcher import BATCH_BYTES_MAX
-from stampede_rt_channel_host.core.queue.enqueuing import Enqueue
+from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.handoff import ItemState, LeaseState, QueueHandoff, SeqRange
 from stampede_rt_channel_host.core.queue.items import GIVEN_BACK, LEASE_EXPIRED, TERMINATED, FailedDelivery, QueuedRun
 from stampede_rt_channel_host.core.queue.limits import (

@@ -6,18 +6,17 @@ The queue judges a run message by message, and recognises a repeated run. While 
 from __future__ import annotations
 
 from collections import Counter, OrderedDict
-from collections.abc import Sequence
 from itertools import islice
 
 from stampede_rt.errors import ItemTooLarge, Overloaded, QueueFull, StampedeError
 from stampede_rt_channel_host.core.deadlines import Deadlines
 from stampede_rt_channel_host.core.dedup import RetryWindow
-from stampede_rt_channel_host.core.judging import Judged, Judging, RunPart
+from stampede_rt_channel_host.core.judging import Judged, RunPart
+from stampede_rt_channel_host.core.queue.enqueue import Enqueue
 from stampede_rt_channel_host.core.queue.items import QueuedRun
 from stampede_rt_channel_host.core.queue.limits import BLOCK, DROP_OLDEST, ITEM_OVERHEAD_BYTES
 from stampede_rt_channel_host.core.queue.message_ids import MessageIds
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
-from stampede_rt_channel_host.core.queue.values import SealRun
 
 WAITING_RUNS_MAX = 10_000
 WAITING_BYTES_MAX = 64 * 2**20
@@ -35,58 +34,6 @@ MAKING_ROOM_NANOS = 1_000_000_000
 """While the queue drops messages to make room for a run, the run waits up to this time, even if its producer does not
 want to wait.
 """
-
-
-class Enqueue:
-    """A run that a producer puts into a queue, and its progress.
-
-    The run may wait for room for `wait_nanos`, or without limit if this is None. `is_stamped`: the run came without
-    times, so the host gives its messages their time. A run with a `message_id` has one message. `is_duplicate`: the
-    queue knew the message id. At the end the run has either an `outcome` or, if the queue refused it as a whole, an
-    `error`. `owner`: see `RetryWindow.record`.
-    """
-
-    __slots__ = (
-        "due", "error", "first_number", "is_duplicate", "is_stamped", "judging", "lengths", "message_id", "order",
-        "outcome", "owner", "producer_id", "seal", "wait_nanos",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        lengths: Sequence[int],
-        seal: SealRun,
-        *,
-        is_stamped: bool = True,
-        producer_id: int = 0,
-        first_number: int = 0,
-        wait_nanos: int | None = None,
-        message_id: str = "",
-        owner: str = "",
-    ) -> None:
-        self.owner = owner
-        self.lengths = lengths
-        self.seal = seal
-        self.is_stamped = is_stamped
-        self.producer_id = producer_id
-        self.first_number = first_number
-        self.wait_nanos = wait_nanos
-        self.message_id = message_id
-        self.is_duplicate = False
-        self.judging = Judging(len(lengths))
-        self.outcome: Judged | None = None
-        self.error: StampedeError | None = None
-        self.due: int | None = None
-        self.order = 0
-
-    @property
-    def is_done(self) -> bool:
-        """Whether the run is done: none of its messages waits."""
-        return self.outcome is not None or self.error is not None
-
-    @property
-    def charged_bytes(self) -> int:
-        """The bytes that its messages count against the limits of memory."""
-        return sum(self.lengths) + len(self.lengths) * ITEM_OVERHEAD_BYTES
 
 
 class Enqueuing:

@@ -9,9 +9,10 @@ from stampede_rt.errors import StampedeError
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.queue import handoff
 from stampede_rt_channel_host.core.queue.dispatcher import Dispatcher
-from stampede_rt_channel_host.core.queue.enqueuing import Enqueue, Enqueuing
+from stampede_rt_channel_host.core.queue.due_work import DueWork
+from stampede_rt_channel_host.core.queue.enqueue import Enqueue
+from stampede_rt_channel_host.core.queue.enqueuing import Enqueuing
 from stampede_rt_channel_host.core.queue.handoff import QueueHandoff
-from stampede_rt_channel_host.core.queue.items import TouchedItem
 from stampede_rt_channel_host.core.queue.leasing import Leasing
 from stampede_rt_channel_host.core.queue.limits import QueueLimits
 from stampede_rt_channel_host.core.queue.queue_items import QueueItems
@@ -25,14 +26,10 @@ from stampede_rt_channel_host.core.queue.values import (
     SettlementResult,
 )
 
-CHECKED_PER_CALL_MAX = 256
-"""The most messages that one call checks again after the limits have changed."""
 EMPTIED_PER_PIECE = 256
 """The most messages that one piece of `emptying` removes."""
 ENDED_PER_CALL_MAX = 128
 """The most waiting runs that one call of `refuse_waiting` refuses."""
-DUE_PER_CALL_MAX = 256
-"""The most ended leases, delays and waits that one call handles. If more are due, `next_deadline` says so."""
 
 
 class QueueCore:
@@ -56,23 +53,20 @@ class QueueCore:
         may_serve: Callable[[], bool] = lambda: True,
     ) -> None:
         """While `may_serve` returns False, the queue gives takers no messages, and accepts no waiting run."""
-        self._may_serve = may_serve
         self.incarnation = incarnation
         self._name = f"queue {name!r}" if name else "the queue"
         self._queue_items = QueueItems(limits)
         self._leasing = Leasing(self._queue_items, self._name, first_delivery_id)
         self._enqueuing = Enqueuing(self._queue_items, self._name)
         self._dispatcher = Dispatcher(self._queue_items, self._leasing)
-        self._clock: int | None = None
-        self._is_paused = False
-        self._unchecked_from: int | None = None  # the next seq for `_check_again`; None: all messages are checked
+        self._due_work = DueWork(self._queue_items, self._leasing, self._enqueuing, self._dispatcher, may_serve)
 
     def export(self, now: int) -> QueueHandoff:
         """The whole queue as values, without waiting runs and takers.
 
         The caller first calls `withdraw` for all waiting runs and `leave` for all takers.
         """
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         return handoff.export(self._queue_items, self._leasing, self._enqueuing, clock)
 
     @classmethod
@@ -85,8 +79,8 @@ class QueueCore:
         """
         queue = cls(limits, incarnation=incarnation, name=name)
         handoff.restore(state, queue._queue_items, queue._leasing, queue._enqueuing, now)
-        queue._unchecked_from = 0  # the other host may have known other limits
-        queue._tick(now)
+        queue._due_work.check_all()  # the other host may have known other limits
+        queue._due_work.tick(now)
         return queue
 
     def enqueue(self, run: Enqueue, now: int) -> None:
@@ -96,39 +90,37 @@ class QueueCore:
         the first message with that id. Raises InvalidArgument if the run's numbers overlap those of another run, and
         Overloaded if too many runs wait.
         """
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         self._enqueuing.enqueue(run, clock)
         self._dispatcher.dispatch(clock)
 
     def withdraw(self, run: Enqueue, now: int) -> None:
         """Take a run out of the line, because its producer does not wait for it any more. Idempotent."""
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         self._enqueuing.withdraw(run, clock)
-        self._follow_up(clock)
+        self._due_work.follow_up(clock)
 
     def refuse(self, run: Enqueue, error: StampedeError, now: int) -> None:
         """Take a run out of the line, and refuse its unjudged messages because of `error`. Idempotent."""
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         self._enqueuing.refuse(run, error, clock)
-        self._follow_up(clock)
+        self._due_work.follow_up(clock)
 
     def pause(self) -> None:
         """Give takers no messages until `resume`, because the host does not serve the queue at present."""
-        self._is_paused = self._dispatcher.is_paused = True
+        self._due_work.pause()
 
     def refuse_waiting(self, error: StampedeError, now: int) -> bool:
         """Refuse some of the waiting runs with `error`, because the host does not serve the queue any more.
 
         Returns True if more runs wait: then call this method again. While runs wait, the queue refuses new runs, too.
         """
-        return self._enqueuing.refuse_waiting(error, self._tick(now), ENDED_PER_CALL_MAX)
+        return self._enqueuing.refuse_waiting(error, self._due_work.tick(now), ENDED_PER_CALL_MAX)
 
     def resume(self, now: int) -> None:
         """Serve takers and waiting runs again, after `pause` or `refuse_waiting`."""
-        clock = self._tick(now)
-        self._is_paused = False
-        self._check_again()
-        self._follow_up(clock)
+        clock = self._due_work.tick(now)
+        self._due_work.resume(clock)
 
     def reject_malformed(self) -> None:
         """Count a run that the caller could not decode."""
@@ -147,7 +139,7 @@ class QueueCore:
 
         From now on the taker does not count as silent.
         """
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         taker.credit += credit
         taker.heard_at, taker.is_silent = clock, False
         self._dispatcher.wait(taker, clock)
@@ -158,7 +150,7 @@ class QueueCore:
 
     def sent(self, taker: TakerState, now: int) -> None:
         """Note that the host has sent the taker's latest batch. The taker waits for more messages if it has credit."""
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         taker.unsent, taker.is_busy = None, False
         self._dispatcher.wait(taker, clock)
 
@@ -173,25 +165,25 @@ class QueueCore:
         The queue takes back the messages of a batch that the host has not begun to send. Messages that the host has
         sent stay leased.
         """
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         self.drain(taker)
         self._dispatcher.batches = [one for one in self._dispatcher.batches if one[0] is not taker]
         self._leasing.silent = [silent for silent in self._leasing.silent if silent is not taker]
         if taker.unsent is not None:
             self._leasing.recall(taker.unsent.slices)
             taker.unsent = None
-        self._follow_up(clock)
+        self._due_work.follow_up(clock)
 
     def settle(self, taker_id: int, settlements: Iterable[Settlement], now: int) -> list[SettlementResult]:
         """Perform the taker's settlements, in order. Returns one result for each settlement."""
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         results = [self._leasing.settle(taker_id, settlement, clock) for settlement in settlements]
-        self._follow_up(clock)
+        self._due_work.follow_up(clock)
         return results
 
     def pending(self, after_delivery_id: int, limit: int, now: int) -> list[PendingDelivery]:
         """At most `limit` leased deliveries after `after_delivery_id`, with their takers, in the order of their ids."""
-        self._tick(now)
+        self._due_work.tick(now)
         return self._leasing.pending(after_delivery_id, limit)
 
     def departing(self, items_max: int) -> list[Departure]:
@@ -204,12 +196,12 @@ class QueueCore:
 
     def departed(self, seq: int, now: int) -> None:
         """Remove a message, because the dead-letter queue has accepted it. Idempotent."""
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         item = self._queue_items.leaving.get(seq)
         if item is not None:
             self._queue_items.tally.dead_lettered += 1
             self._queue_items.remove(item)
-            self._follow_up(clock)
+            self._due_work.follow_up(clock)
 
     def postpone_departure(self, seq: int) -> None:
         """Put a message whose move failed behind all other messages that wait for their move."""
@@ -222,11 +214,10 @@ class QueueCore:
         The queue checks all touched messages against the new limits, a bounded number in one call. Until all are
         checked, it gives takers no messages.
         """
-        clock = self._tick(now)
+        clock = self._due_work.tick(now)
         self._queue_items.limits = limits
-        self._unchecked_from = 0
-        self._check_again()
-        self._follow_up(clock)
+        self._due_work.check_all()
+        self._due_work.follow_up(clock)
 
     def emptying(self) -> Pieces[None]:
         """Remove all messages, in pieces. The caller must not use the queue between the pieces or afterwards."""
@@ -240,15 +231,11 @@ class QueueCore:
 
     def tick(self, now: int) -> None:
         """Handle ended leases, ended delays of messages, and ended waits of runs."""
-        self._tick(now)
+        self._due_work.tick(now)
 
     def next_deadline(self) -> int | None:
         """The time at which `tick` next has work, or None if it has none until another call changes the queue."""
-        if self._unchecked_from is not None or self._has_more:
-            return self._clock
-        known = self._enqueuing.message_ids.next_deadline()
-        due = (self._leasing.next_deadline(), self._queue_items.delays.next(), self._enqueuing.next_deadline(), known)
-        return min((one for one in due if one is not None), default=None)
+        return self._due_work.next_deadline()
 
     def expire(self, now: int) -> None:
         """Forget producers that have put nothing for ten minutes."""
@@ -282,7 +269,7 @@ class QueueCore:
 
     def counters(self, now: int) -> QueueCounters:
         """The present counts."""
-        self._tick(now)
+        self._due_work.tick(now)
         tally, queue_items = self._queue_items.tally, self._queue_items
         return QueueCounters(
             held=queue_items.items,
@@ -327,54 +314,3 @@ class QueueCore:
         known = self._leasing.acknowledged.footprint_bytes + enqueuing.retries.footprint_bytes
         known += enqueuing.message_ids.footprint_bytes
         return queue_items.stored_bytes + queue_items.items * 64 + enqueuing.waiting_bytes + known
-
-    @property
-    def _has_more(self) -> bool:
-        """Whether takers or runs wait in line only because a call has reached the limit of its work."""
-        return self._dispatcher.has_more or self._enqueuing.has_more
-
-    def _tick(self, now: int) -> int:
-        """Advance the queue's clock, and do a bounded part of the due work. Returns the clock."""
-        clock = self._clock = now if self._clock is None else max(self._clock, now)
-        self._dispatcher.begin_call()
-        due = self._check_again()
-        while due < DUE_PER_CALL_MAX and (self._leasing.expire_one(clock) or self._end_delay(clock)):
-            due += 1
-        for taker in self._leasing.silent:
-            self._dispatcher.leave(taker)
-        while due < DUE_PER_CALL_MAX and self._enqueuing.give_up_one(clock):
-            due += 1
-        if due or self._has_more:
-            self._follow_up(clock)
-        while due < DUE_PER_CALL_MAX and self._enqueuing.message_ids.forget_one(clock):
-            due += 1
-        return clock
-
-    def _check_again(self) -> int:
-        """Check some touched messages against the present limits, if the limits have changed.
-
-        Returns the number of checked messages.
-        """
-        items: list[TouchedItem] = []
-        if self._unchecked_from is not None:
-            items = [*islice(self._queue_items.touched.values(self._unchecked_from), CHECKED_PER_CALL_MAX)]
-            self._unchecked_from = items[-1].seq + 1 if len(items) == CHECKED_PER_CALL_MAX else None
-        for item in items:
-            self._leasing.check_again(item)
-        self._dispatcher.is_paused = self._is_paused or self._unchecked_from is not None or not self._may_serve()
-        return len(items)
-
-    def _end_delay(self, clock: int) -> bool:
-        """Make a message available whose delay is over. Returns False if there is no such message."""
-        item = self._queue_items.delays.pop(clock)
-        if item is None:
-            return False
-        self._queue_items.refresh(item)
-        self._queue_items.log_return(item)
-        return True
-
-    def _follow_up(self, clock: int) -> None:
-        """Serve the waiting runs and the waiting takers, because messages left the queue or came back."""
-        if self._may_serve():
-            self._enqueuing.offer_line(clock)
-        self._dispatcher.dispatch(clock)

@@ -9,24 +9,26 @@ needs no first step. A leader does not remove itself: it hands over, and the cal
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from stampede_rt_supernode.replication.configuration import MEMBERS_MAX, Configuration
+from stampede_rt_supernode.replication.configuration import Configuration
 from stampede_rt_supernode.replication.interface import (
     Ambiguous,
     ChangeRefused,
     ChangeUnderWay,
     LogUnavailable,
-    Member,
     NotLeading,
     ReleaseOutdated,
-    TicketSpent,
     too_old,
 )
 from stampede_rt_supernode.replication.rules.leadership_transfer import HandOver, LeadershipTransfer
+from stampede_rt_supernode.replication.rules.member_change import (
+    ChangeOutcome,
+    CommittingChange,
+    MemberAddition,
+    MemberChange,
+    refusal_of_member,
+)
 from stampede_rt_supernode.replication.rules.membership import Membership
-
-ChangeOutcome = int | Ambiguous | ChangeRefused | ChangeUnderWay | NotLeading | LogUnavailable
 
 # The leader gives up a newcomer that has made no progress for this time, so that others can join.
 STALLED_SECONDS = 30.0
@@ -36,47 +38,6 @@ GIVES_WAY_SECONDS = 5.0
 # The leader gives up a newcomer that has not caught up in this time, even if it makes progress. At its next try this
 # newcomer gives way as soon as another one asks.
 JOIN_SECONDS_MAX = 600.0
-
-
-@dataclass(slots=True)
-class MemberChange:
-    """A caller's request to add `member`, or, if `is_removal`, to remove it. `done` is called once.
-
-    In a removal only the id of `member` counts. `ticket`: the ticket that lets the newcomer in; empty if it needs none.
-    """
-
-    member: Member
-    is_removal: bool
-    done: Callable[[ChangeOutcome], None]
-    ticket: str = ""
-
-
-@dataclass(slots=True)
-class _Addition:
-    """A newcomer, and all callers that wait for it. All times are by the node's clock.
-
-    The addition began at `began`, and its present round of catching up at `round_began`. The round ends when the
-    newcomer has acknowledged `round_end`. `progress` has last changed at `progress_at`.
-    """
-
-    member: Member
-    callers: list[MemberChange]
-    round_end: int
-    round_began: float
-    progress_at: float
-    began: float
-    # (last acknowledged log position, bytes of a snapshot sent to the newcomer)
-    progress: tuple[int, int] = (0, 0)
-
-
-@dataclass(slots=True)
-class _Committing:
-    """A configuration in the log that is not committed yet. It adds or removes the member `member_id`."""
-
-    member_id: str
-    log_index: int
-    term: int
-    callers: list[MemberChange]
 
 
 class MemberChanges:
@@ -105,12 +66,12 @@ class MemberChanges:
         self._finish_later = finish
         self._round_seconds = round_seconds
         self._alive_seconds = alive_seconds
-        self._addition: _Addition | None = None
+        self._addition: MemberAddition | None = None
         # the id of the newcomer that was given up last for lack of progress; empty once it makes progress
         self._given_up_id = ""
         # the id of the newcomer that took too long; empty once another newcomer begins to catch up
         self._slow_id = ""
-        self._committing: _Committing | None = None
+        self._committing: CommittingChange | None = None
         self._transfer = LeadershipTransfer(node, clock, finish, alive_seconds=alive_seconds)
 
     @property
@@ -193,7 +154,7 @@ class MemberChanges:
         if configuration.find(member.member_id) == member:
             self._finish([change], self._node.last_applied)
             return
-        refusal = _refusal(configuration, member, change.ticket)
+        refusal = refusal_of_member(configuration, member, change.ticket)
         if refusal is not None:
             self._finish([change], refusal)
             return
@@ -201,9 +162,9 @@ class MemberChanges:
         now = self._clock()
         if member.member_id != self._slow_id:
             self._slow_id = ""
-        self._addition = _Addition(member, [change], self._node.log.last_index, now, now, now)
+        self._addition = MemberAddition(member, [change], self._node.log.last_index, now, now, now)
 
-    def _catch_up(self, addition: _Addition) -> None:
+    def _catch_up(self, addition: MemberAddition) -> None:
         now, held = self._clock(), self._node.held_by(addition.member.member_id)
         progress = (held, self._node.keeper.sent_bytes(addition.member.member_id))
         if progress != addition.progress:
@@ -231,11 +192,11 @@ class MemberChanges:
             self._commit(addition.member.member_id, configuration, addition)
             self._node.set_learner(None)
 
-    def _is_alive(self, addition: _Addition) -> bool:
+    def _is_alive(self, addition: MemberAddition) -> bool:
         """Whether the newcomer still answers: as a voter that is down, it could cost the cluster its majority."""
         return self._node.has_answered(addition.member.member_id, within_seconds=self._alive_seconds)
 
-    def _is_too_old(self, addition: _Addition) -> bool:
+    def _is_too_old(self, addition: MemberAddition) -> bool:
         """Refuse the newcomer if its release does not know the cluster's feature level. Returns True if it does not."""
         newcomer, needed = addition.member.member_id, self._node.level_to_join()
         highest = self._node.known_levels().get(newcomer, 0)
@@ -246,12 +207,12 @@ class MemberChanges:
         self._finish(addition.callers, ReleaseOutdated(too_old(newcomer, highest, needed)))
         return True
 
-    def _gives_way(self, addition: _Addition) -> bool:
+    def _gives_way(self, addition: MemberAddition) -> bool:
         """Whether a newcomer is stuck, or too slow, so that another one may go first."""
         stuck_seconds = self._clock() - addition.progress_at
         return stuck_seconds > GIVES_WAY_SECONDS or addition.member.member_id in (self._given_up_id, self._slow_id)
 
-    def _make_way(self, addition: _Addition, other_id: str) -> None:
+    def _make_way(self, addition: MemberAddition, other_id: str) -> None:
         """End an addition, so that another newcomer goes first."""
         if self._clock() - addition.progress_at > GIVES_WAY_SECONDS:
             self._give_up(addition)
@@ -262,7 +223,7 @@ class MemberChanges:
         )
         self._end_addition(addition, text)
 
-    def _give_up(self, addition: _Addition) -> None:
+    def _give_up(self, addition: MemberAddition) -> None:
         """Give up a newcomer without progress. It may try again, because its token is not used up."""
         self._given_up_id = addition.member.member_id
         text = (
@@ -271,7 +232,7 @@ class MemberChanges:
         )
         self._end_addition(addition, text)
 
-    def _give_up_slow(self, addition: _Addition) -> None:
+    def _give_up_slow(self, addition: MemberAddition) -> None:
         """Give up a newcomer that makes progress, but too little."""
         self._slow_id = addition.member.member_id
         text = (
@@ -280,7 +241,7 @@ class MemberChanges:
         )
         self._end_addition(addition, text)
 
-    def _end_addition(self, addition: _Addition, text: str) -> None:
+    def _end_addition(self, addition: MemberAddition, text: str) -> None:
         self._addition = None
         self._node.set_learner(None)
         self._finish(addition.callers, ChangeUnderWay(text))
@@ -313,10 +274,10 @@ class MemberChanges:
             "start or replace the others that are down first"
         )
 
-    def _commit(self, member_id: str, configuration: Configuration, source: _Addition | MemberChange) -> None:
-        callers = source.callers if isinstance(source, _Addition) else [source]
+    def _commit(self, member_id: str, configuration: Configuration, source: MemberAddition | MemberChange) -> None:
+        callers = source.callers if isinstance(source, MemberAddition) else [source]
         log_index = self._node.append_configuration(configuration)
-        self._committing = _Committing(member_id, log_index, self._node.term, callers)
+        self._committing = CommittingChange(member_id, log_index, self._node.term, callers)
 
     # -- outcomes ------------------------------------------------------------------------------------------------
 
@@ -329,7 +290,7 @@ class MemberChanges:
             self._finish(committing.callers, self._fate_of(committing))
         self._transfer.end()
 
-    def _fate_of(self, committing: _Committing) -> ChangeOutcome:
+    def _fate_of(self, committing: CommittingChange) -> ChangeOutcome:
         applied = self._node.last_applied >= committing.log_index
         if applied and self._node.term_at(committing.log_index) == committing.term:
             return committing.log_index
@@ -338,23 +299,6 @@ class MemberChanges:
     def _finish(self, callers: list[MemberChange], outcome: ChangeOutcome) -> None:
         for caller in callers:
             self._finish_later(lambda caller=caller: caller.done(outcome))  # type: ignore[misc]
-
-
-def _refusal(configuration: Configuration, member: Member, ticket: str) -> ChangeRefused | None:
-    if ticket and configuration.spender_of(ticket) is not None:
-        return TicketSpent(f"the token has let {configuration.spender_of(ticket)} join already; make another one")
-    if member.member_id in configuration.retired:
-        return ChangeRefused(
-            f"{member.member_id} was a member before; a removed id is never used again: join under a new one"
-        )
-    known = configuration.find(member.member_id)
-    if known is not None:
-        return ChangeRefused(f"{member.member_id} is a member already, at {known.address}; use an id of your own")
-    if any(each.address == member.address for each in configuration.members):
-        return ChangeRefused(f"{member.address} is the address of another member; remove that one first")
-    if len(configuration.members) >= MEMBERS_MAX:
-        return ChangeRefused(f"the cluster has {MEMBERS_MAX} members, the limit; remove one first")
-    return None
 
 
 def _after_hand_over(left: bool) -> ChangeOutcome:

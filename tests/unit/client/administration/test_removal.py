@@ -8,7 +8,8 @@ from typing import Any
 import grpc
 import pytest
 
-from stampede_rt.administration import running_cluster
+from stampede_rt.administration import removal
+from stampede_rt.administration.running_cluster import Cluster
 from stampede_rt.errors import NotLeader, StampedeError, Unavailable
 from stampede_rt.status import DETAILS_KEY, encode_status, from_rpc_error
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
@@ -80,9 +81,9 @@ class Supernodes:
 def removed(failures: list[Failure], monkeypatch: pytest.MonkeyPatch) -> StampedeError:
     supernodes: Any = Supernodes(failures)
     clock = SimpleNamespace(monotonic=lambda: supernodes.now, sleep=lambda seconds: None)
-    monkeypatch.setattr(running_cluster, "time", clock)
+    monkeypatch.setattr(removal, "time", clock)
     with pytest.raises(StampedeError) as caught:
-        running_cluster.Cluster(supernodes, ["s1:1"]).remove("s3")
+        Cluster(supernodes, ["s1:1"]).remove("s3")
     return caught.value
 
 

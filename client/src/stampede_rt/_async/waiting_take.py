@@ -1,0 +1,24 @@
+"""One caller that waits for a message of a queue."""
+
+from __future__ import annotations
+
+from stampede_rt._async.message import Message
+from stampede_rt.errors import StampedeError
+from stampede_rt.transports.concurrency_async import Signal
+
+
+class WaitingTake:
+    """One `get` that waits for a message. It ends with a message, with an error, or after its timeout with neither."""
+
+    def __init__(self) -> None:
+        self.come = Signal()  # is set together with `message` or `error`
+        self.asked = Signal()  # is set once the taker has asked the host for a message for this caller
+        self.leaving = False  # the caller's time is over; it only takes a message that is already on the way
+        self.message: Message | None = None
+        self.error: StampedeError | None = None
+
+    def finish(self, message: Message | None = None, *, error: StampedeError | None = None) -> None:
+        """End the wait with a message, with an error, or, because the handle is closed, with neither."""
+        self.message, self.error = message, error
+        self.asked.set()
+        self.come.set()
