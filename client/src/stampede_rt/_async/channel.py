@@ -6,19 +6,13 @@ from collections.abc import Callable, Iterable, Mapping
 from time import time_ns
 from typing import Any
 
+from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.consuming import consume
 from stampede_rt._async.producer import Producer
 from stampede_rt._async.puts import ProducerNumbers, Puts, SingleItem
 from stampede_rt._async.reader import Reader
 from stampede_rt._async.sampler import MonotonicClock, Sampler
-from stampede_rt._async.session import (
-    CALL_TIMEOUT_S,
-    TRY_TIMEOUT_S,
-    ChannelLocator,
-    ChannelState,
-    Session,
-    request_id,
-)
+from stampede_rt._async.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelLocator, Session, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable

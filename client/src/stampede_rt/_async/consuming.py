@@ -10,7 +10,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Sequence
 
-from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt._async.channel_state import ChannelState
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.transports.concurrency_async import BackgroundTask, Mutex, Signal

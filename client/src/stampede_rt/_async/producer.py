@@ -10,7 +10,8 @@ from types import TracebackType
 from typing import Any
 from weakref import WeakMethod
 
-from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session, request_id
+from stampede_rt._async.channel_state import ChannelState
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.handles import BoundToProcess

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from stampede_rt._async.attempts import Locator, attempt
-from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt._async.channel_state import ChannelState
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import Full
 from stampede_rt.status import from_error_message

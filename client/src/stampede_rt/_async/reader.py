@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.listener import Listener
 from stampede_rt._async.reads import read
 from stampede_rt._async.reconnecting import Reconnecting
-from stampede_rt._async.session import ChannelState, Session
+from stampede_rt._async.session import Session
 from stampede_rt._async.subscription import Subscription
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.values.grouping import SeenCut

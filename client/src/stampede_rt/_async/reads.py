@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stampede_rt._async.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt._async.channel_state import ChannelState
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.status import from_error_message
 from stampede_rt.transports.concurrency_async import monotonic_s

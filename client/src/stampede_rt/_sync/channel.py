@@ -7,19 +7,13 @@ from collections.abc import Callable, Iterable, Mapping
 from time import time_ns
 from typing import Any
 
+from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.consuming import consume
 from stampede_rt._sync.producer import Producer
 from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem
 from stampede_rt._sync.reader import Reader
 from stampede_rt._sync.sampler import MonotonicClock, Sampler
-from stampede_rt._sync.session import (
-    CALL_TIMEOUT_S,
-    TRY_TIMEOUT_S,
-    ChannelLocator,
-    ChannelState,
-    Session,
-    request_id,
-)
+from stampede_rt._sync.session import CALL_TIMEOUT_S, TRY_TIMEOUT_S, ChannelLocator, Session, request_id
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, Unavailable

@@ -11,7 +11,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable, Sequence
 
-from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt._sync.channel_state import ChannelState
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.transports.concurrency_sync import BackgroundTask, Mutex, Signal

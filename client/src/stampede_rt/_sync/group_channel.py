@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.group_members import GroupMembers
 from stampede_rt._sync.reader import Reader
-from stampede_rt._sync.session import ChannelState
 from stampede_rt.errors import GroupNotFound
 from stampede_rt.values.model import Items
 from stampede_rt.values.reading import ReadQuery

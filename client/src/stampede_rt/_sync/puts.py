@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from stampede_rt._sync.attempts import Locator, attempt
-from stampede_rt._sync.session import CALL_TIMEOUT_S, ChannelState, Session
+from stampede_rt._sync.channel_state import ChannelState
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import Full
 from stampede_rt.status import from_error_message

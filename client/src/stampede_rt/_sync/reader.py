@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.listener import Listener
 from stampede_rt._sync.reads import read
 from stampede_rt._sync.reconnecting import Reconnecting
-from stampede_rt._sync.session import ChannelState, Session
+from stampede_rt._sync.session import Session
 from stampede_rt._sync.subscription import Subscription
 from stampede_rt.handles import Reference, handle_repr
 from stampede_rt.values.grouping import SeenCut

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from stampede_rt._sync.attempts import attempt
+from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.directory_client import CONNECT_TIMEOUT_S, DirectoryClient
 from stampede_rt._sync.endpoints import EndpointPool, connection_closed
 from stampede_rt._sync.put_streams import PutStreams
@@ -28,7 +29,6 @@ from stampede_rt.v1 import channel_pb2, directory_pb2, directory_service_pb2, ga
 from stampede_rt.values.codecs import Coding
 from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.policy import flag_of, parse_name
-from stampede_rt.wire.decoding import ItemDecoder
 from stampede_rt.wire.records import channel_info, policy_to_spec
 
 CALL_TIMEOUT_S = 10.0  # a call of the program begins no try after this time; the last try may take as long again
@@ -48,32 +48,6 @@ class SessionTask(Protocol):
 def request_id() -> bytes:
     """Return a random id that makes an update safe to repeat."""
     return os.urandom(16)
-
-
-@dataclass(slots=True)
-class ChannelState:
-    """The facts that a handle keeps about its channel.
-
-    `info` is the directory's latest description, and `cluster_id` the cluster of that directory. `stated` and `create`
-    are the arguments with which the handle opens the channel again.
-    """
-
-    info: ChannelInfo
-    stated: Policy
-    create: bool
-    coding: Coding | None = None
-    cluster_id: str = ""
-
-    def decoder(self, incarnation: int, *, payloads: bool) -> ItemDecoder:
-        """Return a decoder that turns the host's runs into Items."""
-        policy = self.info.policy
-        return ItemDecoder(
-            incarnation=incarnation,
-            content_type=policy.content_type or "",
-            payloads=payloads,
-            coding=self.coding,
-            overlap_nanos=policy.overlap_nanos or 0,
-        )
 
 
 class Session:

@@ -9,8 +9,9 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
+from stampede_rt._sync.channel_state import ChannelState
 from stampede_rt._sync.reconnecting import Reconnecting, may_heal
-from stampede_rt._sync.session import ChannelState, Session
+from stampede_rt._sync.session import Session
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.errors import IncarnationLost, InvalidArgument, StampedeError, Unavailable
 from stampede_rt.handles import BoundToProcess

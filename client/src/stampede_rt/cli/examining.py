@@ -10,9 +10,10 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from stampede_rt._sync.endpoints import EndpointPool
+from stampede_rt.cli.asked_parts import AskedPart, PartAnswer, frontend_part, gatekeeper_of, host_part, supernode_part
 from stampede_rt.cli.observations import CALLER, FRONTEND, HOST, PEER, SUPERNODE, Inventory, Observation
 from stampede_rt.cli.supernode_findings import gathered
 from stampede_rt.cluster.cluster_ids import IN_MEMORY
@@ -25,34 +26,13 @@ from stampede_rt.security.tls_diagnosis import (
     validity_of,
 )
 from stampede_rt.v1 import directory_service_pb2 as directory_pb
-from stampede_rt.v1 import frontend_service_pb2 as frontend_pb
-from stampede_rt.v1 import gatekeeper_service_pb2 as gatekeeper_pb
 from stampede_rt.v1 import peer_service_pb2 as peer_pb
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
-from stampede_rt.version import PROTOCOL_VERSION, VERSION
 
 TIMEOUT_S = 5.0  # of one request; a front-end may need 2 s of it to find a healthy supernode
 ASKED_AT_ONCE_MAX = 16  # parts that the command asks in parallel
 PATIENT_NANOS_MAX = 10**9  # if the first round trip takes longer, the command sends no second request
 PAGES_MAX = 10_000  # the pages of one list
-
-
-class _Part(NamedTuple):
-    """One part of the cluster, and the request that asks for its state."""
-
-    kind: str
-    name: str
-    address: str
-    service: str
-    method: str
-    request: Any
-
-
-class _Answer(NamedTuple):
-    """The response of one part, or None if the call failed, and the observation that follows from it."""
-
-    response: Any
-    seen: Observation
 
 
 class Examination:
@@ -69,7 +49,7 @@ class Examination:
         blocks for at most TIMEOUT_S. Up to ASKED_AT_ONCE_MAX parts are asked at the same time.
         """
         with self._pool:
-            bound = self._ask(map(_frontend, frontends))
+            bound = self._ask(map(frontend_part, frontends))
             named = dict.fromkeys(members, "")
             for answer in bound:
                 if answer.response is not None:
@@ -81,7 +61,7 @@ class Examination:
             held = self._held(supernodes)
         return [*self._own(), *(answer.seen for answer in (*bound, *supernodes, *hosts)), *peers], held
 
-    def _held(self, supernodes: Sequence[_Answer]) -> list[Inventory]:
+    def _held(self, supernodes: Sequence[PartAnswer]) -> list[Inventory]:
         """Return the inventories of channels and queues. An inventory is missing if no supernode gives it."""
         channels = directory_pb.ListChannelsRequest(stale_ok=True)
         queues = queue_directory_pb.ListQueuesRequest(stale_ok=True, include_mailboxes=True)
@@ -91,7 +71,7 @@ class Examination:
         is_partial = any(one.seen.limits_caller for one in supernodes)
         return [replace(one, is_partial=is_partial) for one in found if one is not None]
 
-    def _pages(self, supernodes: Sequence[_Answer], method: str, request: Any) -> Iterator[Any]:
+    def _pages(self, supernodes: Sequence[PartAnswer], method: str, request: Any) -> Iterator[Any]:
         """Yield the pages of a listing, or None for a page that no supernode gives."""
         for _ in range(PAGES_MAX):
             page = self._first(supernodes, method, request)
@@ -100,32 +80,32 @@ class Examination:
                 return
             request.page_token = page.next_page_token
 
-    def _supernodes(self, named: dict[str, str]) -> list[_Answer]:
+    def _supernodes(self, named: dict[str, str]) -> list[PartAnswer]:
         """Ask the named supernodes, and the members that the first of them lists. A list needs no majority."""
-        first = self._ask(_supernode(name, address) for address, name in named.items())
+        first = self._ask(supernode_part(name, address) for address, name in named.items())
         own_id = _cluster_of_most(first)
         ready_first = sorted((one for one in first if not _of_others(one, own_id)), key=lambda one: not one.seen.ready)
         listed = {record.endpoint.target: record.supernode_id for record in self._listed(ready_first)}
         found = {one.response.supernode_id for one in first if one.response is not None}
         rest = {address: name for address, name in listed.items() if address not in named and name not in found}
-        more = self._ask(_supernode(name, address) for address, name in rest.items())
+        more = self._ask(supernode_part(name, address) for address, name in rest.items())
         refused = gathered(_refused_by(one, listed) for one in (*first, *more) if not _of_others(one, own_id))
         answers = [_named(_marked_if_foreign(one, own_id), listed, refused) for one in (*first, *more)]
         return sorted(answers, key=lambda one: one.seen.name)
 
-    def _listed(self, answers: Iterable[_Answer]) -> Sequence[Any]:
+    def _listed(self, answers: Iterable[PartAnswer]) -> Sequence[Any]:
         response = self._first(answers, "ListSupernodes", directory_pb.ListSupernodesRequest())
         return response.supernodes if response else ()
 
-    def _hosts(self, supernodes: Iterable[_Answer]) -> list[_Answer]:
+    def _hosts(self, supernodes: Iterable[PartAnswer]) -> list[PartAnswer]:
         response = self._first(supernodes, "ListHosts", directory_pb.ListHostsRequest(include_dead=True, stale_ok=True))
         hosts = response.hosts if response else ()
         alive = [host for host in hosts if host.alive]
         lost = [_lost(one) for one in hosts if not one.alive]
-        asked = self._ask(map(_host, alive))
-        return [*map(_with_load, asked, alive), *(_Answer(None, one) for one in lost)]
+        asked = self._ask(map(host_part, alive))
+        return [*map(_with_load, asked, alive), *(PartAnswer(None, one) for one in lost)]
 
-    def _peers(self, supernodes: Sequence[_Answer]) -> Iterator[Any]:
+    def _peers(self, supernodes: Sequence[PartAnswer]) -> Iterator[Any]:
         """Yield the records of live peers, with the clock offsets that the peers told the leader.
 
         Without a leader the records have no clock offsets.
@@ -143,7 +123,7 @@ class Examination:
                 return
             request.page_token = page.next_page_token
 
-    def _first(self, supernodes: Iterable[_Answer], method: str, request: Any) -> Any:
+    def _first(self, supernodes: Iterable[PartAnswer], method: str, request: Any) -> Any:
         """Return the answer of the first supernode that answers `request`; None if no supernode answers."""
         for one in supernodes:
             if one.response is not None:
@@ -154,10 +134,10 @@ class Examination:
                     continue  # the next supernode may answer
         return None
 
-    def _ask(self, parts: Iterable[_Part]) -> list[_Answer]:
+    def _ask(self, parts: Iterable[AskedPart]) -> list[PartAnswer]:
         return list(self._pool.map(self._probe, parts))
 
-    def _probe(self, part: _Part) -> _Answer:
+    def _probe(self, part: AskedPart) -> PartAnswer:
         """Ask one part. Returns its response, or None if the call failed, and the observation."""
         seen = Observation(kind=part.kind, name=part.name, address=part.address)
         tls = self._endpoints.credentials.tls
@@ -168,11 +148,11 @@ class Examination:
             failure = refused or error
             knows = part.kind != FRONTEND or not _said_by_itself(error)
             is_refused = isinstance(failure, PermissionDenied)
-            return _Answer(
+            return PartAnswer(
                 None, replace(seen, failure=failure.message, knows_supernodes=knows, refuses_caller=is_refused)
             )
         validity = certificate_validity(part.address, tls) if tls else None
-        return _Answer(
+        return PartAnswer(
             response,
             replace(
                 seen,
@@ -193,7 +173,7 @@ class Examination:
             ),
         )
 
-    def _timed(self, part: _Part) -> tuple[Any, int, int]:
+    def _timed(self, part: AskedPart) -> tuple[Any, int, int]:
         """Return the response, the time of the request by the wall clock, and the round trip. Raises StampedeError."""
         endpoint = self._endpoints.to(part.address)
         method = getattr(getattr(endpoint, part.service), part.method)
@@ -235,21 +215,7 @@ def _said_by_itself(error: StampedeError) -> bool:
     return error.from_service and isinstance(error, Unavailable)
 
 
-def _frontend(address: str) -> _Part:
-    request = frontend_pb.BindRequest(protocol_version=PROTOCOL_VERSION, version=VERSION)
-    return _Part(FRONTEND, "", address, "frontend", "Bind", request)
-
-
-def _supernode(name: str, address: str) -> _Part:
-    return _Part(SUPERNODE, name, address, "directory", "Ping", directory_pb.DirectoryServicePingRequest())
-
-
-def _host(host: Any) -> _Part:
-    request = gatekeeper_pb.GatekeeperServicePingRequest()
-    return _Part(HOST, host.name, _gatekeeper(host), "gatekeeper", "Ping", request)
-
-
-def _with_load(answer: _Answer, host: Any) -> _Answer:
+def _with_load(answer: PartAnswer, host: Any) -> PartAnswer:
     """Return the answer of a host, with the load that the host has reported to the directory."""
     busy = host.load.busy_permille if host.HasField("load") else None
     return answer._replace(seen=replace(answer.seen, busy_permille=busy))
@@ -275,7 +241,7 @@ def _peer(record: Any, supernodes: Mapping[str, Observation]) -> Observation:
 def _lost(host: Any) -> Observation:
     ended = host.lease_ended_unix_nano if host.HasField("lease_ended_unix_nano") else None
     for_nanos = None if ended is None else max(0, time.time_ns() - ended)
-    return Observation(kind=HOST, name=host.name, address=_gatekeeper(host), alive=False, lost_for_nanos=for_nanos)
+    return Observation(kind=HOST, name=host.name, address=gatekeeper_of(host), alive=False, lost_for_nanos=for_nanos)
 
 
 def _levels(response: Any) -> dict[str, Any]:
@@ -313,22 +279,18 @@ def _holdings(kind: str, field: str, pages: Iterable[Any]) -> Inventory | None:
     return Inventory(kind=kind, count=count, lost=lost)
 
 
-def _gatekeeper(host: Any) -> str:
-    return host.gatekeepers[0].target if host.gatekeepers else "-"
-
-
-def _cluster_of_most(answers: Iterable[_Answer]) -> str:
+def _cluster_of_most(answers: Iterable[PartAnswer]) -> str:
     """Return the id of the cluster to which most of these supernodes belong; empty if no answer names a cluster."""
     told = Counter(one.response.cluster_id for one in answers if one.response is not None and one.response.cluster_id)
     return told.most_common(1)[0][0] if told else ""
 
 
-def _of_others(answer: _Answer, own_id: str) -> bool:
+def _of_others(answer: PartAnswer, own_id: str) -> bool:
     """Whether a supernode says that its cluster is not `own_id`."""
     return bool(own_id) and answer.response is not None and answer.response.cluster_id not in ("", own_id)
 
 
-def _marked_if_foreign(answer: _Answer, own_id: str) -> _Answer:
+def _marked_if_foreign(answer: PartAnswer, own_id: str) -> PartAnswer:
     """Return the answer. If the supernode is of another cluster than `own_id`, the observation says so as a failure."""
     if not _of_others(answer, own_id):
         return answer
@@ -339,7 +301,7 @@ def _marked_if_foreign(answer: _Answer, own_id: str) -> _Answer:
     return answer._replace(seen=replace(answer.seen, failure=failure))
 
 
-def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]:
+def _refused_by(answer: PartAnswer, listed: Mapping[str, str]) -> Mapping[str, str]:
     """Return the ids of the supernodes whose stores the answering supernode refuses, each with the reason.
 
     The mapping is empty if another supernode should answer at this address: the answer may come from a copied store.
@@ -350,7 +312,7 @@ def _refused_by(answer: _Answer, listed: Mapping[str, str]) -> Mapping[str, str]
     return answer.response.refused_supernodes if answer.response.supernode_id == expected else {}
 
 
-def _named(answer: _Answer, listed: dict[str, str], refused: Mapping[str, str]) -> _Answer:
+def _named(answer: PartAnswer, listed: dict[str, str], refused: Mapping[str, str]) -> PartAnswer:
     """Return the answer of a supernode with the facts that other supernodes tell about it.
 
     `listed` has the ids of the members by address, and `refused` the reasons why others refuse a supernode, by its id.

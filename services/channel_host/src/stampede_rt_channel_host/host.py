@@ -100,8 +100,7 @@ class ChannelHost:
         self._access = AccessWatch(self._supernodes, access)
         self._gatekeeper = GatekeeperServicer(self.store, identity, access)
         self._streams = OpenStreams()
-        self._on_serving = on_serving
-        self._on_defect = on_defect
+        self._on_serving, self._on_defect = on_serving, on_defect
         self._tasks: list[asyncio.Task[None]] = []
         self._entering: asyncio.Future[None] | None = None
 

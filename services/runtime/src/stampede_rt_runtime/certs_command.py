@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 from stampede_rt.errors import InvalidArgument, StampedeError
 from stampede_rt.escaping import TerminalParser, escaped
@@ -58,6 +59,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = TerminalParser(prog="stampede certs", description=__doc__, allow_abbrev=False)
     verbs = parser.add_subparsers(metavar="VERB", required=True)
+    for add_verb in (_add_init, _add_issue, _add_renew, _add_revoke, _add_show):
+        add_verb(verbs)
+    return parser
+
+
+def _add_init(verbs: Any) -> None:
     init = verbs.add_parser("init", help="make the cluster's authority in a folder that only this user may open")
     init.add_argument(
         "folder", nargs="?", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the new folder; default: certs"
@@ -71,6 +78,9 @@ def _parser() -> argparse.ArgumentParser:
         help=f"the authority is valid for N days; default: {AUTHORITY_DAYS}",
     )
     init.set_defaults(run=_init)
+
+
+def _add_issue(verbs: Any) -> None:
     one = verbs.add_parser("issue", help="make the certificate of one part, or renew it")
     one.add_argument(
         "--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's folder; default: certs"
@@ -92,22 +102,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     lifetime.add_argument("--ttl", type=_ttl, metavar="DURATION", help="valid for this time, such as 12h")
     one.set_defaults(run=_issue)
+
+
+def _add_renew(verbs: Any) -> None:
     renew = verbs.add_parser("renew", help="make certificates anew: same parts, addresses and lifetimes, same files")
     renew.add_argument("files", nargs="+", type=Path, metavar="FILE", help="NAME.pem, with NAME.key beside it")
     renew.add_argument(
         "--dir", type=Path, default=DEFAULT_FOLDER, metavar="DIR", help="the authority's folder; default: certs"
     )
     renew.set_defaults(run=_renew)
+
+
+def _add_revoke(verbs: Any) -> None:
     revoke = verbs.add_parser("revoke", help="make all services refuse certificates, for good")
     revoke.add_argument(
         "credentials", nargs="*", metavar="FILE|SERIAL", help="certificates, or serial numbers; left out: list them all"
     )
     revoke.add_argument("--url", metavar="HOST:PORT,...", help="front-ends; default $STAMPEDE_URL")
     revoke.set_defaults(run=_revoke)
+
+
+def _add_show(verbs: Any) -> None:
     show = verbs.add_parser("show", help="print the owners of certificates, and when they end")
     show.add_argument("files", nargs="+", type=Path, metavar="FILE")
     show.set_defaults(run=_show)
-    return parser
 
 
 def _days(text: str) -> int:

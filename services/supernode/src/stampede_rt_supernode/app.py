@@ -72,13 +72,7 @@ async def serve(settings: SupernodeSettings) -> None:
     credentials = settings.load_credentials(Role.SUPERNODE)
     replica = DirectoryReplica()
     own_cluster = OwnCluster(replica)
-    server = ServiceServer(
-        secret=credentials.secret,
-        client_secret=credentials.client_secret,
-        tls=credentials.tls,
-        limits=CONTROL_LIMITS,
-        judge_cluster=own_cluster.judge,
-    )
+    server = _make_server(credentials, own_cluster)
     # Bound before anything else, because the log and the other members need the address.
     address = server.bind(settings.listen, allow_insecure_anywhere=settings.allow_insecure_anywhere)
     founding = settings.founding(address)
@@ -91,8 +85,6 @@ async def serve(settings: SupernodeSettings) -> None:
     async with _open_log(settings, founding, server, credentials, replica) as log:
         parts = _assemble(settings, founding, log, replica, credentials, own_cluster)
         _register(parts, server)
-        server.access.draw_from(lambda: replica.read(access_state))
-        server.access.accounts.draw_from(lambda: replica.read(things_of_callers))
         await server.start()
         work = [
             parts.leases.run(),
@@ -115,6 +107,16 @@ async def serve(settings: SupernodeSettings) -> None:
             ready = f"stampede supernode {parts.members.self_id} ready on {address}"
             asyncio.get_running_loop().call_soon(announce, ready)
             await server.run(parts.end_streams)
+
+
+def _make_server(credentials: Dialer, own_cluster: OwnCluster) -> ServiceServer:
+    return ServiceServer(
+        secret=credentials.secret,
+        client_secret=credentials.client_secret,
+        tls=credentials.tls,
+        limits=CONTROL_LIMITS,
+        judge_cluster=own_cluster.judge,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,6 +189,8 @@ def _register(parts: _Parts, server: ServiceServer) -> None:
     access_service_pb2_grpc.add_AccessServiceServicer_to_server(access, server.grpc)
     quota_service_pb2_grpc.add_QuotaServiceServicer_to_server(QuotaServicer(calls), server.grpc)
     membership_service_pb2_grpc.add_MembershipServiceServicer_to_server(parts.membership, server.grpc)
+    server.access.draw_from(lambda: replica.read(access_state))
+    server.access.accounts.draw_from(lambda: replica.read(things_of_callers))
 
 
 @contextlib.asynccontextmanager

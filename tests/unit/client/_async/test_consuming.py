@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 import stampede_rt as st
+from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.consuming import SEQS_MAX, consume
-from stampede_rt._async.session import ChannelState
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.v1 import channel_service_pb2 as pb
 from stampede_rt.values.model import ChannelInfo, Policy

@@ -9,8 +9,9 @@ from typing import Any, cast
 import pytest
 
 import stampede_rt as st
+from stampede_rt._async.channel_state import ChannelState
 from stampede_rt._async.producer import IN_FLIGHT_RUNS_MAX, Producer
-from stampede_rt._async.session import ChannelState, Session
+from stampede_rt._async.session import Session
 from stampede_rt.cluster.binding import Binding, BindingCache
 from stampede_rt.status import to_error_message
 from stampede_rt.v1 import channel_service_pb2 as pb

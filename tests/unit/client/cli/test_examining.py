@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from stampede_rt.cli.examining import _Answer, _refused_by
+from stampede_rt.cli.asked_parts import PartAnswer
+from stampede_rt.cli.examining import _refused_by
 from stampede_rt.cli.observations import SUPERNODE, Observation
 from stampede_rt.v1 import directory_service_pb2 as pb
 
 REFUSED = {"s1": "'s1' comes with an older copy of its store"}
 
 
-def answer(address: str) -> _Answer:
+def answer(address: str) -> PartAnswer:
     """Of somebody at an address who says to be s1, and refused."""
     seen = Observation(kind=SUPERNODE, name="s1", address=address)
-    return _Answer(pb.DirectoryServicePingResponse(supernode_id="s1", refused_supernodes=REFUSED), seen)
+    return PartAnswer(pb.DirectoryServicePingResponse(supernode_id="s1", refused_supernodes=REFUSED), seen)
 
 
 def test_a_copy_of_a_member_at_another_members_address_does_not_speak_for_the_member() -> None:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from stampede_rt.cli.examining import _Answer, _cluster_of_most, _marked_if_foreign, _of_others
+from stampede_rt.cli.asked_parts import PartAnswer
+from stampede_rt.cli.examining import _cluster_of_most, _marked_if_foreign, _of_others
 from stampede_rt.cli.observations import SUPERNODE, Observation
 from stampede_rt.v1 import directory_service_pb2 as pb
 
 
-def answer(name: str, cluster_id: str | None) -> _Answer:
+def answer(name: str, cluster_id: str | None) -> PartAnswer:
     """What a supernode said; None: nothing."""
     seen = Observation(kind=SUPERNODE, address=f"{name}:1", name=name)
     if cluster_id is None:
-        return _Answer(None, seen)
-    return _Answer(pb.DirectoryServicePingResponse(supernode_id=name, cluster_id=cluster_id, ready=True), seen)
+        return PartAnswer(None, seen)
+    return PartAnswer(pb.DirectoryServicePingResponse(supernode_id=name, cluster_id=cluster_id, ready=True), seen)
 
 
 @pytest.mark.parametrize(

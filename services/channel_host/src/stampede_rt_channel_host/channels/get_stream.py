@@ -15,19 +15,17 @@ from grpc.aio import EOF
 
 from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
 from stampede_rt.status import to_error_message
-from stampede_rt.v1 import channel_service_pb2 as pb
-from stampede_rt.wire.reads import reason_to_message, resolved_to_message
 from stampede_rt_channel_host.channels.frames import get_error, get_responses
 from stampede_rt_channel_host.channels.get_plans import GetCall, GetPlan, GetPlans, check_length
+from stampede_rt_channel_host.channels.get_summaries import kept_bytes_of, summary_of
 from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.outbox import COUNTED_BYTES_MAX, Outbox
+from stampede_rt_channel_host.channels.outbox import Outbox
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.channels.streams import OpenStream
 from stampede_rt_channel_host.channels.waiting_get import Outcome, WaitingGet
 from stampede_rt_channel_host.channels.waiting_gets import GETS_PER_PIECE
 from stampede_rt_channel_host.core.channel import (
-    ITEM_OVERHEAD_BYTES,
     Pending,
     Pieces,
     ReadAnswer,
@@ -288,7 +286,7 @@ class GetStream:
 
     def _answer(self, get: _OpenGet, answer: ReadAnswer, now: int, cut: int | None = None) -> None:
         self._calls[get.call_id] = None
-        kept_bytes = _kept_bytes(answer)
+        kept_bytes = kept_bytes_of(answer)
         if not self._account.has_room(Quota.BYTES_IN_FLIGHT, kept_bytes):
             self._free(answer)
             self._refuse(get.call_id, self._account.exceeded(Quota.BYTES_IN_FLIGHT, kept_bytes))
@@ -327,34 +325,6 @@ class GetStream:
         self._under_way.set(len(self._calls))
         if not self._calls:
             self._idle.set()
-
-
-def summary_of(answer: ReadAnswer, now: int, cut: int | None) -> pb.GetSummary:
-    """The facts about an answer, without its items.
-
-    `cut`: the cut of the group; None for a read without a group, or if the group has no cut yet.
-    """
-    return pb.GetSummary(
-        interval=resolved_to_message(answer.interval) if answer.interval else None,
-        complete=answer.complete,
-        truncated=answer.truncated,
-        more=answer.more,
-        reason=reason_to_message(answer.reason),
-        detail=answer.reason.detail if answer.reason else "",
-        incarnation=answer.incarnation,
-        cut_unix_nano=cut,
-        host_time_unix_nano=now,
-    )
-
-
-def _kept_bytes(answer: ReadAnswer) -> int:
-    """The bytes that the stored runs of an answer occupy in memory, at most COUNTED_BYTES_MAX."""
-    kept_bytes = 0
-    for part in answer.slices:
-        kept_bytes += len(part.run.body) + ITEM_OVERHEAD_BYTES
-        if kept_bytes > COUNTED_BYTES_MAX:
-            return COUNTED_BYTES_MAX
-    return kept_bytes
 
 
 def _count_nothing(payload_bytes: int) -> None:

@@ -56,13 +56,7 @@ class HostedChannel:
         self.record = record
         self.epoch: int = record.epoch
         self.registration = 0  # the number of the host's last registration when the store took `record` over
-        self.channel = ChannelCore(
-            record.policy,
-            incarnation=record.incarnation,
-            name=record.name,
-            lost_before=now() if record.epoch > 1 else None,  # a former owner had items, and they did not move here
-            cut=slice_run,
-        )
+        self.channel = _new_core(record, now())
         self._gets: WaitingGets | None = None
         self._begin, self._limits = begin, limits
         self._charge = memory.charge_for(record.created_by)
@@ -204,3 +198,14 @@ class HostedChannel:
 
 def _ignore(hosted: HostedChannel) -> None:
     """The callback of a channel that has left the host."""
+
+
+def _new_core(record: RecordedChannel, now: int) -> ChannelCore:
+    """An empty channel. If the channel had another owner before, the items of that owner are lost."""
+    return ChannelCore(
+        record.policy,
+        incarnation=record.incarnation,
+        name=record.name,
+        lost_before=now if record.epoch > 1 else None,
+        cut=slice_run,
+    )

@@ -48,12 +48,7 @@ async def volunteer(
     supervisor may restart the process again and again. Raises StampedeError if a member refuses for a reason that
     another attempt would not change.
     """
-    if founding.refused:
-        pause_seconds = seconds_before_asking(founding.refusals)
-        logger.warning(
-            "the members refused this supernode before; it asks again in %.0f s: %s", pause_seconds, founding.refused
-        )
-        await sleep(pause_seconds)
+    await _wait_after_refusals(founding, sleep)
     addresses = list(founding.members.values())
     pause_seconds, logged_message = PAUSE_SECONDS, ""
     while not _is_member(log):
@@ -64,9 +59,7 @@ async def volunteer(
             addresses = [leader, *(one for one in addresses if one != leader)] if leader else _next(addresses)
         except _HOPELESS as error:
             _note_refusal(data_dir, founding, error.message)
-            is_too_old = isinstance(error, VersionMismatch)
-            remedy = NEWER_RELEASE if is_too_old else f"mend this, then empty {data_dir}, and join again"
-            raise StampedeError(f"this supernode cannot join: {error.message}; {remedy}") from error
+            raise _refused_for_good(error, data_dir) from error
         except StampedeError as error:
             if logged_message != error.message:
                 logged_message = error.message
@@ -79,6 +72,21 @@ async def volunteer(
         await sleep(pause_seconds * random.uniform(0.5, 1.0))
     write_founding(data_dir, replace(founding, token="", started=True, refused="", refusals=0))
     logger.info("joined", extra={"supernode": founding.supernode_id})
+
+
+async def _wait_after_refusals(founding: Founding, sleep: Callable[[float], Awaitable[None]]) -> None:
+    if founding.refused:
+        pause_seconds = seconds_before_asking(founding.refusals)
+        logger.warning(
+            "the members refused this supernode before; it asks again in %.0f s: %s", pause_seconds, founding.refused
+        )
+        await sleep(pause_seconds)
+
+
+def _refused_for_good(error: StampedeError, data_dir: Path) -> StampedeError:
+    is_too_old = isinstance(error, VersionMismatch)
+    remedy = NEWER_RELEASE if is_too_old else f"mend this, then empty {data_dir}, and join again"
+    return StampedeError(f"this supernode cannot join: {error.message}; {remedy}")
 
 
 def seconds_before_asking(refusals: int) -> float:

@@ -42,16 +42,11 @@ def build_node(
     log.track_members(Configuration.of(settings.initial_members))
     node: PreVoteElections = assembly.allocate(rules)
     node.clock, node.state_machine, node.has_room = clock, state_machine, has_room
-    node.digests, node.poll = Digests(state_machine.adopt_digest), DigestPoll()
-    node.self_member, node.make_member, node.peers = settings.self_member, assembly.make_member, peers
-    node._named = dict(peers)
-    node._strangers, node.disputed_by, node.had_leader_at = {}, {}, clock()
-    node._answered_at = {}
-    node.locked_out_seconds = 2 * settings.timing.election_timeout_max_seconds
+    node.peers, node.make_member = peers, assembly.make_member
+    _begin_rules(node, settings)
     node.keeper = SnapshotKeeper(
         log, state_machine, has_room, run_in_background=run_in_background, chunk_bytes=settings.snapshot_piece_bytes
     )
-    node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2
     # Request ids begin at a random number. So a late answer to a former process of this member does not have the id of
     # a new request.
     first_request_id = int(random_source.random() * 2**52)
@@ -67,3 +62,13 @@ def build_node(
     node.transport.attach(node)
     node.number_forwarded_after(first_request_id)
     return node
+
+
+def _begin_rules(node: PreVoteElections, settings: ReplicationSettings) -> None:
+    """Give the fields of our rules their first values. The node has its clock, state machine and peers."""
+    node.digests, node.poll = Digests(node.state_machine.adopt_digest), DigestPoll()
+    node.self_member, node._named = settings.self_member, dict(node.peers)
+    node._strangers, node.disputed_by, node.had_leader_at = {}, {}, node.clock()
+    node._answered_at = {}
+    node.locked_out_seconds = 2 * settings.timing.election_timeout_max_seconds
+    node.leader_alive_seconds = settings.timing.election_timeout_min_seconds / 2
