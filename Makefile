@@ -59,7 +59,7 @@ fuzz-ports: setup  ## all RPCs of a host, a supernode and a front-end, a million
 mutants: setup  ## plant known faults in the directory's code, one at a time, and see that each is noticed
 	$(RUN)/python -m tests.robustness.mutants
 
-check: setup  ## lint, types, import rules, names, signposts, protobuf rules, freshness of generated files
+check: setup  ## lint, types, import rules, names, sizes, signposts, protobuf rules, freshness of generated files
 	$(RUN)/ruff check $(PYTHON_DIRS)
 	$(RUN)/ruff format --check $(PYTHON_DIRS)
 	$(RUN)/python tools/generate.py --check
@@ -67,6 +67,7 @@ check: setup  ## lint, types, import rules, names, signposts, protobuf rules, fr
 	$(RUN)/lint-imports
 	$(RUN)/python tools/class_names.py
 	$(RUN)/python tools/private_names.py
+	$(RUN)/python tools/sizes.py
 	$(RUN)/python tools/unit_tests.py
 	$(RUN)/python tools/signposts.py --check
 	cd proto && ../$(RUN)/buf lint

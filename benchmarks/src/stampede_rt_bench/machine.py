@@ -23,12 +23,14 @@ def describe(packages: Sequence[str]) -> dict[str, str]:
         "Python": platform.python_version(),
         "load before": f"{os.getloadavg()[0]:.1f}",
     }
-    for package in packages:
-        try:
-            described[package] = version(package)
-        except PackageNotFoundError:
-            described[package] = "not installed"
-    return described
+    return described | {package: _version_of(package) for package in packages}
+
+
+def _version_of(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 def _first(pattern: str, file: Path) -> str:

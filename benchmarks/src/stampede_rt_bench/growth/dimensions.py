@@ -95,12 +95,11 @@ def _items(sizes: Sizes) -> Costs:
             for place in range(count):
                 put_run(channel.channel, range(place, place + 1))
         middle = Query(interval=parse_interval(time_of(count // 2), time_of(count // 2)), match=Match.SPAN)
+        cost_of = partial(cpu_us, times=sizes.operations, runs=sizes.runs)
         costs[count] = {
-            "get by time, in the middle": cpu_us(
-                partial(_get, channel, middle), times=sizes.operations, runs=sizes.runs
-            ),
-            "get of the newest": cpu_us(partial(_get, channel, NEWEST), times=sizes.operations, runs=sizes.runs),
-            "put": cpu_us(partial(_put, channel, encoded), times=sizes.operations, runs=sizes.runs),
+            "get by time, in the middle": cost_of(partial(_get, channel, middle)),
+            "get of the newest": cost_of(partial(_get, channel, NEWEST)),
+            "put": cost_of(partial(_put, channel, encoded)),
         }
     return costs
 

@@ -49,16 +49,7 @@ class GrowthReport:
             "command": self.command,
             "machine": dict(self.machine),
             "runs": self.runs,
-            "growth": {
-                name: {
-                    "costs": [
-                        {"size": size, **{operation: asdict(cost) for operation, cost in by_operation.items()}}
-                        for size, by_operation in costs.items()
-                    ],
-                    "steepest": {operation: steepest(costs, operation) for operation in operations_of(costs)},
-                }
-                for name, costs in self.costs.items()
-            },
+            "growth": {name: _growth_of(costs) for name, costs in self.costs.items()},
         }
 
 
@@ -109,3 +100,13 @@ def _draw(file: Path, dimension: Dimension, costs: Costs) -> None:
     log_y = max(medians) > LINEAR_RANGE * min(medians)
     axes = Axes(title=dimension.title, x=dimension.what, y="microseconds of CPU time", log_y=log_y)
     draw_lines(file, axes, lines)
+
+
+def _growth_of(costs: Costs) -> dict[str, object]:
+    return {
+        "costs": [
+            {"size": size, **{operation: asdict(cost) for operation, cost in by_operation.items()}}
+            for size, by_operation in costs.items()
+        ],
+        "steepest": {operation: steepest(costs, operation) for operation in operations_of(costs)},
+    }

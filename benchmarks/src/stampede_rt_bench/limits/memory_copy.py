@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from stampede_rt_bench.measuring import NANOS_PER_US, Spread, microseconds
 from stampede_rt_bench.works.catalogue import LARGE, MEDIUM, SMALL
 
@@ -18,14 +20,14 @@ def copy_times_us(rounds: int) -> dict[int, Spread]:
     for size in (SMALL, MEDIUM, LARGE):
         sources = [bytearray(size) for _ in range(max(1, min(64, (16 << 20) // size)))]
         count = max(1, min(TIMES_MAX, BYTES_A_RUN // size // 4) // len(sources))
-
-        def copy(sources: list[bytearray] = sources) -> None:
-            for source in sources:
-                bytes(source)
-
-        of_all = microseconds(copy, times=count, runs=rounds)
+        of_all = microseconds(partial(_copy_each, sources), times=count, runs=rounds)
         times[size] = Spread(*(value / len(sources) for value in (of_all.median, of_all.least, of_all.most)))
     return times
+
+
+def _copy_each(sources: list[bytearray]) -> None:
+    for source in sources:
+        bytes(source)
 
 
 def gigabytes_per_second(size: int, time_us: Spread) -> float:

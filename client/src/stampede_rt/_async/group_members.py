@@ -55,10 +55,7 @@ class GroupMembers(Reference):
         return error
 
     async def refresh(self, known: Sequence[Channel] = ()) -> None:
-        """Ask the directory for the members, which other processes may have changed.
-
-        Raises GroupNotFound, Unavailable.
-        """
+        """Ask the directory for the present members. Raises GroupNotFound, Unavailable."""
         request = group_directory_pb.ResolveGroupRequest(group_id=self.info.group_id)
         response: group_directory_pb.ResolveGroupResponse | group_directory_pb.OpenGroupResponse
         try:

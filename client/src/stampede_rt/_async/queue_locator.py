@@ -100,10 +100,9 @@ class QueueLocator:
         )
 
     async def _resolve(self, deadline_s: float) -> None:
-        """Ask a supernode for the owner.
+        """Ask a supernode for the owner. If the owner is lost, open the queue again with the handle's arguments.
 
-        If the owner is lost, open the queue again with the handle's arguments. If these arguments have `create` False,
-        raise Unavailable.
+        Raises Unavailable if these arguments have `create` False.
         """
         state = self._state
         request = queue_directory_service_pb2.ResolveQueueRequest(queue_id=state.info.queue_id)

@@ -6,6 +6,7 @@ import os
 import secrets
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import grpc
@@ -169,15 +170,13 @@ class Cluster:
         request, known = pb.RemoveSupernodeRequest(supernode_id=supernode_id), self.members().supernodes
         if supernode_id not in {one.supernode_id for one in known}:
             raise no_member(supernode_id, known)
+        return remove_member(supernode_id, known, self._leader_first(known), partial(self._ask_to_remove, request))
 
-        def ask(address: str) -> pb.RemoveSupernodeResponse:
-            endpoint = self._endpoints.to(address)
-            removed: pb.RemoveSupernodeResponse = endpoint.call(
-                _membership(endpoint).RemoveSupernode, request, CALL_SECONDS
-            )
-            return removed
-
-        return remove_member(supernode_id, known, self._leader_first(known), ask)
+    def _ask_to_remove(self, request: pb.RemoveSupernodeRequest, address: str) -> pb.RemoveSupernodeResponse:
+        endpoint = self._endpoints.to(address)
+        method = _membership(endpoint).RemoveSupernode
+        removed: pb.RemoveSupernodeResponse = endpoint.call(method, request, CALL_SECONDS)
+        return removed
 
     def _leader_first(self, known: Sequence[SupernodeRecord]) -> list[str]:
         """Return the addresses of the members that answer, the leader's address first."""

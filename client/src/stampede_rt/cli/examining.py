@@ -106,10 +106,7 @@ class Examination:
         return [*map(_with_load, asked, alive), *(PartAnswer(None, one) for one in lost)]
 
     def _peers(self, supernodes: Sequence[PartAnswer]) -> Iterator[Any]:
-        """Yield the records of live peers, with the clock offsets that the peers told the leader.
-
-        Without a leader the records have no clock offsets.
-        """
+        """Yield the records of live peers. If there is a leader, they have the clock offsets that the peers told it."""
         request = peer_pb.ListPeersRequest(stale_ok=True, with_clocks=True)
         for _ in range(PAGES_MAX):
             page = self._first(supernodes, "ListPeers", request)

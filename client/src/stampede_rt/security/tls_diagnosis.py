@@ -77,12 +77,9 @@ def _try_tls(connection: socket.socket, host: str, target: str, tls: TlsReader) 
     except ssl.SSLCertVerificationError as error:
         return _about_theirs(error, target, tls)
     except ssl.SSLError as error:
-        spoken = error.reason not in _NOT_TLS
-        return (
-            ""
-            if spoken
-            else f"{target} speaks plain text, not TLS; leave the certificates out, or give that service certificates"
-        )
+        if error.reason not in _NOT_TLS:
+            return ""
+        return f"{target} speaks plain text, not TLS; leave the certificates out, or give that service certificates"
     except ConnectionError:
         answered = b""
     return "" if answered else _about_ours(target, tls)

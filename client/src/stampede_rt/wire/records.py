@@ -43,20 +43,23 @@ REJECTED_REASONS = ("too_old", "in_future", "too_large", "full", "malformed", "o
 
 def policy_to_spec(policy: Policy) -> channel_pb2.ChannelSpec:
     """Return the message for a channel's policy. A setting that nobody has stated stays unset."""
-    retention = channel_pb2.RetentionPolicy(
-        max_age_nanos=policy.max_age_nanos,
-        max_items=policy.max_items,
-        max_bytes=policy.max_bytes,
-        consumers=policy.consumers,
-        max_age_unconsumed_nanos=policy.max_age_unconsumed_nanos,
-    )
     return channel_pb2.ChannelSpec(
-        retention=retention,
+        retention=_retention_of(policy),
         on_full=_ON_FULL[policy.on_full] if policy.on_full else channel_pb2.ON_FULL_UNSPECIFIED,
         max_future_nanos=policy.max_future_nanos,
         content_type=policy.content_type,
         max_item_bytes=policy.max_item_bytes,
         overlap_nanos=policy.overlap_nanos,
+    )
+
+
+def _retention_of(policy: Policy) -> channel_pb2.RetentionPolicy:
+    return channel_pb2.RetentionPolicy(
+        max_age_nanos=policy.max_age_nanos,
+        max_items=policy.max_items,
+        max_bytes=policy.max_bytes,
+        consumers=policy.consumers,
+        max_age_unconsumed_nanos=policy.max_age_unconsumed_nanos,
     )
 
 

@@ -120,10 +120,7 @@ class ServiceServer:
         await self._health.set_serving(serving)
 
     async def run(self, end_streams: Callable[[], Awaitable[Any]] | None = None) -> None:
-        """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`.
-
-        A second signal ends all calls at once.
-        """
+        """Serve until SIGTERM, SIGINT or `stopping` is set, then `stop(end_streams)`. A second signal ends calls."""
         with _signals_set(self.stopping):
             await self.stopping.wait()
         logger.info("stopping", extra={"address": self.address})

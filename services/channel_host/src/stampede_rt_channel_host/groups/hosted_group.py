@@ -76,10 +76,7 @@ class HostedGroup:
         self.adopt(resolved)
 
     def adopt(self, resolved: ResolvedGroup) -> bool:
-        """Take over the directory's record.
-
-        Returns True if the group began anew, so that its readers must begin anew, too.
-        """
+        """Take over the directory's record. Returns True if the group, and so its readers, must begin anew."""
         anew = resolved.group.incarnation != self.cut.definition.incarnation
         self.record: RecordedGroup = resolved.group
         self.owners: dict[bytes, bytes] = {one: record.host_id for one, record in resolved.channels.items()}

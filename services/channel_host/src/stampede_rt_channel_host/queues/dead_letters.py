@@ -134,17 +134,23 @@ def _requests(
     """One encoded request for each message, because several messages might exceed the limit of one request."""
     requests = []
     for item in items:
-        run = raw_run_pb2.RawEnqueueRun(
-            first_number=refusals[item.seq] << _SEQ_BITS | item.seq,
-            wait_nanos=ROOM_WAIT_NANOS,
-            run=_run_of(item, source.policy.content_type or ""),
-            origin=_origin_of(item, source).SerializeToString(),
-        )
         request = raw_run_pb2.RawEnqueueRequest(
-            queue_id=target.queue_id, epoch=target.epoch, producer_id=producer_id_of(source), runs=[run]
+            queue_id=target.queue_id,
+            epoch=target.epoch,
+            producer_id=producer_id_of(source),
+            runs=[_enqueue_run(item, source, refusals[item.seq])],
         )
         requests.append(request.SerializeToString())
     return requests
+
+
+def _enqueue_run(item: Departure, source: RecordedQueue, refusals: int) -> raw_run_pb2.RawEnqueueRun:
+    return raw_run_pb2.RawEnqueueRun(
+        first_number=refusals << _SEQ_BITS | item.seq,
+        wait_nanos=ROOM_WAIT_NANOS,
+        run=_run_of(item, source.policy.content_type or ""),
+        origin=_origin_of(item, source).SerializeToString(),
+    )
 
 
 def _run_of(item: Departure, content_type: str) -> bytes:

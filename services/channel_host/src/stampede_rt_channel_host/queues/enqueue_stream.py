@@ -59,9 +59,7 @@ class EnqueueStream:
         self._store = store
         self._context = context
         self._stream = stream
-        self._queue_id = b""
-        self._epoch = 0
-        self._producer_id = 0
+        self._queue_id, self._epoch, self._producer_id = b"", 0, 0
         self._acks: list[channel_service_pb2.PutAck] = []
         self._closed = False
         self._news = asyncio.Event()  # there are acks to write, or the stream takes in nothing more

@@ -45,10 +45,7 @@ class AccessControl:
     """
 
     def __init__(
-        self,
-        source: Callable[[], AccessState] | None = None,
-        *,
-        time_unix_nano: Callable[[], int] = time.time_ns,
+        self, source: Callable[[], AccessState] | None = None, *, time_unix_nano: Callable[[], int] = time.time_ns
     ) -> None:
         self._source = source
         self._state: AccessState | None = None

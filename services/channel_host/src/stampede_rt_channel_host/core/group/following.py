@@ -162,10 +162,7 @@ class CutFollower:
         return taken, left, True
 
     def _look_for_late(self, held: Holdings) -> bool:
-        """Search some of the items accepted since the last step began, in seq order, for late items.
-
-        Returns True if the search is finished.
-        """
+        """Search some of the newly accepted items for late ones, in seq order. Returns True if the search is over."""
         if self._is_searched:
             return True
         found = held.slices_by_seq(self._looked_up_to, self._seq_end)
