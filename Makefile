@@ -9,10 +9,8 @@ RUN := .venv/bin
 PYTHON_DIRS := client services deploy demos benchmarks tests tools
 PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_directory_properties.py \
 	peers/test_peers_properties.py test_lease_safety.py)
-ACL_TESTS := tests/contract $(addprefix tests/integration/,queues/test_mailboxes.py queues/test_failures_of_queues.py \
-	peers/test_peers.py groups/test_credit.py groups/test_streams.py guides/test_readme.py guides/test_guides.py \
-	$(addprefix client/test_,callbacks.py closing.py event_loops.py passing.py shared_put_streams.py streams.py) \
-	$(addprefix command_line/test_,command_line.py group_commands.py queue_commands.py) security/test_numbers_of_callers.py)
+# those with a whole cluster; a test that cannot run with rules says so: @pytest.mark.without_rules(reason)
+ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 export UV_PYTHON_DOWNLOADS := never
 
 .PHONY: help setup demo test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench bench-docs clean
@@ -36,7 +34,7 @@ demo: setup  ## the TV watcher: a real film through a real cluster, with a pictu
 test: setup  ## the whole test suite
 	$(RUN)/pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-test-acl: setup  ## the contract's tests, and some more, as a client whom rules of access judge
+test-acl: setup  ## the tests with a whole cluster, as a client whom rules of access judge
 	STAMPEDE_TEST_ACL=1 $(RUN)/pytest -n 2 --dist loadfile $(ACL_TESTS)
 
 explore: setup  ## stories that the suite does not play, drawn anew each time, against the oracles

@@ -35,20 +35,16 @@ FIRST_OF_ALL = (
 )
 
 
-# With STAMPEDE_TEST_ACL the tests run as a client whom rules of access judge (`make test-acl`). The services of these
-# tests run in the test's process, without rules and without a secret.
-WITHOUT_RULES = ("contract/test_peer_clocks.py", "contract/test_stepped_clock.py")
-
-
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the tests of FIRST_OF_ALL first, in its order. The rest stays as it is.
 
-    With STAMPEDE_TEST_ACL skip the tests of WITHOUT_RULES.
+    With STAMPEDE_TEST_ACL the tests run as a client whom rules of access judge (`make test-acl`). Then skip the tests
+    that say why they cannot: @pytest.mark.without_rules("its services know no rules").
     """
     if os.environ.get("STAMPEDE_TEST_ACL"):
         for item in items:
-            if item.path.as_posix().endswith(WITHOUT_RULES):
-                item.add_marker(pytest.mark.skip(reason="its services know no rules of access"))
+            for marker in item.iter_markers("without_rules"):
+                item.add_marker(pytest.mark.skip(reason=marker.args[0]))
 
     def place(item: pytest.Item) -> int:
         path = item.path.relative_to(Path(__file__).parent).as_posix()

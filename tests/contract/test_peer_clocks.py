@@ -25,6 +25,7 @@ from tests.contract.surfaces import Surface
 
 # ruff: noqa: N802 # methods have the names of the RPCs
 
+pytestmark = pytest.mark.without_rules("its services know no rules")
 MINUTE_NANOS = 60 * 10**9
 NAME = "clocks/one"
 NOBODY = "localhost:1"  # tcpmux: nothing listens there

@@ -11,6 +11,7 @@ import pytest
 import stampede_rt as st
 from tests.support.channel_host.loopback_host import LoopbackHost, loopback_host
 
+pytestmark = pytest.mark.without_rules("its services know no rules")
 SECOND = 10**9
 HOUR = 3_600 * SECOND
 STEPS = pytest.mark.parametrize("step", [HOUR, -HOUR], ids=["on", "back"])

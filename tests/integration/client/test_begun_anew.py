@@ -11,6 +11,7 @@ import stampede_rt as st
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
+pytestmark = pytest.mark.without_rules("a restarted cluster in memory forgets its rules and the keys of tokens")
 cluster = cluster_fixture(hosts=1, supernodes=1, durable=False)
 LIMIT_S = 40
 

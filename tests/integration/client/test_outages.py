@@ -43,6 +43,7 @@ class Logged:
         return all(any(name in line and "has been broken" in line for line in lines) for name in names)
 
 
+@pytest.mark.without_rules("a restarted cluster in memory forgets its rules and the keys of tokens")
 @pytest.mark.timeout(120)
 def test_after_a_long_outage_all_that_listened_goes_on(cluster: LocalCluster, caplog: pytest.LogCaptureFixture) -> None:
     logged, got, taken = Logged(caplog), [], []
@@ -82,6 +83,7 @@ def test_after_a_long_outage_all_that_listened_goes_on(cluster: LocalCluster, ca
         assert (listener.losses, listener.error) == (1, None)
 
 
+@pytest.mark.without_rules("a restarted cluster in memory forgets its rules and the keys of tokens")
 @pytest.mark.timeout(120)
 async def test_after_a_long_outage_all_that_listened_goes_on_with_await(
     cluster: LocalCluster, caplog: pytest.LogCaptureFixture

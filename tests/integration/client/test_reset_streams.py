@@ -17,7 +17,7 @@ from stampede_rt.status import from_rpc_error
 from stampede_rt.v1 import channel_service_pb2_grpc
 from stampede_rt_local.ports import free_ports
 from stampede_rt_local.process import ServiceProcess
-from stampede_rt_runtime.auth import load_secret
+from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import dial
 from tests.support.cluster import running_cluster
 from tests.support.lifting import Lifted
@@ -34,6 +34,7 @@ class World:
     address: str
     host: str
     relay: ResettingRelay
+    secret: Secret
 
     async def reset(self) -> None:
         """Reset all streams, as soon as there is one."""
@@ -52,7 +53,7 @@ def world() -> Iterator[World]:
             host.start()
             try:
                 host.wait_ready(READY_S)
-                yield World(cluster.address, f"localhost:{port}", relay)
+                yield World(cluster.address, f"localhost:{port}", relay, cluster.secret)
             finally:
                 host.stop()
 
@@ -80,7 +81,7 @@ async def opened(rt: Any, made: Any) -> Any:
 
 async def test_grpc_tells_of_such_a_reset_as_internal_and_the_client_as_unavailable(world: World) -> None:
     """The form in which users met it; what the other tests of this file go through."""
-    async with dial(world.host, secret=load_secret(None)) as channel:
+    async with dial(world.host, secret=world.secret) as channel:
         call = channel_service_pb2_grpc.ChannelServiceStub(channel).Get()
         reading = asyncio.ensure_future(call.read())
         await call.wait_for_connection()

@@ -46,6 +46,7 @@ def doctor(capsys: pytest.CaptureFixture[str]) -> Doctor:
     return Doctor(capsys)
 
 
+@pytest.mark.without_rules("doctor tells an operator more")
 def test_a_lost_quorum_is_told_with_whom_to_start_and_then_without_any_front_end(
     cluster: LocalCluster, doctor: Doctor
 ) -> None:
@@ -69,6 +70,7 @@ def test_a_lost_quorum_is_told_with_whom_to_start_and_then_without_any_front_end
         assert supernode.address in said.partition("start a front-end: stampede frontend --supernodes ")[2]
 
 
+@pytest.mark.without_rules("doctor tells an operator more")
 def test_a_host_that_was_killed_and_what_it_held_are_told_until_it_is_back(
     cluster: LocalCluster, doctor: Doctor
 ) -> None:

@@ -150,6 +150,7 @@ def test_a_group_is_read_by_who_may_read_it_and_made_by_who_may_read_its_channel
         assert rt.group("pair").name == "pair"
 
 
+@pytest.mark.without_rules("it makes the rules itself")
 def test_channels_queues_groups_and_peers_tell_who_made_them(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -247,6 +248,7 @@ def test_a_name_that_no_rule_gives_cannot_be_registered(cluster: LocalCluster, o
     assert "client thief may not register peer boss" in refused(register)
 
 
+@pytest.mark.without_rules("it makes the rules itself")
 def test_who_holds_the_clusters_secret_may_do_everything_whatever_the_rules(
     cluster: LocalCluster, operator: Operator
 ) -> None:
@@ -256,6 +258,7 @@ def test_who_holds_the_clusters_secret_may_do_everything_whatever_the_rules(
         assert [one.name for one in rt.channels("free")] == ["free"]
 
 
+@pytest.mark.without_rules("it makes the rules itself")
 def test_an_operator_is_told_what_a_rule_would_do_and_why_something_is_denied(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -343,6 +346,7 @@ def audited(cluster: LocalCluster, *words: str) -> bool:
     return any("logger=stampede_rt.audit" in line and all(word in line for word in words) for line in lines)
 
 
+@pytest.mark.without_rules("it makes the rules itself")
 def test_an_operator_is_told_which_part_has_not_heard_of_a_rule_yet(
     cluster: LocalCluster, operator: Operator, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

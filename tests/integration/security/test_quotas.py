@@ -23,6 +23,7 @@ from stampede_rt.v1.peer_service_pb2_grpc import PeerServiceStub
 from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import cluster_fixture
 
+pytestmark = pytest.mark.without_rules("it acts as an operator")
 cluster = cluster_fixture()
 CLIENT = "team/cam-1"
 

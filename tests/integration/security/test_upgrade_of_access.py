@@ -13,6 +13,7 @@ from stampede_rt_local.cluster import LocalCluster
 from tests.support.cluster import running_cluster
 from tests.support.waiting import wait_until
 
+pytestmark = pytest.mark.without_rules("its cluster does not know rules at first")
 EARLIER = "tests.support.earlier_release"
 CHANGES = (
     ["acl", "add", "cam", "put", "video"],

@@ -17,6 +17,7 @@ from stampede_rt.security.tls import TlsFiles, TlsReader
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import from_rpc_error
 from stampede_rt_local.certificates import ClusterCertificates
+from stampede_rt_runtime import admission
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.dial import Dialer, dial
 from stampede_rt_runtime.health_check import main as health_check
@@ -29,6 +30,12 @@ DAY = timedelta(days=1)
 HOSTS_ONLY = "/stampede_rt.v1.DirectoryService/RegisterHost"
 RIGHT = Secret(text="right", path=Path("/nowhere"))
 WRONG = Secret(text="wrong", path=Path("/nowhere"))
+
+
+@pytest.fixture(autouse=True)
+def without_rules(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The services of these tests never hear of rules, so no call waits for them."""
+    monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.0)
 
 
 @pytest.fixture

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import gc
 import weakref
 from collections.abc import AsyncIterator
@@ -12,11 +14,13 @@ import pytest
 
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.v1 import directory_service_pb2 as pb
+from stampede_rt_runtime.access.open_call import OpenCall
 from stampede_rt_runtime.dial import dial
 from stampede_rt_runtime.server import serving
 
 LIST = "/stampede_rt.v1.DirectoryService/ListChannels"
 WATCH = "/stampede_rt.v1.DirectoryService/Watch"
+RESOLVE = "/stampede_rt.v1.DirectoryService/ResolveChannel"
 
 
 class Held:
@@ -32,12 +36,17 @@ class Refusing(grpc.GenericRpcHandler):
     def service(self, details: grpc.HandlerCallDetails) -> Any:
         if details.method == LIST:
             return grpc.unary_unary_rpc_method_handler(self._list, pb.ListChannelsRequest.FromString)
+        if details.method == RESOLVE:
+            return grpc.unary_unary_rpc_method_handler(self._resolve, pb.ListChannelsRequest.FromString)
         return grpc.unary_stream_rpc_method_handler(self._watch, pb.ListChannelsRequest.FromString)
 
     async def _list(self, _request: pb.ListChannelsRequest, _context: Any) -> bytes:
         held = Held()
         self.held.append(weakref.ref(held))
         raise InvalidArgument("refused")
+
+    async def _resolve(self, _request: pb.ListChannelsRequest, _context: Any) -> bytes:
+        return b""
 
     async def _watch(self, _request: pb.ListChannelsRequest, _context: Any) -> AsyncIterator[bytes]:
         held = Held()
@@ -63,3 +72,28 @@ async def test_what_a_refused_call_held_is_freed_without_the_collector(method: s
         assert [one() for one in handler.held] == [None]
     finally:
         gc.enable()
+
+
+@pytest.mark.parametrize("method", [RESOLVE, LIST, WATCH])
+async def test_the_task_of_a_call_is_freed_without_the_collector(method: str) -> None:
+    """Each call left its task, its context and all that gRPC kept of it: 14 objects, and 77 if it was refused."""
+    async with serving(lambda server: server.add_generic_rpc_handlers((Refusing(),))) as server:
+        channel = dial(server.address, secret=None)
+        gc.collect()
+        gc.set_debug(gc.DEBUG_SAVEALL)
+        try:
+            call = channel.unary_stream(method, pb.ListChannelsRequest.SerializeToString)(pb.ListChannelsRequest())
+            with contextlib.suppress(grpc.aio.AioRpcError):
+                async for _ in call:
+                    pass
+            async with asyncio.timeout(20):
+                while any("HandleExceptions" in one.get_name() for one in asyncio.all_tasks()):  # noqa: ASYNC110
+                    await asyncio.sleep(0)
+            del call
+            gc.collect()
+            kept = [one for one in gc.garbage if isinstance(one, asyncio.Task | OpenCall)]
+        finally:
+            gc.set_debug(0)
+            gc.garbage.clear()
+            await channel.close()
+    assert kept == []

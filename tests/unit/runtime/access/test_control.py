@@ -17,6 +17,7 @@ import pytest
 
 from stampede_rt.errors import PermissionDenied, Unavailable
 from stampede_rt.status import from_rpc_error
+from stampede_rt_runtime import admission
 from stampede_rt_runtime.access import control
 from stampede_rt_runtime.access.caller import Caller, CallerKind
 from stampede_rt_runtime.access.control import (
@@ -92,7 +93,10 @@ async def ended(call: Any) -> Exception:
     raise AssertionError(f"it did not end with an error: {await call.code()}")
 
 
-async def test_until_a_port_has_heard_of_the_rules_it_serves_nobody_whom_they_judge() -> None:
+async def test_until_a_port_has_heard_of_the_rules_it_serves_nobody_whom_they_judge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 0.01)
     async with port() as (server, begin):
         assert await said(begin(CLUSTER), "x") == b"1"
         early = begin(CLIENTS)
@@ -100,6 +104,29 @@ async def test_until_a_port_has_heard_of_the_rules_it_serves_nobody_whom_they_ju
         assert isinstance(await ended(early), Unavailable)
         server.access.set_state(state(0))
         assert await said(begin(CLIENTS), "x") == b"1"
+
+
+async def test_a_caller_who_comes_before_the_rules_waits_for_them_and_a_member_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A client that connected just after the start of a front-end was told that the front-end cannot serve."""
+    monkeypatch.setattr(admission, "STATE_SECONDS_MAX", 20.0)
+    async with port() as (server, begin):
+        waits = asyncio.Event()
+        wait_for_state = server.access.wait_for_state
+
+        async def noted(seconds_max: float) -> None:
+            waits.set()
+            await wait_for_state(seconds_max)
+
+        monkeypatch.setattr(server.access, "wait_for_state", noted)
+        assert await said(begin(CLUSTER), "x") == b"1"
+        assert not waits.is_set()
+        early = begin(CLIENTS)
+        await early.write(b"x")
+        await waits.wait()
+        server.access.set_state(state(0))
+        assert await early.read() == b"1"
 
 
 async def test_a_stream_ends_when_what_it_was_granted_is_taken_away_and_others_go_on() -> None:

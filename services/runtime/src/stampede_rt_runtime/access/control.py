@@ -49,6 +49,7 @@ class AccessControl:
     ) -> None:
         self._source = source
         self._state: AccessState | None = None
+        self._has_state = asyncio.Event()
         self._time_unix_nano = time_unix_nano
         self._tokens: OrderedDict[str, TokenClaims] = OrderedDict()
         self._open: set[OpenCall] = set()
@@ -70,6 +71,7 @@ class AccessControl:
         Ends the open calls whose caller has lost the credential, or a right that the call has used.
         """
         former, self._state = self._state, state
+        self._has_state.set()
         if former is None or former.quotas is not state.quotas:
             self.accounts.set_table(state.quotas)
         if former is not None and former.token_keys != state.token_keys:
@@ -93,6 +95,16 @@ class AccessControl:
                 await asyncio.sleep(0)
                 if state is not self._state:
                     return
+
+    @property
+    def lacks_state(self) -> bool:
+        """Whether the directory has not told the state yet."""
+        return self._state is None and self._source is None
+
+    async def wait_for_state(self, seconds_max: float) -> None:
+        """Wait until there is a state, for `seconds_max` at most."""
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._has_state.wait(), seconds_max)
 
     @property
     def version(self) -> int:
@@ -159,14 +171,18 @@ class AccessControl:
 
         `for_members`: the call counts towards no quota.
         """
-        account = self.accounts.of(None if for_members else subject_of(caller, context.peer()))
-        call = OpenCall(self, caller, context, account)
+        peer = context.peer()
+        account = self.accounts.of(None if for_members else subject_of(caller, peer))
+        call = OpenCall(self, caller, peer, account)
         _CURRENT.set(call)  # for the rest of the call, which has a task of its own
-        async with self._until_rights_end(call):
-            yield
+        try:
+            async with self._until_rights_end(call, context):
+                yield
+        finally:
+            call.over()
 
     @contextlib.asynccontextmanager
-    async def _until_rights_end(self, call: OpenCall) -> AsyncIterator[None]:
+    async def _until_rights_end(self, call: OpenCall, context: Any) -> AsyncIterator[None]:
         """A context in which the call ends when its caller's credential or rights end."""
         caller = call.caller
         if not (caller.is_judged or caller.may_end):
@@ -179,8 +195,8 @@ class AccessControl:
         except asyncio.CancelledError:
             if call.error is None:
                 raise
-            call.task.uncancel()
-            await abort(call.context, call.error)
+            call.uncancel()
+            await abort(context, call.error)
         finally:
             self._open.discard(call)
 

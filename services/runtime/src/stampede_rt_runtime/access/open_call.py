@@ -36,15 +36,16 @@ class CallControl(Protocol):
 class OpenCall:
     """One call under way, and the rights that it has used."""
 
-    def __init__(self, control: CallControl, caller: Caller, context: Any, account: Account) -> None:
+    def __init__(self, control: CallControl, caller: Caller, peer: str, account: Account) -> None:
+        """Make it in the task of the call. `peer`: the caller's address, as gRPC names it."""
         task = asyncio.current_task()
         assert task is not None, "handlers run in tasks"
-        self.task = task
+        self._task: asyncio.Task[Any] | None = task
+        self._peer = peer
         self.caller = caller
         self.account = account
         self.error: StampedeError | None = None
         self._control = control
-        self.context = context
         self.ends_unix_nano = caller.first_end_unix_nano
         self.requests: RequestRights | None = None
         self._is_judged = caller.is_judged
@@ -53,9 +54,22 @@ class OpenCall:
 
     def end(self, error: StampedeError) -> None:
         """Interrupt the call, wherever it waits, and end the RPC with `error`. Only the first error counts."""
-        if self.error is None:
+        if self.error is None and self._task is not None:
             self.error = error
-            self.task.cancel()
+            self._task.cancel()
+
+    def uncancel(self) -> None:
+        """Take back the cancellation by `end`, before the call sends its error."""
+        assert self._task is not None, "the call is under way"
+        self._task.uncancel()
+
+    def over(self) -> None:
+        """Let the task go at the end of the call.
+
+        The task's context holds this object. As long as this object holds the task, too, only Python's collector frees
+        both, and everything that gRPC keeps of the call.
+        """
+        self._task = None
 
     def rules(self) -> AccessRules:
         """The present rules for this call. Raises Unavailable."""
@@ -115,12 +129,12 @@ class OpenCall:
 
     def denied(self, error: PermissionDenied, verb: str, kind: AccessKind, name: str) -> PermissionDenied:
         """Write `error` to the audit log, and return it."""
-        self._control.audit.denied(self.caller, self.context.peer(), verb, f"{kind} {name}")
+        self._control.audit.denied(self.caller, self._peer, verb, f"{kind} {name}")
         return error
 
     def changed(self, what: str, name: str, *, done: bool) -> None:
         """Write a change by the call to the audit log."""
-        self._control.audit.changed(self.caller, self.context.peer(), what, name, done=done)
+        self._control.audit.changed(self.caller, self._peer, what, name, done=done)
 
     def count_refusal(self, error: Overloaded) -> None:
         """Count a refusal by a quota, see `Accounts.count_refusal`."""
