@@ -13,7 +13,7 @@ PROPERTY_TESTS := tests/property $(addprefix tests/unit/supernode/core/,test_dir
 ACL_TESTS = tests/contract $(shell grep -rlE 'cluster_fixture|running_cluster' --include='test_*.py' tests/integration)
 export UV_PYTHON_DOWNLOADS := never
 
-.PHONY: help setup demo test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench bench-docs clean
+.PHONY: help setup demo demos test test-acl explore fuzz fuzz-cancels fuzz-parsers fuzz-ports mutants check format stubs robustness images bench bench-docs clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 24
@@ -30,6 +30,9 @@ $(UV):
 
 demo: setup  ## the TV watcher: a real film through a real cluster, with a picture at the end
 	$(RUN)/stampede demo tv-watcher --picture out/tv-watcher.png
+
+demos: setup  ## all demos, each with client tokens and rules of access, and with certificates and rules
+	for name in tv-watcher stereo; do for with in "" --certificates; do $(RUN)/stampede demo $$name $$with; done; done
 
 test: setup  ## the whole test suite
 	$(RUN)/pytest -n 3 --dist loadfile --no-loadscope-reorder

@@ -51,6 +51,9 @@ def _parser() -> argparse.ArgumentParser:
         demo = demos.add_parser(name, description=DEMOS[name], formatter_class=_Formatter)
         demo.add_argument("--seconds", type=_seconds, default=SECONDS_DEFAULT, help="length of the run (default: 20)")
         demo.add_argument("--picture", type=Path, metavar="PATH", help="the file for a picture of the run (PNG)")
+        demo.add_argument(
+            "--certificates", action="store_true", help="encrypt all traffic; the roles have certificates, not tokens"
+        )
         demo.set_defaults(run=run)
     return parser
 
@@ -60,14 +63,14 @@ def _tv_watcher(arguments: argparse.Namespace) -> int:
     require_libraries()
     from stampede_rt_demos.tv_watcher.app import run
 
-    return run(seconds=arguments.seconds, picture=arguments.picture)
+    return run(seconds=arguments.seconds, picture=arguments.picture, certificates=arguments.certificates)
 
 
 def _stereo(arguments: argparse.Namespace) -> int:
     require_libraries()
     from stampede_rt_demos.stereo.app import run
 
-    return run(seconds=arguments.seconds, picture=arguments.picture)
+    return run(seconds=arguments.seconds, picture=arguments.picture, certificates=arguments.certificates)
 
 
 def _seconds(text: str) -> int:

@@ -23,13 +23,16 @@ SECONDS, RUNS_MAX = 4, 3
 
 @pytest.fixture(scope="module")
 def outcome() -> Outcome:
-    """A run in which no role lagged for longer than the others wait; a busy machine needs more than one for that."""
+    """A run with certificates in which no role lagged for longer than the others wait.
+
+    A busy machine needs more than one for that.
+    """
     for _ in range(RUNS_MAX - 1):
         with contextlib.suppress(DemoFailed):
-            outcome = conduct(SECONDS, Progress(io.StringIO()))
+            outcome = conduct(SECONDS, Progress(io.StringIO()), certificates=True)
             if outcome.report.pairs == outcome.report.pairs_possible and not outcome.report.unanswered:
                 return outcome
-    return conduct(SECONDS, Progress(io.StringIO()))
+    return conduct(SECONDS, Progress(io.StringIO()), certificates=True)
 
 
 def test_every_pair_is_found_and_none_is_wrong(outcome: Outcome) -> None:
@@ -58,7 +61,10 @@ def test_the_run_is_told_in_words_and_drawn(outcome: Outcome, tmp_path: Path) ->
     assert (tmp_path / "stereo.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_roles_may_do_what_their_rights_say_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("certificates", [False, True])
+def test_roles_may_do_what_their_rights_say_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch, certificates: bool
+) -> None:
     monkeypatch.setitem(orchestrator.RIGHTS, "left camera", (Right(("read",), "channel", Side.LEFT.value),))
     with pytest.raises(DemoFailed, match="client left-camera may not put channel stereo/left"):
-        conduct(SECONDS, Progress(io.StringIO()))
+        conduct(SECONDS, Progress(io.StringIO()), certificates=certificates)

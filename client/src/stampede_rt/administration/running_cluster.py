@@ -22,6 +22,7 @@ from stampede_rt.errors import (
     VersionMismatch,
     WrongCluster,
 )
+from stampede_rt.security.tls import TlsFiles
 from stampede_rt.security.tls_diagnosis import explain_refusal
 from stampede_rt.status import raise_from_rpc_error
 from stampede_rt.transports.grpc_sync import ServerEndpoint
@@ -236,13 +237,17 @@ def no_member(supernode_id: str, known: Sequence[SupernodeRecord]) -> StampedeEr
 
 
 @contextmanager
-def reached(frontend: str | None, member: str | None, *, secret: str | None = None) -> Iterator[Cluster]:
+def reached(
+    frontend: str | None, member: str | None, *, secret: str | None = None, tls: TlsFiles | None = None
+) -> Iterator[Cluster]:
     """Yield the cluster whose front-ends are at `frontend`, or whose supernodes are at `member`. Raises StampedeError.
 
-    If both are None, the front-ends are those of `$STAMPEDE_URL`. If `secret` is None, the caller sends the secret that
-    `connect` would send.
+    If both are None, the front-ends are those of `$STAMPEDE_URL`. If `secret` or `tls` is None, the caller has the
+    secret or the certificate that `connect` would have.
     """
-    target = parse_target(member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=secret, zone=None)
+    target = parse_target(
+        member or frontend or os.environ.get("STAMPEDE_URL"), name=None, secret=secret, zone=None, tls=tls
+    )
     endpoints = EndpointPool(target.credentials)
     try:
         if member:

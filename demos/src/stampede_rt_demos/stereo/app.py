@@ -14,7 +14,7 @@ from stampede_rt_demos.stereo.orchestrator import Outcome, conduct
 from stampede_rt_demos.stereo.report import render
 
 
-def run(*, seconds: int, picture: Path | None) -> int:
+def run(*, seconds: int, picture: Path | None, certificates: bool = False) -> int:
     """Run the stereo demo for `seconds`, print its results, and with `picture` draw one there. Returns exit status 0.
 
     Raises DemoFailed if the demo cannot run, or, before the start, if the picture cannot be written.
@@ -23,7 +23,7 @@ def run(*, seconds: int, picture: Path | None) -> int:
         require_writable(picture)
     progress = Progress(sys.stdout)
     try:
-        outcome = conduct(seconds, progress)
+        outcome = conduct(seconds, progress, certificates=certificates)
     finally:
         progress.close()
     print(f"\n{render(outcome.report)}")

@@ -13,7 +13,7 @@ from stampede_rt_demos.staging.clip import decode_clock
 from stampede_rt_demos.staging.film import locate_film
 from stampede_rt_demos.staging.messages import Message
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.staging.rights import Right, hand_out
+from stampede_rt_demos.staging.rights import Right, hand_out, of_operator
 from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
 from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND, LoopedClock
 from stampede_rt_demos.stereo.programme import (
@@ -61,15 +61,17 @@ class Outcome:
     frames: Sequence[bytes]
 
 
-def conduct(seconds: int, progress: Progress) -> Outcome:
+def conduct(seconds: int, progress: Progress, *, certificates: bool = False) -> Outcome:
     """Run the demo for `seconds`. Blocks for about ten seconds more than that.
+
+    With `certificates` all parts of the cluster and all roles have certificates. Otherwise the roles have tokens.
 
     If a needed part is missing, does not start, or dies, ends every process and raises DemoFailed.
     """
     clock = decode_clock(locate_film())
     progress.say(f"Starting a cluster: 1 front-end, {SUPERNODES} supernodes, {HOSTS} channel hosts ...")
     try:
-        with LocalCluster(supernodes=SUPERNODES, hosts=HOSTS) as cluster:
+        with LocalCluster(supernodes=SUPERNODES, hosts=HOSTS, tls=certificates) as cluster:
             results, frames = _run(cluster, seconds, progress)
     except st.StampedeError as error:  # this clause is first, because some of these errors are also OSErrors
         raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
@@ -79,9 +81,10 @@ def conduct(seconds: int, progress: Progress) -> Outcome:
 
 
 def _run(cluster: LocalCluster, seconds: int, progress: Progress) -> tuple[Mapping[str, Message], Sequence[bytes]]:
-    with st.connect(cluster.address, secret=cluster.secret.text) as rt:
+    operator = of_operator(cluster)
+    with st.connect(cluster.address, **operator) as rt:
         _set_up(rt)
-        environments = hand_out(cluster, RIGHTS)
+        environments = hand_out(cluster, RIGHTS, operator)
         with RoleProcesses() as roles:
             for name, module in ROLES.items():
                 roles.start(name, role_command("stereo", module, cluster.address, seconds), environments[name])

@@ -15,7 +15,7 @@ from stampede_rt_demos.failures import DemoFailed, one_sentence
 from stampede_rt_demos.staging import messages
 from stampede_rt_demos.staging.film import locate_film
 from stampede_rt_demos.staging.progress import Progress
-from stampede_rt_demos.staging.rights import Right, hand_out
+from stampede_rt_demos.staging.rights import Right, hand_out, of_operator
 from stampede_rt_demos.staging.role_processes import RoleProcesses, role_command
 from stampede_rt_demos.staging.schedule import NANOS_PER_SECOND
 from stampede_rt_demos.tv_watcher import steps
@@ -90,8 +90,10 @@ class _Collected:
                 self.results[role] = message
 
 
-def conduct(seconds: int, progress: Progress) -> Outcome:
+def conduct(seconds: int, progress: Progress, *, certificates: bool = False) -> Outcome:
     """Run the whole programme for `seconds`. Blocks for about eight seconds more than that.
+
+    With `certificates` all parts of the cluster and all roles have certificates. Otherwise the roles have tokens.
 
     If a needed part is missing, does not start, or dies, ends every process and raises DemoFailed.
     """
@@ -99,7 +101,7 @@ def conduct(seconds: int, progress: Progress) -> Outcome:
     cpu_before = _children_cpu_seconds()
     progress.say(f"Starting a cluster: {FRONTENDS} front-end, {SUPERNODES} supernodes, {HOSTS} channel hosts ...")
     try:
-        with LocalCluster(frontends=FRONTENDS, supernodes=SUPERNODES, hosts=HOSTS) as cluster:
+        with LocalCluster(frontends=FRONTENDS, supernodes=SUPERNODES, hosts=HOSTS, tls=certificates) as cluster:
             collected, accepted, placed = _run_programme(cluster, seconds, progress)
     except st.StampedeError as error:  # this clause is first, because some of these errors are also OSErrors
         raise DemoFailed(f"the cluster does not answer as it should: {error}") from error
@@ -114,9 +116,10 @@ def _run_programme(
     cluster: LocalCluster, seconds: int, progress: Progress
 ) -> tuple[_Collected, Mapping[str, int], Mapping[str, str]]:
     """Run the roles in the running cluster. Returns their reports, the accepted items and the host of each stream."""
-    with st.connect(cluster.address, name="orchestrator", secret=cluster.secret.text) as rt:
+    operator = of_operator(cluster)
+    with st.connect(cluster.address, name="orchestrator", **operator) as rt:
         channels = _create_channels(rt)
-        environments = hand_out(cluster, RIGHTS)
+        environments = hand_out(cluster, RIGHTS, operator)
         with RoleProcesses() as roles:
             for name, module in MODULES.items():
                 roles.start(name, role_command("tv_watcher", module, cluster.address, seconds), environments[name])
