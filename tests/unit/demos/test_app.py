@@ -58,7 +58,7 @@ def test_the_callers_signal_handlers_are_left_as_they_were(monkeypatch):
 
 
 def test_a_cluster_that_does_not_start_is_one_sentence(monkeypatch, capsys):
-    def fail(seconds: int, progress: object) -> None:
+    def fail(seconds: int, progress: object, *, certificates: bool) -> None:
         raise DemoFailed("the cluster did not start: supernode s1 ended with exit code 1")
 
     monkeypatch.setattr("stampede_rt_demos.tv_watcher.app.conduct", fail)
