@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -29,6 +30,7 @@ def measure_groups(counts: Sequence[int], operations: int, runs: int) -> dict[in
                 other.put(payload)
                 works: dict[str, Callable[[], object]] = {
                     "put": lambda: channel.put(payload),
+                    "put that moves all cuts": _in_turn(other, channel, payload),
                     "get of the newest": channel.newest,
                     "get through a group": groups[0][channel].newest,
                 }
@@ -39,6 +41,12 @@ def measure_groups(counts: Sequence[int], operations: int, runs: int) -> dict[in
                     for name, work in works.items()
                 }
     return costs
+
+
+def _in_turn(one: st.Channel, other: st.Channel, payload: bytes) -> Callable[[], object]:
+    """A put into each of both channels in turn: every put moves the cuts of their groups."""
+    turns = itertools.cycle((one, other))
+    return lambda: next(turns).put(payload)
 
 
 def _host_us(pid: int, work: Callable[[], object], calls: int) -> float:

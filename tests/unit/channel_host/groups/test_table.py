@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
+from typing import Any
+
+from hypothesis import given
+from hypothesis import strategies as draws
+
+from stampede_rt.errors import Unavailable
 from stampede_rt.values.model import Policy
+from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.channels.piece_scheduler import PieceScheduler
 from stampede_rt_channel_host.core.group import ChannelTimes, GroupDefinition
 from stampede_rt_channel_host.core.group.times import Heard
@@ -27,9 +35,9 @@ def channel(number: int) -> bytes:
     return number.to_bytes(16)
 
 
-def told(number: int, *members: int) -> ResolvedGroup:
+def told(number: int, *members: int, **settings: Any) -> ResolvedGroup:
     ids = frozenset(channel(one) for one in members)
-    definition = GroupDefinition(members=ids, incarnation=1)
+    definition = GroupDefinition(members=ids, incarnation=1, **settings)
     group = RecordedGroup(group_id=number.to_bytes(16), name=f"g{number}", definition=definition, message=b"")
     records = {
         one: RecordedChannel(
@@ -59,3 +67,100 @@ async def test_a_group_that_loses_members_forgets_these_and_looks_at_no_others()
     assert table.board.find(channel(7)) is None
     assert table.board.find(channel(8)) is not None
     assert heard.walks == 0
+
+
+class Shown:
+    """Groups of channels 0 to 3 that all hosts have told about, and the channels' times."""
+
+    def __init__(self) -> None:
+        self.table = HostedGroups()
+        self.looks = 0
+
+    def group(self, number: int, *members: int, **settings: Any) -> HostedGroup:
+        begin = PieceScheduler().begin
+        one = HostedGroup(
+            told(number, *members, **settings), self.table.board, lambda: NOW, on_moved=ignored, on_idle=ignored,
+            begin=begin,
+        )  # fmt: skip
+        one.cut.confirm()
+        self.table.enter(one)
+        self.table.refresh(one)
+        return one
+
+    def note(self, number: int, newest: int, end: int | None = None, incarnation: int = 1) -> None:
+        times = ChannelTimes(1, incarnation, newest, end)
+        self.table.board.enter_own(channel(number), times, NOW)
+        for one in self.table.concerned_by(channel(number)):
+            self.looks += 1
+            self.table.refresh(one)
+
+
+async def test_a_put_looks_only_at_the_groups_that_it_can_move() -> None:
+    """Each put looked at all groups of the channel: 500 groups made it four times as long."""
+    shown = Shown()
+    groups = [shown.group(number, 1, 2) for number in range(GROUPS)]
+    groups += [shown.group(GROUPS + number, 1, 2, reference=channel(2)) for number in range(GROUPS)]
+    shown.note(1, 10)
+    shown.note(2, 5)
+    shown.looks = 0
+    for time in range(11, 21):
+        shown.note(1, time)
+    assert shown.looks == 0
+    shown.note(2, 15)
+    assert shown.looks == 2 * GROUPS
+    assert {one.cut.cut for one in groups} == {15}
+
+
+async def test_a_reader_of_news_hears_of_each_member_until_it_leaves() -> None:
+    shown = Shown()
+    one, _ = shown.group(0, 1, 2), shown.group(1, 1, 2)
+    shown.note(1, 10)
+    shown.note(2, 5)
+    reader = ChangeObserver()
+    shown.table.observe(one, reader, news=True)
+    assert shown.table.concerned_by(channel(1)) == [one]
+    shown.table.stop_observing(one, reader)
+    assert shown.table.concerned_by(channel(1)) == []
+
+
+async def test_a_deleted_group_concerns_nobody() -> None:
+    shown = Shown()
+    one = shown.group(0, 1, 2)
+    shown.table.forget(one.record.group_id)
+    shown.table.refresh(one)
+    shown.table.stop_observing(one, ChangeObserver())
+    assert not any(shown.table.concerned_by(channel(number)) for number in (1, 2))
+
+
+settings_of_groups = draws.fixed_dictionaries(
+    {
+        "reference": draws.sampled_from([None, channel(0)]),
+        "by_end": draws.booleans(),
+        "idle_after_nanos": draws.sampled_from([None, None, 10**9]),
+    }
+)
+notes = draws.tuples(
+    draws.integers(0, 3), draws.integers(1, 30), draws.none() | draws.integers(1, 40), draws.integers(1, 2)
+)
+
+
+@given(settings=draws.lists(settings_of_groups, min_size=1, max_size=4), story=draws.lists(notes, max_size=40))
+def test_groups_show_the_same_as_if_each_change_looked_at_all_of_them(
+    settings: list[dict[str, Any]], story: list[tuple[int, int, int | None, int]]
+) -> None:
+    async def compare() -> None:
+        shown, all_looked_at = Shown(), Shown()
+        some = [shown.group(number, 0, *range(1, 2 + number % 3), **one) for number, one in enumerate(settings)]
+        every = [
+            all_looked_at.group(number, 0, *range(1, 2 + number % 3), **one) for number, one in enumerate(settings)
+        ]
+        for member, newest, end, incarnation in story:
+            shown.note(member, newest, end, incarnation)
+            all_looked_at.note(member, newest, end, incarnation)
+            for one in every:
+                all_looked_at.table.refresh(one)
+            assert [one.cut.cut for one in some] == [one.cut.cut for one in every]
+        for one in (*some, *every):
+            one.end(Unavailable("over"))
+
+    asyncio.run(compare())

@@ -85,15 +85,14 @@ class CutEvents:
         await self._writer.turn()  # many streams may have waited for the same group
         check_access(AccessVerb.READ, AccessKind.GROUP, group.record.name)
         await self._begin(group, opening)
-        hearing = group.news_observers if opening.decides else group.cut_observers
-        hearing.add(self._waiter)
+        self._groups.observe(group, self._waiter, news=opening.decides)
         reading = self._stream.spawn(self._read(group, decides=opening.decides))
         try:
             await self._writer.write(pb.SubscribeCutsResponse(opened=self._opened(group)).SerializeToString())
             await self._serve(group, opening)
         finally:
             reading.cancel()
-            hearing.discard(self._waiter)
+            self._groups.stop_observing(group, self._waiter)
             for followed in self._followed.values():
                 followed.hosted.group_readers.pop(self, None)
                 self._groups.channels.scheduler.begin(followed.follower.emptying())

@@ -87,7 +87,7 @@ class Exchange:
         if not group.unheard and not group.cut.is_confirmed:
             group.cut.confirm()
             self.peers.report_floor(group.record.group_id)
-        group.changed()
+        self._table.refresh(group)
 
     def take_floors(self, group_id: bytes) -> dict[bytes, CutFloor]:
         """Return the floors of a group that this host has kept until the directory's answer, by host. Forget them."""
@@ -132,16 +132,18 @@ class Exchange:
         table, now, wanted = self._table, self._channels.now(), self.peers.wanted_of(host_id)
         table.board.confirm(wanted, now)
         news: set[bytes] = set()
+        is_silent = True
         for reported in update.times:
             if reported.channel_id in wanted and table.ids_of(reported.channel_id):
                 is_news = table.board.hear(
                     reported.channel_id, times_from_message(reported), reported.silent_nanos, now
                 )
-                of_channel = table.ids_of(reported.channel_id)
-                news |= of_channel if is_news else of_channel & table.idling
+                concerned = table.concerned_by(reported.channel_id)
+                news |= {one.record.group_id for one in concerned if is_news or one.record.group_id in table.idling}
+                is_silent = is_silent and not is_news
         floors = map(floor_from_message, update.floors)
         news |= {floor.group_id for floor in floors if self._merge(host_id, floor)}
-        if not news:  # a sign of life: channels of the other host may have become idle
+        if is_silent and not news:  # a sign of life: channels of the other host may have become idle
             news |= {one for one in table.idling if host_id in table.groups[one].targets}
         if is_first:
             self._fully_heard.add(host_id)

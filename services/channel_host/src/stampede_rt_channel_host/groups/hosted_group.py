@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from operator import itemgetter
 from typing import Any
 
@@ -141,6 +141,13 @@ class HostedGroup:
     def members(self) -> list[CutMember]:
         """The present state of all members."""
         return list(self.cut.members(self._now()))
+
+    def concerning(self) -> Collection[bytes]:
+        """The members whose changes may concern the group or its observers, as of the last `changed`."""
+        if self.news_observers or self.cut.definition.idle_after_nanos is not None:
+            return self.cut.definition.members
+        holder = self.cut.holder
+        return () if holder is None else (holder,)
 
     def changed(self) -> None:
         """Compute the cut again after a change of a member or of its times, and wake the observers concerned."""

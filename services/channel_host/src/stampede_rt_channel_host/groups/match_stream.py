@@ -72,14 +72,14 @@ class MatchStream:
         if request.after.group_incarnation not in (0, group.record.incarnation):
             raise other_incarnation(group.record)
         hosted = self._groups.channels.find(request.per_channel_id, request.epoch)
-        group.news_observers.add(self._waiter)
+        self._groups.observe(group, self._waiter, news=True)
         hosted.match_streams.add(self._waiter)
         reading = self._stream.spawn(self._read())
         try:
             await self._serve(group, hosted, request)
         finally:
             reading.cancel()
-            group.news_observers.discard(self._waiter)
+            self._groups.stop_observing(group, self._waiter)
             hosted.match_streams.discard(self._waiter)
             for near in self._near.values():
                 near.group_readers.pop(self, None)

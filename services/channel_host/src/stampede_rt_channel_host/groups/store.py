@@ -10,7 +10,7 @@ from typing import NoReturn
 from stampede_rt.errors import Overloaded, StampedeError, error_for
 from stampede_rt_channel_host.channels import refusals
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
-from stampede_rt_channel_host.channels.observers import Backlog
+from stampede_rt_channel_host.channels.observers import Backlog, ChangeObserver
 from stampede_rt_channel_host.channels.store import ChannelStore
 from stampede_rt_channel_host.cluster.identity import ID_BYTES, HostIdentity
 from stampede_rt_channel_host.cluster.single_flight import SingleFlight
@@ -56,7 +56,7 @@ class GroupStore:
         self._single_flight = SingleFlight()
         self._lookups = BackgroundLookups()
         self._changed_groups: Backlog[HostedGroup] = Backlog(
-            HostedGroup.changed, channels.scheduler.begin, GROUPS_PER_PIECE
+            self._table.refresh, channels.scheduler.begin, GROUPS_PER_PIECE
         )
         self._to_learn: set[bytes] = set()  # channels that other hosts ask for and that no group known here has
         self.in_use = asyncio.Event()  # set once this host has learned a group
@@ -82,6 +82,14 @@ class GroupStore:
         if group is None:
             raise _not_found(group_id)
         return group
+
+    def observe(self, group: HostedGroup, observer: ChangeObserver, *, news: bool) -> None:
+        """See `HostedGroups`."""
+        self._table.observe(group, observer, news=news)
+
+    def stop_observing(self, group: HostedGroup, observer: ChangeObserver) -> None:
+        """See `HostedGroups`."""
+        self._table.stop_observing(group, observer)
 
     def own(self, channel_id: bytes) -> OwnChannel | None:
         """The channel, if it is a member that this host owns and serves; else None."""
@@ -284,7 +292,7 @@ class GroupStore:
     def _changed(self, channel_id: bytes) -> None:
         """Report a change of a channel of this host."""
         self.exchange.peers.report_times(channel_id)
-        self._changed_groups.add(self._table.groups_of(channel_id))
+        self._changed_groups.add(self._table.concerned_by(channel_id))
 
     def _ended(self, channel_id: bytes) -> None:
         """Stop following a channel that this host serves no more. The next round of `keep` looks up its groups."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
+from stampede_rt_channel_host.channels.observers import ChangeObserver
 from stampede_rt_channel_host.core.group import TimesBoard
 from stampede_rt_channel_host.core.records import ResolvedGroup
 from stampede_rt_channel_host.groups.hosted_group import HostedGroup
@@ -22,6 +23,9 @@ class HostedGroups:
         self.own: dict[bytes, OwnChannel] = {}
         self.idling: set[bytes] = set()
         self._groups_of: dict[bytes, set[bytes]] = {}  # by channel id: the ids of the channel's groups
+        # By channel id: the groups that a change of the channel concerns. By group id: the keys of the group there.
+        self._concerned: dict[bytes, dict[HostedGroup, None]] = {}
+        self._keys: dict[bytes, Collection[bytes]] = {}
 
     def ids_of(self, channel_id: bytes) -> set[bytes]:
         """The ids of the groups that the channel is a member of, as far as this host knows."""
@@ -31,6 +35,48 @@ class HostedGroups:
         """The groups that the channel is a member of, as far as this host knows."""
         return (self.groups[group_id] for group_id in tuple(self.ids_of(channel_id)))
 
+    def concerned_by(self, channel_id: bytes) -> list[HostedGroup]:
+        """The groups of the channel that a change of its times concerns.
+
+        A channel may be in very many groups, and a put changes its times. In most of these groups another member holds
+        the cut back.
+        """
+        return [*self._concerned.get(channel_id, ())]
+
+    def refresh(self, group: HostedGroup) -> None:
+        """Compute the group's cut again. See `HostedGroup.changed`."""
+        group.changed()
+        self._file(group)
+
+    def observe(self, group: HostedGroup, observer: ChangeObserver, *, news: bool) -> None:
+        """Have the group wake `observer` when it shows more. `news`: also at all news of a member."""
+        (group.news_observers if news else group.cut_observers).add(observer)
+        self._file(group)
+
+    def stop_observing(self, group: HostedGroup, observer: ChangeObserver) -> None:
+        """End the effect of `observe`. Idempotent."""
+        group.news_observers.discard(observer)
+        group.cut_observers.discard(observer)
+        self._file(group)
+
+    def _file(self, group: HostedGroup) -> None:
+        if self.groups.get(group.record.group_id) is group:  # if not, it was deleted meanwhile
+            self._note_keys(group, group.concerning())
+
+    def _note_keys(self, group: HostedGroup, keys: Collection[bytes]) -> None:
+        before = self._keys.pop(group.record.group_id, ())
+        if keys:
+            self._keys[group.record.group_id] = keys
+        if keys == before:
+            return
+        for channel_id in before:
+            of_channel = self._concerned[channel_id]
+            of_channel.pop(group, None)
+            if not of_channel:
+                del self._concerned[channel_id]
+        for channel_id in keys:
+            self._concerned.setdefault(channel_id, {})[group] = None
+
     def enter(self, group: HostedGroup) -> None:
         """Enter a group that is new here or has other members now."""
         group_id = group.record.group_id
@@ -39,6 +85,7 @@ class HostedGroups:
             self._groups_of.setdefault(channel_id, set()).add(group_id)
         if group.cut.definition.idle_after_nanos is not None:
             self.idling.add(group_id)
+        self._file(group)
 
     def adopt(self, group: HostedGroup, resolved: ResolvedGroup) -> bool:
         """Take over the directory's answer about a group. Returns True if the group began anew."""
@@ -51,6 +98,7 @@ class HostedGroups:
         """Remove a group that the directory has deleted."""
         group = self.groups.pop(group_id)
         self.idling.discard(group_id)
+        self._note_keys(group, ())
         self._leave(group, frozenset())
         return group
 

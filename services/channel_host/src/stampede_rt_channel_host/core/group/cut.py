@@ -104,6 +104,18 @@ class GroupCut:
         """The instant before which items are visible, as of the last refresh. None if no item is visible."""
         return self._floor if self._confirmed else None
 
+    @property
+    def holder(self) -> bytes | None:
+        """The member that holds the cut back: only a change of this one can raise the cut. None: no change can.
+
+        Not for groups with `idle_after_nanos`, whose cuts any change may raise. As of the last refresh.
+        """
+        if not self._confirmed:
+            return None
+        if self._counts_by_heap():
+            return self._lows[0][1] if self._lows else None
+        return self._holder or None
+
     def define(self, definition: GroupDefinition) -> None:
         """Set another definition. The cut stays the same, unless the definition has another incarnation.
 
@@ -165,8 +177,7 @@ class GroupCut:
 
     def _reached(self, now: int) -> int | None:
         """The smallest cut of the members that count. None if one of them has no cut, or still holds the cut back."""
-        definition = self._definition
-        if definition.reference is None and not definition.by_end and definition.idle_after_nanos is None:
+        if self._counts_by_heap():
             return self._lowest_of_all()
         if self._holder and self._still_holds(now):
             return None
@@ -178,6 +189,10 @@ class GroupCut:
             if cut is None:
                 return None
         return lowest
+
+    def _counts_by_heap(self) -> bool:
+        definition = self._definition
+        return definition.reference is None and not definition.by_end and definition.idle_after_nanos is None
 
     def _still_holds(self, now: int) -> bool:
         """Whether the member that held the cut back still does. Most changes concern other members."""
