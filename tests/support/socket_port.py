@@ -12,13 +12,13 @@ import grpc
 import pytest
 
 from stampede_rt.errors import InvalidArgument
-from stampede_rt_runtime.rpc import errors_as_status
+from stampede_rt_runtime.rpc import answer_at_once, errors_as_status
 from stampede_rt_runtime.server import ServiceServer, serving
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
 
 SERVICE = "test.Streams"
-ECHO, HOLD, READ_LATER, REFUSE, FAIL, FLOOD = (
-    f"/{SERVICE}/{name}" for name in ("Echo", "Hold", "ReadLater", "Refuse", "Fail", "Flood")
+ECHO, HOLD, READ_LATER, REFUSE, FAIL, FLOOD, AT_ONCE = (
+    f"/{SERVICE}/{name}" for name in ("Echo", "Hold", "ReadLater", "Refuse", "Fail", "Flood", "AtOnce")
 )
 
 
@@ -34,7 +34,7 @@ class Streams:
     def add_to(self, server: Any) -> None:
         methods = {
             "Echo": self.echo, "Hold": self.hold, "ReadLater": self.read_later, "Refuse": self.refuse,
-            "Fail": self.fail, "Flood": self.flood,
+            "Fail": self.fail, "Flood": self.flood, "AtOnce": self.at_once,
         }  # fmt: skip
         handlers: dict[str, Any] = {
             name: grpc.stream_stream_rpc_method_handler(method) for name, method in methods.items()
@@ -45,6 +45,19 @@ class Streams:
     async def echo(self, _requests: Any, context: Any) -> None:
         while (message := await context.read()) is not grpc.aio.EOF:
             await context.write(message)
+
+    async def at_once(self, _requests: Any, context: Any) -> None:
+        """Answer short messages at once, the others later, and fail at "defect"."""
+
+        def take(message: bytes, write: Callable[[bytes], None]) -> bool:
+            if message == b"defect":
+                raise ValueError("a defect")
+            if len(message) <= 5:
+                write(b"at once: " + message)
+            return len(message) <= 5
+
+        answer_at_once(context, take)
+        await self.echo(_requests, context)
 
     async def hold(self, _requests: Any, context: Any) -> None:
         self.held.release()

@@ -34,6 +34,7 @@ class Rig:
         self.channels = ChannelServiceStub(self.connection)
         self.gate = GatekeeperServiceStub(self.connection)
         self.accounts = started.server.access.accounts
+        self.sockets = started.server.sockets
 
     def now(self) -> int:
         return self.host.store.now()

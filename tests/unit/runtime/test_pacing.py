@@ -11,7 +11,7 @@ import grpc
 import pytest
 
 from stampede_rt_runtime import pacing
-from stampede_rt_runtime.pacing import STREAMS_PER_TURN, PacedContext, PacingInterceptor, TurnGate
+from stampede_rt_runtime.pacing import STREAMS_PER_TURN, AtOnceBudget, PacedContext, PacingInterceptor, TurnGate
 from stampede_rt_runtime.quotas import turns as caller_turns
 from stampede_rt_runtime.quotas.accounts import Account
 from stampede_rt_runtime.quotas.limits import DEFAULTS
@@ -285,3 +285,51 @@ async def test_streams_that_yield_their_responses_go_on_and_end_a_few_in_each_tu
     assert turns.went_on.total() == 2 * STREAMS
     assert max(turns.went_on.values()) <= 2 * STREAMS_PER_TURN
     await asyncio.wait(calls)
+
+
+async def test_messages_are_answered_at_once_for_a_bounded_time_in_each_turn() -> None:
+    now, turns, step = 0, Turns(), pacing.AT_ONCE_NANOS // 4
+    budget = AtOnceBudget(lambda: now)
+
+    def answer() -> None:
+        nonlocal now
+        if budget.is_left():
+            now += step
+            budget.spend(step)
+            turns.note()
+
+    for _ in range(3):
+        for _ in range(100):
+            answer()
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+    await turns.until(lambda: True)
+    assert sorted(turns.went_on.values()) == [4, 4, 4]
+
+
+async def test_a_loop_with_pauses_answers_every_message_at_once() -> None:
+    now = 0
+    budget = AtOnceBudget(lambda: now)
+    for _ in range(100):
+        assert budget.is_left()
+        now += pacing.AT_ONCE_NANOS // 2  # the answer
+        budget.spend(pacing.AT_ONCE_NANOS // 2)
+        now += pacing.AT_ONCE_NANOS // 2  # the pause
+
+
+async def test_a_caller_that_must_wait_for_its_turn_is_not_answered_at_once_and_pays_for_answers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Socket:
+        def answer_at_once(self, take: Callable[..., bool]) -> None:
+            self.take = take
+
+    spent: list[int] = []
+    monkeypatch.setattr(CallerWork, "spend", lambda _work, nanos: spent.append(nanos))
+    socket: Any = Socket()
+    PacedContext(socket, TurnGate(), TurnGate(), ONE, AtOnceBudget()).answer_at_once(lambda message, write: True)
+    assert socket.take(b"x", print)
+    assert len(spent) == 1
+    monkeypatch.setattr(CallerWork, "must_wait", property(lambda _work: True))
+    assert not socket.take(b"x", print)
+    assert len(spent) == 1

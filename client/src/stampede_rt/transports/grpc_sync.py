@@ -28,7 +28,7 @@ from stampede_rt.transports.socket_connecting_sync import connect
 from stampede_rt.transports.socket_limits import CONNECT_S_MAX
 from stampede_rt.transports.socket_routes import SocketRoute, opening_of
 from stampede_rt.transports.socket_sync import SocketCall
-from stampede_rt.transports.streams_sync import BidiStream, GrpcCall, ServerStream, closed
+from stampede_rt.transports.streams_sync import BidiStream, GrpcCall, ServerStream, closed, limit_of
 from stampede_rt.transports.stubs import Stubs
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.v1 import channel_service_pb2 as channel_pb
@@ -242,7 +242,7 @@ class _Lockstep(_Exchange):
 
     def __init__(self, endpoint: ServerEndpoint, method: BidiMethod, watchdog: Watchdog) -> None:
         super().__init__(endpoint, method, in_turn=True)
-        self._watchdog = watchdog
+        self._limit = limit_of(self._call, watchdog)
         self._next_id = 0
 
     def _next(self, limit: list[bool]) -> Any:
@@ -271,7 +271,7 @@ class GetExchange(_Lockstep):
         """
         self._next_id += 1
         request.call_id = self._next_id
-        with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
+        with self._limit(timeout_s) as limit:
             self._call.send(request)
             responses, count = [self._next(limit)], ItemCount(request.limit)
             while True:  # ends with the last response, or if the host sends more items than it may
@@ -300,7 +300,7 @@ class PutExchange(_Lockstep):
         `stays` is for the stream on asyncio. An interrupt ends this stream in any case, because its next answer would
         be that of the interrupted put.
         """
-        with self._watchdog.limit(timeout_s, self._call.cancel) as limit:
+        with self._limit(timeout_s) as limit:
             self._call.send(request)
             acks: Sequence[channel_pb.PutAck] = self._next(limit).acks
         if len(acks) != 1:

@@ -16,6 +16,7 @@ from stampede_rt.transports.bidi_methods import BidiMethod
 from stampede_rt.transports.socket_errors import broken, error_of, silent
 from stampede_rt.transports.socket_limits import (
     JOINED_BYTES_MAX,
+    RECEIVE_BYTES,
     RECEIVED_BYTES_MAX,
     SILENCE_S_MAX,
     UNREAD_BYTES_MAX,
@@ -23,7 +24,7 @@ from stampede_rt.transports.socket_limits import (
 from stampede_rt.wire.stream_frames import Frame, FrameKind, FrameReader, frame_of, head_of
 
 
-class SocketCall(asyncio.Protocol):
+class SocketCall(asyncio.BufferedProtocol):
     """A stream with the methods of a call of grpc.aio. It is the protocol of its connection."""
 
     def __init__(self, method: BidiMethod, opening: bytes) -> None:
@@ -32,6 +33,8 @@ class SocketCall(asyncio.Protocol):
         self._opening = opening
         self._transport: Any = None
         self._frames = FrameReader(RECEIVED_BYTES_MAX)
+        # Not a new buffer for each read, as asyncio makes otherwise: it takes longer than the read.
+        self._buffer = memoryview(bytearray(RECEIVE_BYTES))
         self._came: deque[Frame] = deque()
         self._unread_bytes = 0
         self._error: grpc.RpcError | asyncio.CancelledError | None = None  # after which nothing comes
@@ -64,11 +67,15 @@ class SocketCall(asyncio.Protocol):
         transport.write(frame_of(FrameKind.OPENING, self._opening))
         self._watch = self._loop.call_later(SILENCE_S_MAX, self._listen)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, _sizehint: int) -> memoryview:
+        """Return the place for the next bytes."""
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
         """Take the frames. While the program reads none, more of them wait at the host."""
         self._heard_s = self._loop.time()
         try:
-            frames = self._frames.feed(data)
+            frames = self._frames.feed(self._buffer[:nbytes])
         except InvalidArgument as error:
             self._end(broken(str(error)))
             return

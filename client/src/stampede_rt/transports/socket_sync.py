@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import select
 import socket
-import struct
 import threading
 import weakref
 from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
+from math import inf
 from queue import SimpleQueue
+from time import monotonic
 from typing import Any
 
 from stampede_rt.errors import InvalidArgument
@@ -44,9 +45,12 @@ class SocketCall:
         self._failure: SocketError | None = None  # of sending
         self._mutex = threading.Lock()  # guards sending
         self._backlog = _Backlog(connected)
+        # Not a new buffer for each read: a new one of this length takes longer than the read.
+        self._buffer = memoryview(bytearray(RECEIVE_BYTES))
+        self._limit = ReadLimit()
         connected.setblocking(True)
-        seconds, rest = divmod(SILENCE_S_MAX, 1)
-        connected.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", int(seconds), int(rest * 1e6)))
+        self._readable = select.poll()  # unlike SO_RCVTIMEO it keeps its time limit also while many signals come
+        self._readable.register(connected, select.POLLIN)
         forking.keep_out_of_children(connected)
         weakref.finalize(self, _drop, connected, self._backlog, self._forks)  # also at the end of the program
         self._write((head_of(FrameKind.OPENING, len(opening)), opening))
@@ -71,13 +75,21 @@ class SocketCall:
     def __iter__(self) -> SocketCall:
         return self
 
+    def limit(self, timeout_s: float | None) -> ReadLimit:
+        """Return a context in which the thread that reads waits for at most `timeout_s`; None: without limit.
+
+        Then the stream is cancelled. The context is a list, as that of `Watchdog.limit`. No other thread takes part.
+        """
+        self._limit.ends_s = inf if timeout_s is None else monotonic() + timeout_s
+        return self._limit
+
     def __next__(self) -> Any:
         """Return the next response. Raises grpc.RpcError, or StopIteration at the end."""
         while True:
             while not self._came:
                 if self._failure is not None:
                     raise self._failure
-                self._receive(0)
+                self._receive()
             kind, body = self._came.popleft()
             if kind == FrameKind.MESSAGE:
                 decode = self._method.decode
@@ -94,28 +106,40 @@ class SocketCall:
         self._is_cancelled = True
         _shut(self._socket, self._backlog, self._forks)
 
-    def _receive(self, flags: int) -> None:
+    def _receive(self) -> None:
         """Wait for the next bytes. Raises grpc.RpcError."""
+        if not self._readable.poll(self._left_s() * 1000):
+            self._left_s()  # raises if the limit is over
+            raise silent(SILENCE_S_MAX)
         try:
-            data = self._socket.recv(RECEIVE_BYTES, flags)
+            came_bytes = self._socket.recv_into(self._buffer, 0, _NOW)
         except BlockingIOError:
-            raise silent(SILENCE_S_MAX) from None
+            return
         except OSError as error:
             raise (cancelled() if self._is_cancelled else broken(error.strerror or str(error))) from error
-        if not data:
+        if not came_bytes:
             raise cancelled() if self._is_cancelled else broken("the host has closed it")
         try:
-            self._came.extend(self._frames.feed(data))
+            self._came.extend(self._frames.feed(self._buffer[:came_bytes]))
         except InvalidArgument as error:
             self.cancel()
             raise broken(str(error)) from error
+
+    def _left_s(self) -> float:
+        """Return for how long the thread may wait for bytes. Cancels the stream and raises if its limit is over."""
+        left_s = self._limit.ends_s - monotonic()
+        if left_s <= 0:
+            self._limit.overdue.append(True)
+            self.cancel()
+            raise cancelled()
+        return min(left_s, SILENCE_S_MAX)
 
     def _write(self, buffers: Iterable[bytes]) -> None:
         """Send as much as the system takes now, and then the rest: here, or on a thread. The caller holds the mutex."""
         left = [memoryview(one) for one in buffers]
         try:
             if not self._backlog.writes:
-                left = self._send_some(left)
+                left = _send_some(self._socket, left)
             if left and self._in_turn:
                 self._send_rest(left)
             elif left:
@@ -125,27 +149,35 @@ class SocketCall:
         except SocketError as error:
             self._failure = error
 
-    def _send_some(self, left: list[memoryview]) -> list[memoryview]:
-        """Send what the system takes without waiting. Returns the rest."""
-        while left:
-            try:
-                sent_bytes = self._socket.sendmsg(left, (), _NOW)
-            except BlockingIOError:
-                break
-            left = _after(left, sent_bytes)
-        return left
-
     def _send_rest(self, left: list[memoryview]) -> None:
         """Send the rest. Take in what comes meanwhile: while the host gives signs of life, it may take more later."""
         poll = select.poll()
         poll.register(self._socket, select.POLLIN | select.POLLOUT)
         while left and not any(kind == FrameKind.STATUS for kind, _ in self._came):
-            events = poll.poll(SILENCE_S_MAX * 1000)
+            events = poll.poll(self._left_s() * 1000)
             if not events:
+                self._left_s()  # raises if the limit is over
                 raise silent(SILENCE_S_MAX)
             if events[0][1] & ~select.POLLOUT:
-                self._receive(_NOW)
-            left = self._send_some(left)
+                self._receive()
+            left = _send_some(self._socket, left)
+
+
+class ReadLimit:
+    """The time at which the reading thread must stop to wait (monotonic clock)."""
+
+    __slots__ = ("ends_s", "overdue")
+
+    def __init__(self) -> None:
+        self.ends_s = inf
+        self.overdue: list[bool] = []
+        """Has an entry once the time was over. The stream is cancelled then."""
+
+    def __enter__(self) -> list[bool]:
+        return self.overdue
+
+    def __exit__(self, *_error: object) -> None:
+        self.ends_s = inf
 
 
 class _Backlog:
@@ -169,16 +201,29 @@ class _Backlog:
             threading.Thread(target=self._run, name="stampede sends", daemon=True).start()
 
     def _run(self) -> None:
+        poll = select.poll()
         with suppress(OSError):
+            poll.register(self._socket, select.POLLOUT)
             while (left := self._queue.get()) is not None:
-                for part in left:
-                    self._socket.sendall(part, NO_SIGNAL)
+                while left := _send_some(self._socket, left):
+                    poll.poll()
                 with self._mutex:
                     self.writes -= 1
 
     def close(self) -> None:
         """End the thread, once the socket is shut."""
         self._queue.put(None)
+
+
+def _send_some(connected: socket.socket, left: list[memoryview]) -> list[memoryview]:
+    """Send what the system takes without waiting. Returns the rest."""
+    while left:
+        try:
+            sent_bytes = connected.sendmsg(left, (), _NOW)
+        except BlockingIOError:
+            break
+        left = _after(left, sent_bytes)
+    return left
 
 
 def _after(buffers: list[memoryview], sent_bytes: int) -> list[memoryview]:

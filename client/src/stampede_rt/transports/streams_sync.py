@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from functools import partial
 from itertools import chain
 from queue import SimpleQueue
@@ -16,6 +17,7 @@ from stampede_rt.status import raise_from_rpc_error
 from stampede_rt.transports import forking
 from stampede_rt.transports.concurrency_sync import run_later, when_dropped, within_limit
 from stampede_rt.transports.grpc_options import SILENCE_S_MAX, WAITING_REQUESTS_MAX
+from stampede_rt.transports.socket_sync import SocketCall
 from stampede_rt.transports.watchdog import Watchdog
 from stampede_rt.wire.request_pieces import messages_of
 
@@ -30,6 +32,11 @@ def closed(target: str) -> Unavailable:
 def silent(target: str) -> Unavailable:
     """The error of a stream on which the server gave no sign of life."""
     return Unavailable(f"{target} gave no sign of life for {SILENCE_S_MAX:g} s; it may be stopped")
+
+
+def limit_of(call: Any, watchdog: Watchdog) -> Callable[[float | None], AbstractContextManager[list[bool]]]:
+    """The function that limits reads of `call`, see `Watchdog.limit`. Streams over sockets need no other thread."""
+    return call.limit if isinstance(call, SocketCall) else partial(watchdog.limit, on_overdue=call.cancel)
 
 
 class GrpcCall:
@@ -75,7 +82,7 @@ class ServerStream(Generic[Response]):
     def __init__(self, call: Any, target: str, watchdog: Watchdog) -> None:
         self._call = call
         self._target = target
-        self._watchdog = watchdog
+        self._limit = limit_of(call, watchdog)
         self._forks = forking.forks()
         self._cancelled = False
         when_dropped(self, call.cancel)
@@ -89,7 +96,7 @@ class ServerStream(Generic[Response]):
         overdue: list[bool] = []
         try:
             while True:
-                with self._watchdog.limit(SILENCE_S_MAX, self._call.cancel) as overdue:
+                with self._limit(SILENCE_S_MAX) as overdue:
                     response = next(self._call)
                 yield response
         except StopIteration:

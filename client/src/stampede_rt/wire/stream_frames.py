@@ -55,8 +55,8 @@ class FrameReader:
         """The bytes that came of an unfinished frame."""
         return len(self._partial)
 
-    def feed(self, data: bytes) -> list[Frame]:
-        """Take the next bytes, and return the frames that are complete now.
+    def feed(self, data: bytes | memoryview) -> list[Frame]:
+        """Take the next bytes, and return the frames that are complete now. Copies what it keeps of a view.
 
         Raises InvalidArgument for a frame of another kind, or of a longer body, than may come.
         """
@@ -69,7 +69,7 @@ class FrameReader:
             if end > len(data):
                 self._wanted_bytes = end - at
                 break
-            frames.append((data[at + 4], data[at + HEAD_BYTES : end]))
+            frames.append((data[at + 4], bytes(data[at + HEAD_BYTES : end])))
             at = end
         else:
             self._wanted_bytes = HEAD_BYTES
@@ -77,7 +77,7 @@ class FrameReader:
             self._partial += memoryview(data)[at:]
         return frames
 
-    def _complete(self, data: bytes, frames: list[Frame]) -> int:
+    def _complete(self, data: bytes | memoryview, frames: list[Frame]) -> int:
         """Add bytes to the unfinished frame. Returns the number of the bytes that were taken."""
         partial, at = self._partial, 0
         while True:  # twice, if the head was unfinished, too
@@ -94,7 +94,7 @@ class FrameReader:
         self._partial = bytearray()
         return at
 
-    def _body_bytes(self, data: bytes | bytearray, at: int) -> int:
+    def _body_bytes(self, data: bytes | bytearray | memoryview, at: int) -> int:
         length, kind = _HEAD.unpack_from(data, at)
         allowed = self._bytes_max.get(kind, -1)
         if length > allowed:

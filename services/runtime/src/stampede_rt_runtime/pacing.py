@@ -11,9 +11,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
+import time
 from collections import OrderedDict, deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import aclosing
+from functools import partial
 from typing import Any
 
 import grpc
@@ -25,6 +27,7 @@ from stampede_rt_runtime.quotas.working import WRITE_NANOS, CallerWork, charged
 from stampede_rt_runtime.rpc import Context
 
 STREAMS_PER_TURN = 16
+AT_ONCE_NANOS = 1_000_000
 
 
 class TurnGate:
@@ -69,12 +72,51 @@ class TurnGate:
             asyncio.get_running_loop().call_soon(self._begin_turn)
 
 
+class AtOnceBudget:
+    """Limits the time for which messages are answered in the turn of the event loop in which they come.
+
+    Beyond AT_ONCE_NANOS in one turn, messages go to their streams, of which the gates let a few go on in each turn.
+    Pauses between answers count as time in which nothing was answered, so a loop with little to do needs no other turn.
+    """
+
+    def __init__(self, now: Callable[[], int] = time.monotonic_ns) -> None:
+        self._now = now
+        self._used_nanos = self._ended_at = 0
+        self._begins_anew = False
+
+    def is_left(self) -> bool:
+        """Whether the next message may be answered at once. If not, the next turn of the loop has the whole budget."""
+        if self._used_nanos - (self._now() - self._ended_at) < AT_ONCE_NANOS:
+            return True
+        if not self._begins_anew:
+            self._begins_anew = True
+            asyncio.get_running_loop().call_soon(self._begin_turn)
+        return False
+
+    def spend(self, nanos: int) -> None:
+        """Count the time of an answer that ends now."""
+        now = self._now()
+        self._used_nanos = max(0, self._used_nanos - (now - nanos - self._ended_at)) + nanos
+        self._ended_at = now
+
+    def _begin_turn(self) -> None:
+        self._used_nanos, self._begins_anew = 0, False
+
+
 class PacedContext:
     """The context of a stream. After a message was read or written, the stream goes on when its gate admits it."""
 
-    def __init__(self, context: Context, reads: TurnGate, writes: TurnGate, caller: Account | None = None) -> None:
-        """`caller`: None for one without quotas."""
+    def __init__(
+        self,
+        context: Context,
+        reads: TurnGate,
+        writes: TurnGate,
+        caller: Account | None = None,
+        at_once: AtOnceBudget | None = None,
+    ) -> None:
+        """`caller`: None for one without quotas. `at_once`: None if all messages go to the stream."""
         self._context = context
+        self._at_once = at_once
         self._reads = reads
         self._writes = writes
         self._caller = caller or unlimited()
@@ -94,6 +136,33 @@ class PacedContext:
         if not self._writes.admits(self._caller):
             await self._writes.turn(self._caller)
 
+    def answer_at_once(self, take: Callable[[bytes, Callable[[bytes], None]], bool]) -> None:
+        """See `SocketContext`. Streams over gRPC have no such way.
+
+        `take` gets a message only if the caller need not wait for its turn, and the work of `take` counts for it.
+        """
+        answer = getattr(self._context, "answer_at_once", None)
+        if answer is not None and self._at_once is not None:
+            answer(partial(self._take_at_once, self._at_once, take))
+
+    def _take_at_once(
+        self,
+        budget: AtOnceBudget,
+        take: Callable[[bytes, Callable[[bytes], None]], bool],
+        message: bytes,
+        write: Callable[[bytes], None],
+    ) -> bool:
+        if self._work.must_wait or not budget.is_left():
+            return False
+        began_at = time.thread_time_ns()
+        is_taken = take(message, write)
+        nanos = time.thread_time_ns() - began_at
+        budget.spend(nanos)
+        self._work.spend(nanos)
+        if is_taken:
+            self._work.received(message)
+        return is_taken
+
     def __getattr__(self, name: str) -> Any:
         """Every other attribute of the context."""
         return getattr(self._context, name)
@@ -107,6 +176,7 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
 
     def __init__(self) -> None:
         self._reads, self._writes, self._ends = TurnGate(), TurnGate(), TurnGate()
+        self._at_once = AtOnceBudget()
 
     async def intercept_service(
         self,
@@ -126,7 +196,7 @@ class PacingInterceptor(grpc.aio.ServerInterceptor):  # type: ignore[misc, unuse
     def _paced(self, behavior: Callable[..., Any]) -> Callable[..., Any]:
         async def call(request: Any, context: Context) -> Any:
             caller = current_account()
-            paced = PacedContext(context, self._reads, self._writes, caller)
+            paced = PacedContext(context, self._reads, self._writes, caller, self._at_once)
             serving: asyncio.Task[Any] = asyncio.create_task(charged(caller, behavior(request, paced)))
             try:
                 await asyncio.wait({serving})

@@ -22,6 +22,17 @@ Context: TypeAlias = "grpc.aio.ServicerContext[Any, Any]"
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
+def answer_at_once(context: Context, take: Callable[[bytes, Callable[[bytes], None]], bool]) -> None:
+    """Let `take` answer messages in the turn of the event loop in which they come, if the transport can do so.
+
+    `take` gets an encoded message for which the method waits in `context.read`, and a function that writes a message.
+    It returns False if it has not taken the message, which `read` then returns.
+    """
+    answer = getattr(context, "answer_at_once", None)
+    if answer is not None:
+        answer(take)
+
+
 def errors_as_status(method: Method) -> Method:
     """Wraps `method` so that a StampedeError ends the RPC with the status of that error.
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gc
 import os
+import signal
 import socket
 import threading
 import time
@@ -184,3 +185,65 @@ def test_a_forked_child_neither_keeps_nor_ends_the_connection_of_its_parent(
     finally:
         os.kill(child, 9)
         os.waitpid(child, 0)
+
+
+def test_a_read_ends_at_its_limit_although_the_host_gives_signs_of_life(pair: tuple[socket.socket, FarEnd]) -> None:
+    call, far = opened(pair)
+    over = threading.Event()
+
+    def live() -> None:
+        while not over.wait(0.01):
+            far.send(FrameKind.ALIVE)
+
+    threading.Thread(target=live, daemon=True).start()
+    with call.limit(0.2) as overdue:
+        assert failure_of(call).code() is grpc.StatusCode.CANCELLED
+    over.set()
+    assert overdue
+
+
+def test_a_read_ends_at_its_limit_although_many_signals_come(pair: tuple[socket.socket, FarEnd]) -> None:
+    call, _ = opened(pair)
+    former = signal.signal(signal.SIGALRM, lambda *_: None)
+    signal.setitimer(signal.ITIMER_REAL, 0.01, 0.01)
+    try:
+        with call.limit(0.2) as overdue:
+            assert failure_of(call).code() is grpc.StatusCode.CANCELLED
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, former)
+    assert overdue
+
+
+def test_a_request_that_the_host_does_not_take_ends_at_its_limit(pair: tuple[socket.socket, FarEnd]) -> None:
+    call, _ = opened(pair)
+    with call.limit(0.05) as overdue:
+        call.send(bytes(2**20))
+        failure_of(call)
+    assert overdue
+
+
+def test_a_limit_ends_with_its_block_and_starts_no_thread(pair: tuple[socket.socket, FarEnd]) -> None:
+    threads = threading.active_count()
+    call, far = opened(pair)
+    for timeout_s in (0.0, None, 10.0):
+        far.send(FrameKind.MESSAGE, b"answer")
+        with call.limit(10.0) as overdue:
+            assert next(call) == b"answer"
+        with call.limit(timeout_s):
+            pass
+        assert not overdue
+    assert threading.active_count() == threads
+
+
+def test_messages_stay_as_they_came_when_later_ones_come(pair: tuple[socket.socket, FarEnd]) -> None:
+    """The stream reads all bytes into one buffer."""
+    call, far = opened(pair)
+    sent = [os.urandom(size) for size in (1, 3000, 100_000, 5, 400_000, 0, 70_000)]
+    received = []
+    for message in sent:
+        writing = threading.Thread(target=far.send, args=(FrameKind.MESSAGE, message))
+        writing.start()
+        received.append(next(call))
+        writing.join()
+    assert received == sent

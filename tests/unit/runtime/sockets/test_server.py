@@ -13,12 +13,12 @@ import pytest
 from stampede_rt.errors import InvalidArgument, StampedeError, WrongCluster
 from stampede_rt.status import DETAILS_KEY, error_in
 from stampede_rt.v1 import rpc_status_pb2
-from stampede_rt.wire.stream_frames import FrameKind
+from stampede_rt.wire.stream_frames import FrameKind, frame_of
 from stampede_rt_runtime.auth import Secret
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.sockets import server, stream_socket
 from tests.support.raw_stream import RawStream, raw_stream
-from tests.support.socket_port import ECHO, FAIL, FLOOD, HOLD, READ_LATER, REFUSE, Open, port_fixture, until
+from tests.support.socket_port import AT_ONCE, ECHO, FAIL, FLOOD, HOLD, READ_LATER, REFUSE, Open, port_fixture, until
 
 port = port_fixture()
 
@@ -57,6 +57,32 @@ async def test_an_error_reaches_the_caller_with_its_code_and_details(port: Open)
         error = error_of(status)
         assert isinstance(error, InvalidArgument)
         assert (error.message, error.metadata) == ("not like this", {"field": "x"})
+
+
+async def test_a_method_may_answer_messages_as_they_come_and_gets_the_others(port: Open) -> None:
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(AT_ONCE)
+        for message in (b"short", b"longer", b"x", bytes(100_000)):
+            await stream.send(FrameKind.MESSAGE, message)
+            assert await stream.message() in (message, b"at once: " + message)
+        await stream.send_bytes(frame_of(FrameKind.MESSAGE, b"a") + frame_of(FrameKind.MESSAGE, b"b"))
+        assert [await stream.message(), await stream.message()] == [b"a", b"b"], "two together go to the method"
+        await stream.send(FrameKind.MESSAGE, b"short")
+        assert await stream.message() == b"at once: short"
+        await stream.send(FrameKind.END)
+        assert (await stream.status()).code == 0
+
+
+async def test_a_defect_in_an_answer_at_once_ends_the_stream_as_unknown_and_is_logged(
+    port: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(AT_ONCE)
+        await stream.send(FrameKind.MESSAGE, b"x")
+        await stream.message()
+        await stream.send(FrameKind.MESSAGE, b"defect")
+        assert (await stream.status()).code == grpc.StatusCode.UNKNOWN.value[0]
+    assert [record.exc_info is not None for record in caplog.records if record.levelno >= logging.ERROR] == [True]
 
 
 async def test_the_status_reaches_a_caller_that_is_still_sending(port: Open) -> None:

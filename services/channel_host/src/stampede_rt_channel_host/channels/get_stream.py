@@ -16,7 +16,7 @@ from grpc.aio import EOF
 from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
 from stampede_rt.status import to_error_message
 from stampede_rt_channel_host.channels.frames import get_error, get_responses
-from stampede_rt_channel_host.channels.get_plans import GetCall, GetPlan, GetPlans, check_length
+from stampede_rt_channel_host.channels.get_plans import REQUEST_BYTES_MAX, GetCall, GetPlan, GetPlans, check_length
 from stampede_rt_channel_host.channels.get_summaries import kept_bytes_of, summary_of
 from stampede_rt_channel_host.channels.group_access import GroupAccess, GroupReadParams
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
@@ -38,7 +38,7 @@ from stampede_rt_runtime.access.control import current_account, request_rights
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.limits import Quota
 from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
-from stampede_rt_runtime.rpc import Context
+from stampede_rt_runtime.rpc import Context, answer_at_once
 
 CALLS_MAX = 1024  # calls under way on one stream
 POLLS_PER_PIECE = 4
@@ -108,6 +108,7 @@ class GetStream:
 
         Raises InvalidArgument if a request cannot be decoded.
         """
+        answer_at_once(self._context, self._take_at_once)
         try:
             while (raw := await self._context.read()) is not EOF:
                 check_length(raw)  # before the turn, for which 1280 requests of 200 KiB waited
@@ -125,6 +126,20 @@ class GetStream:
             self._held_back.clear()
             self._outbox.close()
             self._store.scheduler.begin(self._cancelling())
+
+    def _take_at_once(self, raw: bytes, write: Callable[[bytes], None]) -> bool:
+        """Perform a get that does not wait, and write its answer, or its first message. False for any other message."""
+        if self._calls or not self._outbox.is_empty or len(raw) > REQUEST_BYTES_MAX:
+            return False
+        try:
+            call = self._plans.read(raw)
+        except StampedeError:  # the loop that reads the requests comes to the same error
+            return False
+        if call.plan is None or call.plan.wait_nanos or call.plan.group is not None:
+            return False
+        self._take(call)
+        self._outbox.flush_at_once(write)
+        return True
 
     def _cancelling(self) -> Pieces[None]:
         """Cancel the calls that are left, in pieces. The closed outbox drops the answers that come meanwhile."""

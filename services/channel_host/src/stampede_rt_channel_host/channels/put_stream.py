@@ -1,22 +1,27 @@
 """Serves one stream of puts: judges and acks runs in order.
 
 Acks that come during a write go out in the next message. The loop that reads the requests writes the ack of a single
-put itself, because its caller waits for it.
+put itself, because its caller waits for it. Over a socket even that loop need not go on: the stream takes a single put
+in the turn of the event loop in which its bytes come (decision 0164).
 """
 
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from grpc.aio import EOF
 
 from stampede_rt.errors import InvalidArgument, Overloaded, PermissionDenied, StampedeError
 from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.wire.request_pieces import PIECE_TAG
 from stampede_rt_channel_host.channels.acks import refused
 from stampede_rt_channel_host.channels.hosted_channels import HostedChannel
 from stampede_rt_channel_host.channels.incoming_run import IncomingRun
+from stampede_rt_channel_host.channels.long_requests import SHORT_BYTES
 from stampede_rt_channel_host.channels.put_requests import Put, read_request
 from stampede_rt_channel_host.channels.puts import ChannelPuts, check_number
 from stampede_rt_channel_host.channels.read_ahead import ReadAhead, left_nanos
@@ -26,7 +31,7 @@ from stampede_rt_channel_host.channels.whole_requests import WholeRequests
 from stampede_rt_runtime.access.control import current_account, own_name, request_rights
 from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_runtime.quotas.working import READ_NANOS, CallerWork
-from stampede_rt_runtime.rpc import Context
+from stampede_rt_runtime.rpc import Context, answer_at_once
 
 # The most acks that wait for the writer, and so the most acks in one message. Even if each ack has 256 refused items,
 # the message stays below its size limit.
@@ -77,14 +82,15 @@ class PutStream:
         self._owner = own_name()
         self._rights = request_rights(_lose)
         self._work = CallerWork(self._account)
-        whole = WholeRequests(context.read, store.memory.requests, self._account)
-        self._requests = ReadAhead(whole, store.memory, self._account)
+        self._whole = WholeRequests(context.read, store.memory.requests, self._account)
+        self._requests = ReadAhead(self._whole, store.memory, self._account)
 
     async def run(self) -> None:
         """Serve until the caller has closed its side and every run is acked.
 
         Raises InvalidArgument for an invalid request.
         """
+        answer_at_once(self._context, self._take_at_once)
         writer = self._stream.spawn(self._write_acks())
         try:
             while (received := self._read_request(*await self._requests.next())) is not None:
@@ -107,6 +113,26 @@ class PutStream:
         too_much = len(request.puts) > 1 and len(raw) > REQUEST_BYTES_MAX + _FRAMING_BYTES_MAX
         is_single = bool(request.channel_id) and len(request.puts) == 1
         return _ReceivedRequest(request.puts, received_s, too_much, is_single)
+
+    def _take_at_once(self, raw: bytes, write: Callable[[bytes], None]) -> bool:
+        """Judge a single put, which surely need not wait, and write its ack. Returns False for any other message."""
+        is_idle = not (self._acks or self._is_writing or self._whole.is_joining or self._requests.is_ahead)
+        if not is_idle or len(raw) > SHORT_BYTES or raw[:1] == PIECE_TAG:
+            return False
+        try:
+            request = read_request(raw)
+            if not request.channel_id or len(request.puts) != 1:
+                return False
+            if self._store.find(request.channel_id, request.epoch).puts.may_wait:
+                return False
+        except StampedeError:  # the loop that reads the requests comes to the same error
+            return False
+        self._channel_id, self._epoch = request.channel_id, request.epoch
+        self._producer_id = request.producer_id
+        ack = self._judge(request.puts[0], time.monotonic())
+        assert isinstance(ack, pb.PutAck), "the channel lets no put wait"
+        write(pb.PutResponse(acks=[ack]).SerializeToString())
+        return True
 
     async def _take(self, received: _ReceivedRequest) -> None:
         if self._work.must_wait:
@@ -131,7 +157,12 @@ class PutStream:
 
     async def _put(self, received: _ReceivedRequest) -> pb.PutAck:
         """The ack of the first run. Waits while the run waits for room."""
-        now, put = self._store.now(), received.puts.popleft()
+        judged = self._judge(received.puts.popleft(), received.received_s)
+        return judged if isinstance(judged, pb.PutAck) else await self._wait(*judged, received)
+
+    def _judge(self, put: Put, received_s: float) -> pb.PutAck | tuple[IncomingRun, HostedChannel]:
+        """The ack of a run, or the run and its channel if the run has to wait for room."""
+        now = self._store.now()
         run: IncomingRun | None = None
         try:
             check_number(self._producer_id, put.first_number)
@@ -142,15 +173,13 @@ class PutStream:
             hosted = self._store.find(self._channel_id, self._epoch)
             self._rights.check(AccessVerb.PUT, AccessKind.CHANNEL, hosted.record.name)
             try:
-                run = self._read(put, received.received_s)
+                run = self._read(put, received_s)
             except StampedeError as error:
                 hosted.puts.count_unread(len(put.run), error, now)
                 raise
-            ack = hosted.puts.put(run, now)
+            return hosted.puts.put(run, now) or (run, hosted)
         except StampedeError as error:
             return refused(put.first_number, run.items if run else 0, error, now)
-        del put
-        return ack or await self._wait(run, hosted, received)
 
     async def _wait(self, run: IncomingRun, hosted: HostedChannel, received: _ReceivedRequest) -> pb.PutAck:
         """Wait for the ack of a run that waits for room.

@@ -105,6 +105,11 @@ class ChannelPuts:
         self._waiting_bytes += run.charged_bytes
         return None
 
+    @property
+    def may_wait(self) -> bool:
+        """Whether the next run may have to wait for room."""
+        return bool(self._waiting_runs) or self._channel.may_block
+
     def count_unread(self, length_bytes: int, error: StampedeError, now: int) -> None:
         """Count a run of `length_bytes` bytes that the host could not read because of `error`."""
         if isinstance(error, ItemTooLarge):  # the core does not count such items as malformed

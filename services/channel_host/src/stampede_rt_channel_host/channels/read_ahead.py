@@ -69,6 +69,11 @@ class ReadAhead:
         self._given_bytes = 0 if raw is EOF else len(raw)
         return raw, received_s
 
+    @property
+    def is_ahead(self) -> bool:
+        """Whether requests are read ahead, or were and are left."""
+        return self._task is not None or bool(self._received)
+
     def release(self) -> None:
         """Count the request that `next` gave last no more, because its runs are judged now. Idempotent."""
         self._requests.release()

@@ -39,6 +39,8 @@ class WholeRequests:
         self._account = account
         self._work = CallerWork(account)
         self._held = ExitStack()  # the room of the last request that was read
+        self.is_joining = False
+        """Whether the next message must be a piece of a request."""
 
     async def read(self) -> Any:
         """The next encoded request, or EOF. Joins a request that comes in pieces. Waits for room for such a request.
@@ -61,7 +63,9 @@ class WholeRequests:
         with ExitStack() as held:
             held.callback(await self._room.take(self._account.subject, whole_bytes))
             held.enter_context(self._account.using(Quota.BYTES_IN_FLIGHT, whole_bytes))
+            self.is_joining = True
             whole = await self._join(first, whole_bytes)
+            self.is_joining = False  # after an error the stream ends
             self._held = held.pop_all()
             return whole
 

@@ -10,7 +10,7 @@ from grpc.aio import EOF, AbortError
 
 from stampede_rt.status import DETAILS_KEY
 from stampede_rt.v1 import rpc_status_pb2
-from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+from stampede_rt_runtime.sockets.stream_socket import AtOnce, StreamSocket
 
 Metadata = tuple[tuple[str, str | bytes], ...]
 OK = b""
@@ -48,6 +48,10 @@ class SocketContext:
     async def write(self, message: Any) -> None:
         """Write a message. Returns when the system has taken it. Raises InternalError if the caller has gone."""
         await self._connection.write(message if self._encode is None else self._encode(message))
+
+    def answer_at_once(self, take: AtOnce) -> None:
+        """From now on call `take` for each encoded message for which `read` waits. It must not wait."""
+        self._connection.at_once = take
 
     def __aiter__(self) -> SocketContext:
         """The requests, for methods that iterate over them."""

@@ -7,7 +7,7 @@ from stampede_rt_channel_host.core.channel import pieces
 from stampede_rt_channel_host.core.channel.acceptance import Acceptance
 from stampede_rt_channel_host.core.channel.held_items import COUNT, Cut
 from stampede_rt_channel_host.core.channel.holdings import Holdings
-from stampede_rt_channel_host.core.channel.limits import ChannelLimits
+from stampede_rt_channel_host.core.channel.limits import BLOCK, ChannelLimits
 from stampede_rt_channel_host.core.channel.moment import Moment
 from stampede_rt_channel_host.core.channel.pieces import Pieces
 from stampede_rt_channel_host.core.channel.reading import Reading
@@ -121,6 +121,11 @@ class AgedChannel:
     def policy(self) -> Policy:
         """The policy as it was stated, without defaults."""
         return self._policy
+
+    @property
+    def may_block(self) -> bool:
+        """Whether a put may have to wait for room."""
+        return self._retention.limits.on_full == BLOCK
 
     @property
     def incarnation(self) -> int:

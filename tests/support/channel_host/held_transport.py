@@ -1,0 +1,85 @@
+"""A stream over a socket of a host whose bytes the test hands over itself. It sees what is written in the same turn."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import struct
+from typing import Any
+
+from stampede_rt.v1 import socket_stream_pb2
+from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, FrameReader, frame_of
+from stampede_rt_runtime.sockets.server import SocketServer
+from stampede_rt_runtime.sockets.stream_socket import StreamSocket
+from tests.support.socket_port import until
+
+
+class HeldTransport:
+    """The transport and the socket of a stream. It keeps what the host writes."""
+
+    def __init__(self) -> None:
+        self.frames: list[tuple[int, bytes]] = []
+        self._reader = FrameReader({FrameKind.MESSAGE: 2**25, FrameKind.STATUS: 2**16, FrameKind.ALIVE: 0})
+        self.is_closed = False
+
+    def write(self, data: bytes) -> None:
+        self.frames += self._reader.feed(data)
+
+    def get_extra_info(self, _name: str) -> HeldTransport:
+        return self
+
+    def getsockopt(self, *_option: int) -> bytes:
+        return struct.pack("3i", os.getpid(), os.geteuid(), os.getegid())
+
+    def fileno(self) -> int:
+        return os.open(os.devnull, os.O_RDONLY)
+
+    def is_closing(self) -> bool:
+        return self.is_closed
+
+    def abort(self) -> None:
+        self.is_closed = True
+
+    def can_write_eof(self) -> bool:
+        return False
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *arguments: 0
+
+
+class HeldStream:
+    """One stream at a host's sockets."""
+
+    def __init__(self, connection: StreamSocket, transport: HeldTransport) -> None:
+        self.connection, self._transport = connection, transport
+
+    def send(self, *messages: bytes) -> list[bytes]:
+        """Hand these messages over together. Returns what the host has written before the call returned."""
+        return self.send_frames(b"".join(frame_of(FrameKind.MESSAGE, one) for one in messages))
+
+    def send_frames(self, data: bytes) -> list[bytes]:
+        before = len(self._transport.frames)
+        self.connection.data_received(data)
+        return self.written()[before:]
+
+    def written(self) -> list[bytes]:
+        return [body for _, body in self._transport.frames]
+
+    async def until_written(self, count: int) -> list[bytes]:
+        await until(lambda: len(self._transport.frames) >= count)
+        return self.written()
+
+    def close(self) -> None:
+        self.connection.connection_lost(None)
+
+
+async def held_stream(sockets: SocketServer, method: str) -> HeldStream:
+    """Return a new stream, once the method waits for its first message."""
+    connection, transport = sockets._connection(), HeldTransport()
+    sockets._hangups.watch = lambda *_: None  # type: ignore[method-assign]  # epoll takes no such files
+    connection.connection_made(transport)
+    opening = socket_stream_pb2.StreamOpening(method=method, protocol_version=PROTOCOL_VERSION)
+    connection.data_received(frame_of(FrameKind.OPENING, opening.SerializeToString()))
+    await until(lambda: connection._came is not None)
+    await asyncio.sleep(0)
+    return HeldStream(connection, transport)

@@ -1,0 +1,158 @@
+"""Over a socket a host answers single puts and short gets in the turn of the event loop in which they come."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+import pytest
+
+from stampede_rt.v1 import channel_service_pb2 as pb
+from stampede_rt.values.policy import parse_policy
+from stampede_rt.wire.put_frames import put_head, put_request
+from stampede_rt.wire.records import policy_to_spec
+from stampede_rt.wire.request_pieces import messages_of
+from stampede_rt.wire.runs import run_parts
+from stampede_rt.wire.stream_frames import FrameKind, frame_of
+from stampede_rt_runtime import pacing
+from tests.support.channel_host.held_transport import HeldStream, held_stream
+from tests.support.channel_host.rig import Opened, run_of, running_host
+
+SERVICE = "/stampede_rt.v1.ChannelService"
+PRODUCER = 7
+
+
+@pytest.fixture(autouse=True)
+def unlimited_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine one answer may take longer than the budget."""
+    monkeypatch.setattr(pacing, "AT_ONCE_NANOS", 2**62)
+
+
+@asynccontextmanager
+async def stream_of(method: str, **policy: object) -> AsyncIterator[tuple[HeldStream, Opened]]:
+    """Yield a stream and a channel."""
+    async with running_host() as rig:
+        channel = await rig.open("a", policy_to_spec(parse_policy(**policy)))  # type: ignore[arg-type]
+        stream = await held_stream(rig.sockets, f"{SERVICE}/{method}")
+        yield stream, channel
+        stream.close()
+
+
+def put_of(channel: Opened, number: int, payload: bytes = b"x", *, epoch: int | None = None) -> bytes:
+    head = put_head(channel.channel_id, channel.epoch if epoch is None else epoch, PRODUCER)
+    return put_request(head, number, run_parts((payload,), times=None), 10**9)
+
+
+def acks_in(messages: list[bytes]) -> list[pb.PutAck]:
+    return [ack for message in messages for ack in pb.PutResponse.FromString(message).acks]
+
+
+def newest(channel: Opened, call_id: int, **fields: object) -> bytes:
+    return channel.newest_request(call_id, **fields).SerializeToString()
+
+
+async def test_a_single_put_is_acked_in_the_turn_in_which_it_comes() -> None:
+    async with stream_of("Put") as (stream, channel):
+        for number in (1, 2, 3):
+            [ack] = acks_in(stream.send(put_of(channel, number)))
+            assert (ack.first_number, ack.first_seq, ack.HasField("error")) == (number, number, False)
+        assert (await channel.get()).payloads == [b"x"] * 3
+
+
+async def test_a_repeated_put_gets_its_former_ack_at_once() -> None:
+    async with stream_of("Put") as (stream, channel):
+        former = stream.send(put_of(channel, 1))
+        assert acks_in(stream.send(put_of(channel, 1)))[0].first_seq == acks_in(former)[0].first_seq == 1
+
+
+async def test_a_put_into_another_epoch_is_refused_and_the_stream_goes_on() -> None:
+    async with stream_of("Put") as (stream, channel):
+        assert stream.send(put_of(channel, 1, epoch=9)) == []
+        [refusal] = acks_in(await stream.until_written(1))
+        assert refusal.HasField("error")
+        assert acks_in(stream.send(put_of(channel, 2)))[0].first_seq == 1
+
+
+async def test_puts_that_come_together_are_acked_together_and_in_order() -> None:
+    async with stream_of("Put") as (stream, channel):
+        assert stream.send(*(put_of(channel, number) for number in range(1, 30))) == []
+        assert acks_in(stream.send(put_of(channel, 30))) == [], "the earlier ones come first"
+        while len(acks := acks_in(stream.written())) < 30:
+            await stream.until_written(len(stream.written()) + 1)
+        assert [ack.first_seq for ack in acks] == list(range(1, 31))
+        assert acks_in(stream.send(put_of(channel, 31)))[0].first_seq == 31
+
+
+async def test_a_put_that_may_wait_for_room_goes_to_the_stream() -> None:
+    policy = {"max_items": 1, "max_age": "10s", "on_full": "block"}
+    async with stream_of("Put", **policy) as (stream, channel):
+        assert stream.send(put_of(channel, 1)) == []
+        assert acks_in(await stream.until_written(1))[0].first_seq == 1
+        assert stream.send(put_of(channel, 2)) == [], "there is no room"
+        assert stream.send(put_of(channel, 3)) == [], "the second put comes first"
+
+
+async def test_nothing_is_taken_out_of_the_middle_of_a_request_in_pieces() -> None:
+    async with stream_of("Put") as (stream, channel):
+        pieces = list(messages_of(put_of(channel, 1, bytes(400_000))))
+        assert stream.send(pieces[0]) == []
+        assert stream.send(put_of(channel, 2)) == []
+        [status] = await stream.until_written(1)
+        assert b"holds something else" in status
+
+
+async def test_the_newest_item_is_read_in_the_turn_in_which_the_request_comes() -> None:
+    async with stream_of("Get") as (stream, channel):
+        for call_id, payload in ((1, b"small"), (2, bytes(200_000))):
+            await channel.put(run_of(payload, number=call_id))
+            [message] = stream.send(newest(channel, call_id))
+            response = pb.GetResponse.FromString(message)
+            assert (response.call_id, response.runs[0].run.payloads) == (call_id, payload)
+            assert response.HasField("summary")
+
+
+async def test_an_answer_of_several_messages_begins_at_once_and_comes_whole() -> None:
+    async with stream_of("Get") as (stream, channel):
+        for number in range(1, 8):
+            await channel.put(run_of(bytes(300_000), number=number))
+        [first] = stream.send(channel.get_request(1).SerializeToString())
+        assert not pb.GetResponse.FromString(first).HasField("summary")
+        responses = [pb.GetResponse.FromString(one) for one in await stream.until_written(3)]
+        assert sum(len(one.runs) for one in responses) == 7
+        assert [one.HasField("summary") for one in responses] == [False, False, True]
+
+
+async def test_a_get_behind_one_that_waits_goes_to_the_stream_and_is_answered() -> None:
+    async with stream_of("Get") as (stream, channel):
+        assert stream.send(newest(channel, 1, wait_nanos=-1)) == []
+        assert stream.send(newest(channel, 2)) == []
+        [second] = await stream.until_written(1)
+        assert pb.GetResponse.FromString(second).call_id == 2
+        await channel.put(run_of(b"x", number=1))
+        assert pb.GetResponse.FromString((await stream.until_written(2))[1]).call_id == 1
+
+
+@pytest.mark.parametrize("method", ["Put", "Get"])
+async def test_a_message_that_cannot_be_decoded_ends_the_stream(method: str) -> None:
+    async with stream_of(method) as (stream, _):
+        assert stream.send(b"\xff\xff") == []
+        [status] = await stream.until_written(1)
+        assert f"no valid {method}Request message".encode() in status
+
+
+async def test_beyond_the_budget_of_a_turn_messages_go_to_the_stream_and_the_next_turn_has_a_new_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with stream_of("Put") as (stream, channel):
+        monkeypatch.setattr(pacing, "AT_ONCE_NANOS", -(2**62))
+        assert stream.send(put_of(channel, 1)) == []
+        assert acks_in(await stream.until_written(1))[0].first_seq == 1
+        monkeypatch.setattr(pacing, "AT_ONCE_NANOS", 2**62)
+        assert acks_in(stream.send(put_of(channel, 2)))[0].first_seq == 2
+
+
+async def test_the_end_of_the_callers_side_behind_a_put_ends_the_stream_after_the_ack() -> None:
+    async with stream_of("Put") as (stream, channel):
+        stream.send_frames(frame_of(FrameKind.MESSAGE, put_of(channel, 1)) + frame_of(FrameKind.END))
+        ack, status = await stream.until_written(2)
+        assert (acks_in([ack])[0].first_seq, status) == (1, b"")
