@@ -17,6 +17,7 @@ async def test_the_reading_loop_acks_a_single_put_and_the_writer_acks_the_reques
 ) -> None:
     writers: list[Any] = []
     acks_by: list[str] = []
+    written = asyncio.Semaphore(0)
     write_acks, write = PutStream._write_acks, PutStream._write
 
     async def noted_writer(stream: PutStream) -> None:
@@ -26,6 +27,7 @@ async def test_the_reading_loop_acks_a_single_put_and_the_writer_acks_the_reques
     async def noted_write(stream: PutStream) -> None:
         acks_by.append("writer" if asyncio.current_task() in writers else "reading loop")
         await write(stream)
+        written.release()
 
     monkeypatch.setattr(PutStream, "_write_acks", noted_writer)
     monkeypatch.setattr(PutStream, "_write", noted_write)
@@ -42,5 +44,6 @@ async def test_the_reading_loop_acks_a_single_put_and_the_writer_acks_the_reques
             await call.write(request)
             acks = (await call.read()).acks
             assert len(acks) == len(request.puts)
+            await written.acquire()  # gRPC may hand over the ack before the write returns
         await call.done_writing()
     assert acks_by == ["reading loop", "writer", "writer", "reading loop"]
