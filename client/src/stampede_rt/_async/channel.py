@@ -30,6 +30,7 @@ PERIOD_NANOS_MIN = 1_000_000  # the shortest period of `sample`
 # The wait for room that the first request of a put asks for, if the handle knows a policy without on_full="block".
 # Under that policy no put waits. But another program may have set "block" since the handle learned the policy.
 FIRST_WAIT_S = 1.0
+DROP_TRIES_S = 1.0  # the client begins no further try after this time, and asks the directory
 
 
 class Channel(Reader):
@@ -110,17 +111,17 @@ class Channel(Reader):
     async def advance(self, time: InstantLike) -> int:
         """Promise that no item earlier than `time` will come. From then on the host refuses such items.
 
-        Returns the latest instant that any producer has promised so far, in nanoseconds. Blocks for at most 20 s.
+        Returns the latest instant that any producer has promised so far, in nanoseconds. Blocks for at most 10 s.
         Raises InFuture, ChannelNotFound, Unavailable.
         """
         instant = parse_instant(time)
 
-        async def advance_at(binding: Binding) -> int:
+        async def advance_at(binding: Binding, timeout_s: float) -> int:
             endpoint = self._session.endpoints.to(binding.target)
             request = channel_pb.AdvanceRequest(
                 channel_id=binding.subject_id, epoch=binding.epoch, time_unix_nano=instant
             )
-            response = await endpoint.call(endpoint.channels.Advance, request, CALL_TIMEOUT_S)
+            response = await endpoint.call(endpoint.channels.Advance, request, timeout_s)
             return int(response.advance_unix_nano)
 
         return await self._session.perform(self._state, advance_at)
@@ -128,15 +129,15 @@ class Channel(Reader):
     async def stats(self) -> ChannelStats:
         """Return the channel's counters and bounds at one moment, the offset of the host's clock, and the transport.
 
-        The offset says how far the host's clock is ahead of this machine's clock. Blocks for at most 20 s. Raises
+        The offset says how far the host's clock is ahead of this machine's clock. Blocks for at most 10 s. Raises
         ChannelNotFound, Unavailable.
         """
 
-        async def status_at(binding: Binding) -> ChannelStats:
+        async def status_at(binding: Binding, timeout_s: float) -> ChannelStats:
             endpoint = self._session.endpoints.to(binding.target)
             request = channel_pb.GetChannelStatusRequest(channel_id=binding.subject_id, epoch=binding.epoch)
             sent_s, sent = monotonic_s(), time_ns()
-            response = await endpoint.call(endpoint.channels.GetChannelStatus, request, CALL_TIMEOUT_S)
+            response = await endpoint.call(endpoint.channels.GetChannelStatus, request, timeout_s)
             asked_at = sent + round((monotonic_s() - sent_s) / 2 * 1e9)
             return channel_stats(
                 response.status,
@@ -160,7 +161,7 @@ class Channel(Reader):
         """Change the channel's policy while it runs, and return the policy after the change.
 
         A setting that you leave out stays as it is. With more `consumers` the channel gets new consumer places, which
-        keep all held items. With fewer, the channel removes the places whose leases end first. Blocks for at most 20 s.
+        keep all held items. With fewer, the channel removes the places whose leases end first. Blocks for at most 10 s.
         Raises InvalidArgument, ChannelNotFound, Unavailable.
         """
         policy = parse_policy(
@@ -175,7 +176,7 @@ class Channel(Reader):
 
         identity, since_s = request_id(), age_clock_s()
 
-        async def configure_at(binding: Binding) -> Policy:
+        async def configure_at(binding: Binding, timeout_s: float) -> Policy:
             endpoint = self._session.endpoints.to(binding.target)
             request = gatekeeper_service_pb2.ConfigureChannelRequest(
                 request_id=identity,
@@ -184,16 +185,19 @@ class Channel(Reader):
                 spec=policy_to_spec(policy),
             )
             age_s = age_clock_s() - since_s
-            response = await endpoint.call(endpoint.gatekeeper.ConfigureChannel, request, CALL_TIMEOUT_S, age_s=age_s)
+            response = await endpoint.call(endpoint.gatekeeper.ConfigureChannel, request, timeout_s, age_s=age_s)
             return channel_info(response.channel, None).policy
 
         return await self._session.perform(self._state, configure_at)
 
     async def delete(self) -> None:
-        """Delete the channel and all its items, for everyone. This also works if the channel's host is lost."""
+        """Delete the channel and all its items, for everyone. This also works if the channel's host is lost.
+
+        Blocks for at most 16 s. Raises ChannelNotFound, Unavailable.
+        """
         identity, since_s = request_id(), age_clock_s()
 
-        async def drop_at(binding: Binding) -> None:
+        async def drop_at(binding: Binding, _: float) -> None:
             endpoint = self._session.endpoints.to(binding.target)
             request = gatekeeper_service_pb2.DropChannelRequest(
                 request_id=identity, channel_id=binding.subject_id, epoch=binding.epoch
@@ -201,7 +205,7 @@ class Channel(Reader):
             await endpoint.call(endpoint.gatekeeper.DropChannel, request, TRY_TIMEOUT_S, age_s=age_clock_s() - since_s)
 
         try:
-            await self._session.perform(self._state, drop_at, timeout_s=1.0)
+            await self._session.perform(self._state, drop_at, DROP_TRIES_S)
         except (Unavailable, DeadlineExceeded):
             # The host cannot be reached. The directory deletes the channel all the same.
             request = directory_service_pb2.DeleteChannelRequest(

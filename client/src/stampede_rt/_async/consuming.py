@@ -70,7 +70,7 @@ async def _consume(
 ) -> channel_pb.ConsumeResponse:
     """Send one request, and send it again after a break. Consuming an item twice changes nothing."""
 
-    async def consume_at(binding: Binding) -> channel_pb.ConsumeResponse:
+    async def consume_at(binding: Binding, left_s: float) -> channel_pb.ConsumeResponse:
         endpoint = session.endpoints.to(binding.target)
         request = channel_pb.ConsumeRequest(
             channel_id=binding.subject_id,
@@ -80,7 +80,7 @@ async def _consume(
             incarnation=incarnation,
             lease_nanos=lease_nanos,
         )
-        response: channel_pb.ConsumeResponse = await endpoint.call(endpoint.channels.Consume, request, timeout_s)
+        response: channel_pb.ConsumeResponse = await endpoint.call(endpoint.channels.Consume, request, left_s)
         return response
 
     return await session.perform(state, consume_at, timeout_s)

@@ -189,12 +189,12 @@ class Group(Reference):
     async def _cut(self) -> int:
         """Return one cut for a read of all members; MIN_INSTANT if no item is visible yet."""
 
-        async def cut_at(binding: Binding) -> group_pb.GetCutResponse:
+        async def cut_at(binding: Binding, timeout_s: float) -> group_pb.GetCutResponse:
             endpoint = self._session.endpoints.to(binding.target)
             request = group_pb.GetCutRequest(
                 group_id=self.info.group_id, cut_floor_unix_nano=self._members.view.cut_floor, wait_nanos=CUT_WAIT_NANOS
             )
-            response: group_pb.GetCutResponse = await endpoint.call(endpoint.groups.GetCut, request, CALL_TIMEOUT_S)
+            response: group_pb.GetCutResponse = await endpoint.call(endpoint.groups.GetCut, request, timeout_s)
             return response
 
         response = await self._session.perform(self.channels[0]._state, cut_at)
@@ -269,11 +269,11 @@ class Group(Reference):
         return await self._with_members_of_now(self._status)
 
     async def _status(self) -> GroupStatus[Channel]:
-        async def status_at(binding: Binding) -> group_pb.GetGroupStatusResponse:
+        async def status_at(binding: Binding, timeout_s: float) -> group_pb.GetGroupStatusResponse:
             endpoint = self._session.endpoints.to(binding.target)
             request = group_pb.GetGroupStatusRequest(group_id=self.info.group_id)
             response: group_pb.GetGroupStatusResponse = await endpoint.call(
-                endpoint.groups.GetGroupStatus, request, HOST_TIMEOUT_S
+                endpoint.groups.GetGroupStatus, request, timeout_s
             )
             return response
 
@@ -288,7 +288,7 @@ class Group(Reference):
             host_time=status.host_time_unix_nano,
         )
 
-    async def _at_any_host(self, operation: Callable[[Binding], Awaitable[Result]]) -> Result:
+    async def _at_any_host(self, operation: Callable[[Binding, float], Awaitable[Result]]) -> Result:
         """Return the result of `operation` at the first of the members' hosts that answers."""
         failure: StampedeError = Unavailable(f"the group {self.name!r} has no members")
         first_at: dict[str, Channel] = {}

@@ -137,7 +137,7 @@ class MatchSubscription(BoundToProcess):
             raise self._group.explained(error) from None
 
     async def _open_within(self, timeout_s: float) -> None:
-        async def open_at(binding: Binding) -> None:
+        async def open_at(binding: Binding, _: float) -> None:
             endpoint = self._group.session.endpoints.to(binding.target)
             self._stream = stream = endpoint.open_bidi(endpoint.groups.SubscribeMatches)
             self._window.begin()

@@ -35,7 +35,7 @@ class Settler:
         self._taker_id = taker_id
 
     async def settle(self, settlement: queue_pb2.Settlement, incarnation: int) -> queue_pb2.SettlementResult:
-        """Settle one delivery. Tries again for 10 s until the host answers. Blocks for at most 20 s.
+        """Settle one delivery. Tries again until the host answers. Blocks for at most 10 s.
 
         Raises LeaseExpired, Unavailable.
 
@@ -44,12 +44,12 @@ class Settler:
         """
         tries = 0
 
-        async def settle_at(binding: Binding) -> queue_pb2.SettlementResult:
+        async def settle_at(binding: Binding, timeout_s: float) -> queue_pb2.SettlementResult:
             nonlocal tries
             tries += 1
             if binding.incarnation != incarnation:
                 raise LeaseExpired("the queue's host was lost, with this and all other messages; go on taking")
-            result = (await self._settle_at(binding, (settlement,), CALL_TIMEOUT_S))[0]
+            result = (await self._settle_at(binding, (settlement,), timeout_s))[0]
             if result.HasField("error"):
                 error = from_error_message(result.error)
                 once = settlement.WhichOneof("verdict") in _DONE_ONCE
@@ -67,10 +67,10 @@ class Settler:
         for at in range(0, len(messages), SETTLEMENTS_MAX):
 
             async def settle_at(
-                binding: Binding, some: Sequence[Message] = messages[at : at + SETTLEMENTS_MAX]
+                binding: Binding, left_s: float, some: Sequence[Message] = messages[at : at + SETTLEMENTS_MAX]
             ) -> Sequence[queue_pb2.SettlementResult]:
                 held = [one.given_back() for one in some if one.incarnation == binding.incarnation]
-                return await self._settle_at(binding, held, timeout_s) if held else ()
+                return await self._settle_at(binding, held, left_s) if held else ()
 
             await attempt(self._locator, settle_at, timeout_s)
 
@@ -83,11 +83,11 @@ class Settler:
         for at in range(0, len(messages), SETTLEMENTS_MAX):
             some = messages[at : at + SETTLEMENTS_MAX]
 
-            async def settle_at(binding: Binding, some: Sequence[Message] = some) -> list[Message]:
+            async def settle_at(binding: Binding, left_s: float, some: Sequence[Message] = some) -> list[Message]:
                 held = [one for one in some if one.incarnation == binding.incarnation]
                 began_s = monotonic_s()
                 settlements = [one.extended() for one in held]
-                results = await self._settle_at(binding, settlements, timeout_s) if held else ()
+                results = await self._settle_at(binding, settlements, left_s) if held else ()
                 return [one for one, result in zip(held, results, strict=True) if one.has_extended(result, began_s)]
 
             extended += await attempt(self._locator, settle_at, timeout_s)
@@ -162,7 +162,7 @@ class Message(BoundToProcess):
     async def ack(self) -> None:
         """Acknowledge the message, so that it leaves the queue. With `copies` only this taker's copy leaves the queue.
 
-        You may repeat the call. Blocks for at most 20 s. Raises LeaseExpired if the lease has ended; another taker may
+        You may repeat the call. Blocks for at most 10 s. Raises LeaseExpired if the lease has ended; another taker may
         then have the message. Raises Unavailable if the host cannot be reached.
         """
         await self._settle(queue_pb2.Settlement(acknowledge=queue_pb2.Acknowledge()))
@@ -170,7 +170,7 @@ class Message(BoundToProcess):
     async def nack(self, delay: DurationLike | None = None) -> None:
         """Give the message back to its place in the queue. Any taker may get the message once `delay` has passed.
 
-        The host delivers later messages meanwhile. Blocks for at most 20 s. Raises LeaseExpired, Unavailable.
+        The host delivers later messages meanwhile. Blocks for at most 10 s. Raises LeaseExpired, Unavailable.
         """
         delay_nanos = duration_of("delay", delay, least=0) or 0
         await self._settle(queue_pb2.Settlement(give_back=queue_pb2.GiveBack(delay_nanos=delay_nanos)))
@@ -179,13 +179,13 @@ class Message(BoundToProcess):
         """Give the message up for all takers.
 
         The message moves to the dead-letter queue of its queue. If there is none, the host deletes the message. The
-        dead letter carries `reason`, at most 1024 bytes of text. Blocks for at most 20 s. Raises LeaseExpired,
+        dead letter carries `reason`, at most 1024 bytes of text. Blocks for at most 10 s. Raises LeaseExpired,
         Unavailable.
         """
         await self._settle(queue_pb2.Settlement(terminate=queue_pb2.Terminate(reason=parse_reason(reason))))
 
     async def extend(self, lease: DurationLike = "30s") -> None:
-        """Let the lease end `lease` from now. `lease` is at most one hour. Blocks for at most 20 s.
+        """Let the lease end `lease` from now. `lease` is at most one hour. Blocks for at most 10 s.
 
         Raises LeaseExpired, Unavailable, InvalidArgument.
         """

@@ -91,7 +91,7 @@ class Puts:
         seconds = wait.seconds or 0.0
         number, ends_s = numbers.next(), monotonic_s() + seconds
 
-        async def put_at(binding: Binding) -> channel_pb.PutAck:
+        async def put_at(binding: Binding, timeout_s: float) -> channel_pb.PutAck:
             left = Wait(max(ends_s - monotonic_s(), 0.0))  # a repeated put does not wait longer
             head = put_head(binding.subject_id, binding.epoch, numbers.producer_id)
             request = put_request(head, number, item.run_parts(), left.nanos, item.message_id)
@@ -100,7 +100,7 @@ class Puts:
             with self._session.put_streams.use(
                 owner, blocks_until_s, binding, lambda: self._open_stream(self._session.endpoints.to(binding.target))
             ) as stream:
-                ack = await stream.put(request, (left.seconds or 0.0) + CALL_TIMEOUT_S, stays=shares)
+                ack = await stream.put(request, timeout_s, stays=shares)
             return _accepted(ack)
 
         return await attempt(self._locator, put_at, seconds + CALL_TIMEOUT_S)

@@ -12,13 +12,13 @@ from stampede_rt._async.message import Message
 from stampede_rt._async.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._async.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._async.reconnecting import Reconnecting
-from stampede_rt._async.session import CALL_TIMEOUT_S, Session, request_id
+from stampede_rt._async.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt._async.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference, handle_repr
-from stampede_rt.transports.concurrency_async import when_dropped
+from stampede_rt.transports.concurrency_async import monotonic_s, when_dropped
 from stampede_rt.transports.grpc_async import ServerEndpoint
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
@@ -123,7 +123,7 @@ class MessageTaking:
         return self._reconnecting.connected and not self._taker.closed
 
     async def stats(self) -> QueueStats:
-        """Return the queue's counters at one moment. Blocks for at most 20 s. Raises QueueNotFound, Unavailable."""
+        """Return the queue's counters at one moment. Blocks for at most 10 s. Raises QueueNotFound, Unavailable."""
         return await stats_at(self._session, self._locator)
 
     async def pending(self, limit: int = 1000) -> list[PendingMessage]:
@@ -225,16 +225,17 @@ class Queue(MessageTaking, Reference):
         )
         identity, since_s = request_id(), age_clock_s()
 
-        async def update_at(binding: Binding) -> QueuePolicy:
+        async def update_at(binding: Binding, timeout_s: float) -> QueuePolicy:
             request = queue_directory_pb.UpdateQueueRequest(
                 request_id=identity,
                 queue_id=binding.subject_id,
                 epoch=binding.epoch,
                 spec=queue_policy_to_spec(policy),
             )
-            response = await self._session.supernodes.call("UpdateQueue", request, CALL_TIMEOUT_S, since_s=since_s)
+            deadline_s = monotonic_s() + timeout_s
+            response = await self._session.supernodes.call("UpdateQueue", request, timeout_s, since_s=since_s)
             request_now = queue_directory_pb.ResolveQueueRequest(queue_id=binding.subject_id)
-            now = await self._session.supernodes.call("ResolveQueue", request_now, CALL_TIMEOUT_S)
+            now = await self._session.supernodes.call("ResolveQueue", request_now, left_s(deadline_s))
             self._state.info = learn_queue(self._session, response.queue, now.host)
             return self._state.info.policy
 
@@ -255,10 +256,10 @@ class Queue(MessageTaking, Reference):
 async def stats_at(session: Session, locator: Locator) -> QueueStats:
     """Return the counters of the queue that `locator` finds."""
 
-    async def status_at(binding: Binding) -> QueueStats:
+    async def status_at(binding: Binding, timeout_s: float) -> QueueStats:
         endpoint = session.endpoints.to(binding.target)
         request = queue_pb.GetQueueStatusRequest(queue_id=binding.subject_id, epoch=binding.epoch)
-        response = await endpoint.call(endpoint.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
+        response = await endpoint.call(endpoint.queues.GetQueueStatus, request, timeout_s)
         return queue_stats(response.status)
 
     return await attempt(locator, status_at, CALL_TIMEOUT_S)
@@ -271,8 +272,8 @@ async def pending_at(session: Session, locator: Locator, limit: int) -> list[Pen
     """
     most = count_of("limit", limit) or 1
 
-    async def pages_at(binding: Binding) -> list[PendingMessage]:
-        endpoint = session.endpoints.to(binding.target)
+    async def pages_at(binding: Binding, timeout_s: float) -> list[PendingMessage]:
+        endpoint, deadline_s = session.endpoints.to(binding.target), monotonic_s() + timeout_s
         found: list[PendingMessage] = []
         after, more = 0, True
         while more and len(found) < most:  # a page begins after the last delivery of the page before
@@ -282,7 +283,7 @@ async def pending_at(session: Session, locator: Locator, limit: int) -> list[Pen
                 after_delivery_id=after,
                 page_size=min(most - len(found), PENDING_PAGE_MAX),
             )
-            page = await endpoint.call(endpoint.queues.ListPending, request, CALL_TIMEOUT_S)
+            page = await endpoint.call(endpoint.queues.ListPending, request, left_s(deadline_s))
             found += map(pending_message, page.deliveries)
             after, more = page.deliveries[-1].delivery_id if page.deliveries else after, page.more
         return found

@@ -29,7 +29,7 @@ _MAY_COME = (Reason.NOT_YET, Reason.HIDDEN, Reason.LOST)
 async def read(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None = None) -> Items:
     """Perform `query`, also if the channel has moved to another host.
 
-    Blocks for the wait of the query, and for at most 20 s more. `view`: the group through which to read. The client
+    Blocks for the wait of the query, and for at most 10 s more. `view`: the group through which to read. The client
     sends the highest cut that it has seen in this group, and notes the cut of the answer. The client splits a wait
     without limit into several requests, so that it notices a host that hangs. All of these requests use the interval as
     the host first resolved it.
@@ -37,28 +37,26 @@ async def read(session: Session, state: ChannelState, query: ReadQuery, view: Se
     if query.wait.seconds is not None:
         return await _read_once(session, state, query, view)
     while True:
-        items = await _read_once(session, state, replace(query, wait=Wait(RENEW_S)), view)
+        items = await _read_once(session, state, query, view)
         if items.complete or (items and not query.complete) or items.reason not in _MAY_COME:
             return items
         query = replace(query, interval=fixed(query.interval, items.interval))
 
 
 async def _read_once(session: Session, state: ChannelState, query: ReadQuery, view: SeenCut | None) -> Items:
-    limit_s = None if query.wait.seconds is None else query.wait.seconds + CALL_TIMEOUT_S
+    """Perform one request. A wait without limit becomes one of RENEW_S."""
+    wait_s = RENEW_S if query.wait.seconds is None else query.wait.seconds
     began_s = monotonic_s()
 
-    async def read_at(binding: Binding) -> Items:
+    async def read_at(binding: Binding, timeout_s: float) -> Items:
         exchange = session.endpoints.to(binding.target).gets()
-        wait = query.wait.after(monotonic_s() - began_s)
-        responses = await exchange.get(
-            _request(binding, query, wait, view), None if wait.seconds is None else wait.seconds + CALL_TIMEOUT_S
-        )
-        items = _answer(state, query, responses)
+        wait = Wait(wait_s).after(monotonic_s() - began_s)
+        items = _answer(state, query, await exchange.get(_request(binding, query, wait, view), timeout_s))
         if view is not None:
             view.saw(items.cut)
         return items
 
-    return await session.perform(state, read_at, limit_s)
+    return await session.perform(state, read_at, wait_s + CALL_TIMEOUT_S)
 
 
 def _request(binding: Binding, query: ReadQuery, wait: Wait, view: SeenCut | None) -> channel_pb.GetRequest:

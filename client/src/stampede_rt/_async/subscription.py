@@ -163,7 +163,7 @@ class Subscription(BoundToProcess):
     async def _open_within(self, timeout_s: float) -> None:
         await self._session.perform(self._state, self._open_at, timeout_s)
 
-    async def _open_at(self, binding: Binding) -> None:
+    async def _open_at(self, binding: Binding, _: float) -> None:
         self._begun.channel_id, self._begun.epoch = binding.subject_id, binding.epoch
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[channel_pb.SubscribeResponse] = endpoint.open_read_bidi(endpoint.channels.Subscribe)

@@ -200,7 +200,7 @@ class Taker:
         if stream is not None:
             stream.cancel()
 
-    async def _take_at(self, binding: Binding) -> None:
+    async def _take_at(self, binding: Binding, _: float) -> None:
         """Take messages over one stream until the stream ends, if messages are still wanted.
 
         Raises the error of the stream, except a retryable error after the first response. After such an error returns,

@@ -13,6 +13,8 @@ from stampede_rt.errors import DeadlineExceeded, Overloaded, StampedeError
 from stampede_rt.pacing.retry import OPEN_STREAMS_S, Backoff
 from stampede_rt.transports.concurrency_sync import sleep
 
+TRY_S_MIN = 0.1  # the time of a try that begins at the very end, so that a host that is near can answer
+
 Result = TypeVar("Result")
 
 
@@ -44,20 +46,22 @@ class Locator(Protocol):
         ...
 
 
-def attempt(locator: Locator, operation: Callable[[Binding], Result], timeout_s: float | None) -> Result:
+def attempt(locator: Locator, operation: Callable[[Binding, float], Result], timeout_s: float) -> Result:
     """Run `operation` at the present host, and run it again after a retryable error and after DeadlineExceeded.
 
-    After `timeout_s` seconds `attempt` begins no further try; None: no limit. At a quota of open streams it begins none
-    after OPEN_STREAMS_S, because often only the caller can close some. It does not limit the time that one try takes.
+    Blocks for `timeout_s` seconds at most. `operation` gets the binding and the seconds that it may take. At a quota of
+    open streams `attempt` begins no further try after OPEN_STREAMS_S, because often only the caller can close some.
     Raises the error of the last try. If that error is DeadlineExceeded, raises the error of an earlier try, if there
     was one, because the earlier error says more.
     """
     locator.check()
-    backoff = Backoff(float("inf") if timeout_s is None else time.monotonic() + timeout_s)
+    deadline_s = time.monotonic() + timeout_s
+    backoff = Backoff(deadline_s)
     failure: StampedeError | None = None  # the error to raise if no time is left for another try
     while True:
         try:
-            return operation(locator.find(backoff.deadline_s))
+            binding = locator.find(backoff.deadline_s)
+            return operation(binding, max(deadline_s - time.monotonic(), TRY_S_MIN))
         except StampedeError as error:
             if locator.closed:
                 locator.check()  # raises "closed" instead of the broken call's error

@@ -71,7 +71,7 @@ def _consume(
 ) -> channel_pb.ConsumeResponse:
     """Send one request, and send it again after a break. Consuming an item twice changes nothing."""
 
-    def consume_at(binding: Binding) -> channel_pb.ConsumeResponse:
+    def consume_at(binding: Binding, left_s: float) -> channel_pb.ConsumeResponse:
         endpoint = session.endpoints.to(binding.target)
         request = channel_pb.ConsumeRequest(
             channel_id=binding.subject_id,
@@ -81,7 +81,7 @@ def _consume(
             incarnation=incarnation,
             lease_nanos=lease_nanos,
         )
-        response: channel_pb.ConsumeResponse = endpoint.call(endpoint.channels.Consume, request, timeout_s)
+        response: channel_pb.ConsumeResponse = endpoint.call(endpoint.channels.Consume, request, left_s)
         return response
 
     return session.perform(state, consume_at, timeout_s)

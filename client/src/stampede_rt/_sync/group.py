@@ -188,12 +188,12 @@ class Group(Reference):
     def _cut(self) -> int:
         """Return one cut for a read of all members; MIN_INSTANT if no item is visible yet."""
 
-        def cut_at(binding: Binding) -> group_pb.GetCutResponse:
+        def cut_at(binding: Binding, timeout_s: float) -> group_pb.GetCutResponse:
             endpoint = self._session.endpoints.to(binding.target)
             request = group_pb.GetCutRequest(
                 group_id=self.info.group_id, cut_floor_unix_nano=self._members.view.cut_floor, wait_nanos=CUT_WAIT_NANOS
             )
-            response: group_pb.GetCutResponse = endpoint.call(endpoint.groups.GetCut, request, CALL_TIMEOUT_S)
+            response: group_pb.GetCutResponse = endpoint.call(endpoint.groups.GetCut, request, timeout_s)
             return response
 
         response = self._session.perform(self.channels[0]._state, cut_at)
@@ -268,11 +268,11 @@ class Group(Reference):
         return self._with_members_of_now(self._status)
 
     def _status(self) -> GroupStatus[Channel]:
-        def status_at(binding: Binding) -> group_pb.GetGroupStatusResponse:
+        def status_at(binding: Binding, timeout_s: float) -> group_pb.GetGroupStatusResponse:
             endpoint = self._session.endpoints.to(binding.target)
             request = group_pb.GetGroupStatusRequest(group_id=self.info.group_id)
             response: group_pb.GetGroupStatusResponse = endpoint.call(
-                endpoint.groups.GetGroupStatus, request, HOST_TIMEOUT_S
+                endpoint.groups.GetGroupStatus, request, timeout_s
             )
             return response
 
@@ -287,7 +287,7 @@ class Group(Reference):
             host_time=status.host_time_unix_nano,
         )
 
-    def _at_any_host(self, operation: Callable[[Binding], Result]) -> Result:
+    def _at_any_host(self, operation: Callable[[Binding, float], Result]) -> Result:
         """Return the result of `operation` at the first of the members' hosts that answers."""
         failure: StampedeError = Unavailable(f"the group {self.name!r} has no members")
         first_at: dict[str, Channel] = {}

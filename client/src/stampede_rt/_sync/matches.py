@@ -138,7 +138,7 @@ class MatchSubscription(BoundToProcess):
             raise self._group.explained(error) from None
 
     def _open_within(self, timeout_s: float) -> None:
-        def open_at(binding: Binding) -> None:
+        def open_at(binding: Binding, _: float) -> None:
             endpoint = self._group.session.endpoints.to(binding.target)
             self._stream = stream = endpoint.open_bidi(endpoint.groups.SubscribeMatches)
             self._window.begin()

@@ -217,7 +217,7 @@ class Producer(BoundToProcess):
         """Open a stream to the channel's present host, and send unacknowledged runs again with their old numbers."""
         self.close()
 
-        def open_at(binding: Binding) -> None:  # awaits nothing, so no cancellation can interrupt it
+        def open_at(binding: Binding, _: float) -> None:  # awaits nothing, so no cancellation can interrupt it
             endpoint = self._session.endpoints.to(binding.target)
             on_acks = partial(_weakly(self._acked), self._generation)
             on_end = partial(_weakly(self._ended), self._generation)

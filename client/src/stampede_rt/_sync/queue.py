@@ -13,13 +13,13 @@ from stampede_rt._sync.message import Message
 from stampede_rt._sync.puts import ProducerNumbers, Puts, SingleItem, enqueued
 from stampede_rt._sync.queue_locator import QueueLocator, QueueState, learn_queue
 from stampede_rt._sync.reconnecting import Reconnecting
-from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, request_id
+from stampede_rt._sync.session import CALL_TIMEOUT_S, Session, left_s, request_id
 from stampede_rt._sync.taker import Taker
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.cluster.request_age import age_clock_s
 from stampede_rt.errors import InvalidArgument
 from stampede_rt.handles import Reference, handle_repr
-from stampede_rt.transports.concurrency_sync import when_dropped
+from stampede_rt.transports.concurrency_sync import monotonic_s, when_dropped
 from stampede_rt.transports.grpc_sync import ServerEndpoint
 from stampede_rt.v1 import queue_directory_service_pb2 as queue_directory_pb
 from stampede_rt.v1 import queue_service_pb2 as queue_pb
@@ -124,7 +124,7 @@ class MessageTaking:
         return self._reconnecting.connected and not self._taker.closed
 
     def stats(self) -> QueueStats:
-        """Return the queue's counters at one moment. Blocks for at most 20 s. Raises QueueNotFound, Unavailable."""
+        """Return the queue's counters at one moment. Blocks for at most 10 s. Raises QueueNotFound, Unavailable."""
         return stats_at(self._session, self._locator)
 
     def pending(self, limit: int = 1000) -> list[PendingMessage]:
@@ -226,16 +226,17 @@ class Queue(MessageTaking, Reference):
         )
         identity, since_s = request_id(), age_clock_s()
 
-        def update_at(binding: Binding) -> QueuePolicy:
+        def update_at(binding: Binding, timeout_s: float) -> QueuePolicy:
             request = queue_directory_pb.UpdateQueueRequest(
                 request_id=identity,
                 queue_id=binding.subject_id,
                 epoch=binding.epoch,
                 spec=queue_policy_to_spec(policy),
             )
-            response = self._session.supernodes.call("UpdateQueue", request, CALL_TIMEOUT_S, since_s=since_s)
+            deadline_s = monotonic_s() + timeout_s
+            response = self._session.supernodes.call("UpdateQueue", request, timeout_s, since_s=since_s)
             request_now = queue_directory_pb.ResolveQueueRequest(queue_id=binding.subject_id)
-            now = self._session.supernodes.call("ResolveQueue", request_now, CALL_TIMEOUT_S)
+            now = self._session.supernodes.call("ResolveQueue", request_now, left_s(deadline_s))
             self._state.info = learn_queue(self._session, response.queue, now.host)
             return self._state.info.policy
 
@@ -256,10 +257,10 @@ class Queue(MessageTaking, Reference):
 def stats_at(session: Session, locator: Locator) -> QueueStats:
     """Return the counters of the queue that `locator` finds."""
 
-    def status_at(binding: Binding) -> QueueStats:
+    def status_at(binding: Binding, timeout_s: float) -> QueueStats:
         endpoint = session.endpoints.to(binding.target)
         request = queue_pb.GetQueueStatusRequest(queue_id=binding.subject_id, epoch=binding.epoch)
-        response = endpoint.call(endpoint.queues.GetQueueStatus, request, CALL_TIMEOUT_S)
+        response = endpoint.call(endpoint.queues.GetQueueStatus, request, timeout_s)
         return queue_stats(response.status)
 
     return attempt(locator, status_at, CALL_TIMEOUT_S)
@@ -272,8 +273,8 @@ def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMe
     """
     most = count_of("limit", limit) or 1
 
-    def pages_at(binding: Binding) -> list[PendingMessage]:
-        endpoint = session.endpoints.to(binding.target)
+    def pages_at(binding: Binding, timeout_s: float) -> list[PendingMessage]:
+        endpoint, deadline_s = session.endpoints.to(binding.target), monotonic_s() + timeout_s
         found: list[PendingMessage] = []
         after, more = 0, True
         while more and len(found) < most:  # a page begins after the last delivery of the page before
@@ -283,7 +284,7 @@ def pending_at(session: Session, locator: Locator, limit: int) -> list[PendingMe
                 after_delivery_id=after,
                 page_size=min(most - len(found), PENDING_PAGE_MAX),
             )
-            page = endpoint.call(endpoint.queues.ListPending, request, CALL_TIMEOUT_S)
+            page = endpoint.call(endpoint.queues.ListPending, request, left_s(deadline_s))
             found += map(pending_message, page.deliveries)
             after, more = page.deliveries[-1].delivery_id if page.deliveries else after, page.more
         return found

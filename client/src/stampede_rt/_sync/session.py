@@ -31,7 +31,7 @@ from stampede_rt.values.model import ChannelInfo, Policy
 from stampede_rt.values.policy import flag_of, parse_name
 from stampede_rt.wire.records import channel_info, policy_to_spec
 
-CALL_TIMEOUT_S = 10.0  # a call of the program begins no try after this time; the last try may take as long again
+CALL_TIMEOUT_S = 10.0  # a call of the program takes at most this time, besides a wait that the program asks for
 TRY_TIMEOUT_S = 5.0  # for one request to a host, if the client may ask somebody else afterwards
 
 Result = TypeVar("Result")
@@ -183,7 +183,7 @@ class Session:
     def place(self, state: ChannelState) -> Binding:
         """Return the channel's binding. If the channel has no owner, waits for one, at most 10 s."""
 
-        def itself(binding: Binding) -> Binding:
+        def itself(binding: Binding, timeout_s: float) -> Binding:
             return binding
 
         return self.perform(state, itself)
@@ -191,12 +191,12 @@ class Session:
     def perform(
         self,
         state: ChannelState,
-        operation: Callable[[Binding], Result],
-        timeout_s: float | None = CALL_TIMEOUT_S,
+        operation: Callable[[Binding, float], Result],
+        timeout_s: float = CALL_TIMEOUT_S,
     ) -> Result:
         """Run `operation` at the channel's host, and again at its new host if the binding is stale.
 
-        `timeout_s` and the errors are as in `attempt`.
+        `operation`, `timeout_s` and the errors are as in `attempt`.
         """
         return attempt(ChannelLocator(self, state), operation, timeout_s)
 

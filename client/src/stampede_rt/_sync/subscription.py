@@ -164,7 +164,7 @@ class Subscription(BoundToProcess):
     def _open_within(self, timeout_s: float) -> None:
         self._session.perform(self._state, self._open_at, timeout_s)
 
-    def _open_at(self, binding: Binding) -> None:
+    def _open_at(self, binding: Binding, _: float) -> None:
         self._begun.channel_id, self._begun.epoch = binding.subject_id, binding.epoch
         endpoint = self._session.endpoints.to(binding.target)
         stream: BidiStream[channel_pb.SubscribeResponse] = endpoint.open_read_bidi(endpoint.channels.Subscribe)

@@ -8,7 +8,7 @@ import pytest
 
 import stampede_rt as st
 from stampede_rt._async import attempts
-from stampede_rt._async.attempts import attempt
+from stampede_rt._async.attempts import TRY_S_MIN, attempt
 from stampede_rt.cluster.binding import Binding
 from stampede_rt.pacing.retry import OPEN_STREAMS_S
 
@@ -64,7 +64,7 @@ class Operation:
         self.errors = list(errors)
         self.for_ever = for_ever
 
-    async def __call__(self, binding: Binding) -> str:
+    async def __call__(self, binding: Binding, timeout_s: float) -> str:
         if not self.errors:
             return "done"
         raise self.errors[0] if self.for_ever and len(self.errors) == 1 else self.errors.pop(0)
@@ -87,6 +87,23 @@ async def test_a_host_that_never_answers_is_told_as_one(clock: Clock) -> None:
     with pytest.raises(st.DeadlineExceeded, match="slow"):
         await attempt(Place(), Operation(st.DeadlineExceeded("slow"), for_ever=True), 10)
     assert clock.now_s == pytest.approx(110)
+
+
+@pytest.mark.parametrize("taken_s", [0.7, 3.0, 9.99])
+async def test_no_try_may_take_longer_than_the_call(taken_s: float, clock: Clock) -> None:
+    """The last try began within the time of the call, and might then take as long again."""
+    allowed: list[tuple[float, float]] = []
+
+    async def fail_slowly(binding: Binding, timeout_s: float) -> str:
+        allowed.append((clock.now_s, timeout_s))
+        clock.now_s += min(taken_s, timeout_s)
+        raise st.DeadlineExceeded("slow") if timeout_s <= taken_s else st.Unavailable("gone")
+
+    with pytest.raises(st.Unavailable):
+        await attempt(Place(), fail_slowly, 10)
+    assert allowed[0] == (100, 10)
+    assert all(began_s + timeout_s == pytest.approx(110, abs=TRY_S_MIN) for began_s, timeout_s in allowed)
+    assert clock.now_s <= 110 + TRY_S_MIN
 
 
 @pytest.mark.parametrize("error", [st.ChannelNotFound("none"), st.InvalidArgument("wrong")])

@@ -66,9 +66,9 @@ class FakeSession:
         return self.host
 
     async def perform(
-        self, state: ChannelState, operation: Callable[[Binding], Awaitable[Any]], timeout_s: float
+        self, state: ChannelState, operation: Callable[[Binding, float], Awaitable[Any]], timeout_s: float
     ) -> Any:
-        return await operation(BINDING)
+        return await operation(BINDING, timeout_s)
 
     def attach(self, one: Any) -> None:
         self.attached.append(one)

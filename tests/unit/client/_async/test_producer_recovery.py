@@ -73,9 +73,9 @@ class Place:
         self.opened.set()
         return self.streams[-1]
 
-    async def perform(self, state: ChannelState, operation: Any, timeout_s: float | None = None) -> Any:
+    async def perform(self, state: ChannelState, operation: Any, timeout_s: float = 10.0) -> Any:
         await self.found.wait()
-        return await operation(Binding(subject_id=b"c", target="there", epoch=1, incarnation=1))
+        return await operation(Binding(subject_id=b"c", target="there", epoch=1, incarnation=1), timeout_s)
 
 
 def producer_at(place: Place) -> Producer:
