@@ -143,9 +143,9 @@ MUTANTS = (
     ),
     Mutant(
         name="dedup_window_cut",
-        file=f"{SUPERNODE}/core/answered.py",
+        file=f"{SUPERNODE}/core/kept_answers.py",
         edits=(("MARKS_KEPT = 6\n", "MARKS_KEPT = 2\n"),),
-        noticed_by="tests/unit/supernode/core/test_answered.py",
+        noticed_by="tests/unit/supernode/core/test_kept_answers.py",
     ),
     Mutant(
         name="host_counts_from_the_answer",

@@ -49,7 +49,7 @@ class Log:
 
     def mark_time(self, tenure: int = 1) -> Result:
         """Apply a leader's mark of time."""
-        return self.apply(MarkTime(tenure=tenure, after_index=self.directory.answered.last_mark))
+        return self.apply(MarkTime(tenure=tenure, after_index=self.directory.kept_answers.last_mark))
 
 
 def begin_tenure(tenure: int = 1) -> BeginTenure:

@@ -6,10 +6,10 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from stampede_rt_supernode.codecs.command_codec import decode_command, encode_command, encode_result
 from stampede_rt_supernode.codecs.snapshot_codec import SnapshotWriter, decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core.answered import Answered
 from stampede_rt_supernode.core.cluster.commands import MarkTime
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result
 from stampede_rt_supernode.core.directory import Directory
+from stampede_rt_supernode.core.kept_answers import KeptAnswers
 from tests.support.supernode.operations import id_of
 
 
@@ -44,13 +44,13 @@ class ThreeDirectories(RuleBasedStateMachine):
     def without_index(snapshot: bytes) -> Directory | bytes:
         directory = decode_snapshot(snapshot)
         directory.tables.index = 0
-        directory.answered = Answered()  # each command forgets a few answers
+        directory.kept_answers = KeptAnswers()  # each command forgets a few answers
         return encode_snapshot(directory)
 
     @rule()
     def mark_time(self) -> None:
         """Apply a leader's mark of time. Afterwards commands of callers may be too late."""
-        marks = self.directory.answered.last_mark
+        marks = self.directory.kept_answers.last_mark
         self.apply(MarkTime(tenure=self.directory.tenure, after_index=marks), self.fresh_id())
 
     @rule()

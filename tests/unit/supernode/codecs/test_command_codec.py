@@ -27,7 +27,6 @@ from stampede_rt_supernode.core.access.commands import (
     TokenKeyCreated,
 )
 from stampede_rt_supernode.core.access.quota_commands import QuotasRemoved, QuotasSet, RemoveQuotas, SetQuotas
-from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened, ChannelUpdated
 from stampede_rt_supernode.core.cluster.commands import (
     FeatureLevelRaised,
@@ -48,6 +47,7 @@ from stampede_rt_supernode.core.hosts.commands import (
     NoteHostLoads,
     ReportedLoad,
 )
+from stampede_rt_supernode.core.kept_answers import Answer
 from stampede_rt_supernode.core.peers.commands import PeerDeregistered, PeerRegistered, PeersExpired
 from stampede_rt_supernode.core.queues.commands import QueueDeleted, QueueOpened, QueueUpdated
 from stampede_rt_supernode.core.records import (
@@ -306,7 +306,7 @@ def test_a_snapshot_remembers_what_came_of_every_kind_of_command() -> None:
     done = [result for result in RESULTS if isinstance(result, Success)]
     answers = [Answer(id_of(number), number, "subject", result) for number, result in enumerate(done, 1)]
     assert {type(result) for result in done} == {row.result for row in KINDS}
-    assert list(decode_snapshot(encode_snapshot(Directory(index=99, answers=answers))).answered) == answers
+    assert list(decode_snapshot(encode_snapshot(Directory(index=99, answers=answers))).kept_answers) == answers
 
 
 def test_the_greatest_command_fits_the_log() -> None:

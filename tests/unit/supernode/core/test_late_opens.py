@@ -20,10 +20,10 @@ from stampede_rt.v1 import group_directory_service_pb2 as groups_pb
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import queue_directory_service_pb2 as queues_pb
 from stampede_rt_supernode.codecs.command_codec import decode_result
-from stampede_rt_supernode.core.answered import MARKS_KEPT
 from stampede_rt_supernode.core.channels.commands import ChannelOpened
 from stampede_rt_supernode.core.commands import Operation, Refused, Result
 from stampede_rt_supernode.core.groups.commands import GroupOpened
+from stampede_rt_supernode.core.kept_answers import MARKS_KEPT
 from stampede_rt_supernode.core.queues.commands import QueueOpened
 from tests.support.supernode.node import Node, reason_of, running_node
 from tests.support.supernode.operations import (

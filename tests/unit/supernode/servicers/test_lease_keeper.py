@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 import pytest
 import pytest_asyncio
 
-from stampede_rt_supernode.core.answered import MARKS_KEPT
+from stampede_rt_supernode.core.kept_answers import MARKS_KEPT
 from stampede_rt_supernode.servicers import lease_keeper
 from tests.support.supernode.memory_log import OTHER, Fate
 from tests.support.supernode.node import Node, reason_of, running_node
@@ -124,7 +124,7 @@ async def test_a_failure_to_take_over_is_tried_again(node: Node, monkeypatch: py
 
 async def test_a_leader_marks_the_time_for_as_long_as_anything_is_remembered(node: Node) -> None:
     def marks() -> tuple[int, int]:
-        return node.replica.read(lambda directory: (len(directory.answered.marks), len(directory.answered)))
+        return node.replica.read(lambda directory: (len(directory.kept_answers.marks), len(directory.kept_answers)))
 
     await node.pass_seconds(9)
     assert marks() == (0, 3)  # the tenure, the host, and by now the end of its lease
@@ -142,6 +142,6 @@ async def test_a_new_leader_marks_no_time_that_it_has_not_seen_pass(node: Node) 
     node.log.tenure = 2
     await node.leases.tick()
     await node.pass_seconds(9)
-    assert node.replica.read(lambda directory: directory.answered.marks) == ()
+    assert node.replica.read(lambda directory: directory.kept_answers.marks) == ()
     await node.pass_seconds(2)
-    assert len(node.replica.read(lambda directory: directory.answered.marks)) == 1
+    assert len(node.replica.read(lambda directory: directory.kept_answers.marks)) == 1

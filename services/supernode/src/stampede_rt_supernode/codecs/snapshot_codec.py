@@ -28,10 +28,10 @@ from stampede_rt_supernode.codecs.queue_codec import queue_from, queue_record
 from stampede_rt_supernode.codecs.record_codec import channel_from, channel_record
 from stampede_rt_supernode.codecs.replica_codec import replica_from, replica_record
 from stampede_rt_supernode.core.access.table import AccessTable
-from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.commands import Refused
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.table import GroupWithWitnesses
+from stampede_rt_supernode.core.kept_answers import Answer
 from stampede_rt_supernode.core.records import (
     ChangeKind,
     ChannelRecord,
@@ -88,7 +88,7 @@ class SnapshotWriter:
                 *self._replicas.encode(tables.replicas.entries()),
                 *self._queues.encode(sorted(tables.queues.by_id.items())),
                 *self._peers.encode(sorted(tables.peers.by_id.items())),
-                *self._answers.encode((answer.op_id, answer) for answer in directory.answered),
+                *self._answers.encode((answer.op_id, answer) for answer in directory.kept_answers),
             ]
         )
 
@@ -154,7 +154,7 @@ def _head(directory: Directory) -> bytes:
         cluster_id=directory.cluster_id,
         lease_ttl_nanos=directory.lease_ttl_nanos,
         hosts=[host_entry(hosts[host_id]) for host_id in sorted(hosts)],
-        time_marks=directory.answered.marks,
+        time_marks=directory.kept_answers.marks,
         former_cluster_ids=directory.former_cluster_ids,
         join_key=directory.join_key,
         digest=directory.digest,

@@ -10,11 +10,11 @@ from __future__ import annotations
 from hashlib import blake2b
 
 from stampede_rt.errors import StampedeError
-from stampede_rt_supernode.core.answered import Answer
 from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
 from stampede_rt_supernode.core.command_kinds import CommandKind
 from stampede_rt_supernode.core.command_table import kind_of, subject_of
 from stampede_rt_supernode.core.commands import Command, Operation, Refused, Result, Success
+from stampede_rt_supernode.core.kept_answers import Answer
 from stampede_rt_supernode.core.state import DIGEST_BYTES, DirectoryState
 from stampede_rt_supernode.core.validation import check_id
 
@@ -25,7 +25,7 @@ class Directory(DirectoryState):
     def apply(self, index: int, command: Command) -> Result:
         """Apply the command at log position `index`. Positions grow and may skip numbers. A refusal changes nothing."""
         self.tables.begin(index)
-        self.answered.forget_some()
+        self.kept_answers.forget_some()
         try:
             return self._answer(index, command)
         except StampedeError as error:
@@ -50,16 +50,16 @@ class Directory(DirectoryState):
         check_id(command.op_id, "request_id")
         kind: CommandKind[Operation, Success] = kind_of(command.operation)
         subject = subject_of(command.operation)
-        found = self.answered.find(command.op_id, subject)
+        found = self.kept_answers.find(command.op_id, subject)
         if found is not None:
             return found
         if not kind.is_remembered:
             return kind.apply(self, command.operation, command.time_unix_nano)
-        self.answered.check_not_late(command.as_of_index)
+        self.kept_answers.check_not_late(command.as_of_index)
         caller = command.caller if self.feature_level >= GROUPS_AND_PEERS_LEVEL else ""
         if kind.needs_room:
-            self.answered.check_room(caller)
+            self.kept_answers.check_room(caller)
         kind.check_not_late(self, command.operation, command.as_of_index)
         result = kind.apply(self, command.operation, command.time_unix_nano)
-        self.answered.remember(Answer(command.op_id, index, subject, result, caller))
+        self.kept_answers.remember(Answer(command.op_id, index, subject, result, caller))
         return result

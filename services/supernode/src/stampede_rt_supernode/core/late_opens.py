@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from stampede_rt.errors import Unavailable
-from stampede_rt_supernode.core.answered import Answered
 from stampede_rt_supernode.core.commands import Success
+from stampede_rt_supernode.core.kept_answers import KeptAnswers
 
 
 def check_not_late(
-    answered: Answered, thing: tuple[str, str], as_of_index: int, frees: Callable[[Success], bool]
+    kept_answers: KeptAnswers, thing: tuple[str, str], as_of_index: int, frees: Callable[[Success], bool]
 ) -> None:
     """Raises Unavailable with reason AMBIGUOUS if the thing to create may have been deleted since the request.
 
@@ -28,9 +28,9 @@ def check_not_late(
     """
     if as_of_index == 0:
         return
-    if as_of_index < answered.known_since:
+    if as_of_index < kept_answers.known_since:
         raise _late(*thing)
-    for answer in answered.newest_first():
+    for answer in kept_answers.newest_first():
         if answer.index <= as_of_index:
             return
         if frees(answer.result):

@@ -55,7 +55,7 @@ def _without_channels(directory: Directory) -> Directory:
     view.tables.replicas = _with_copies(directory.tables.replicas, "_by_channel")
     view.tables.queues = _with_copies(directory.tables.queues, "by_id")
     view.tables.peers = _with_copies(directory.tables.peers, "by_id")
-    view.answered = _with_copies(directory.answered, "_answers")
+    view.kept_answers = _with_copies(directory.kept_answers, "_answers")
     return view
 
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from stampede_rt.errors import Unavailable
 from stampede_rt_supernode.core.access.table import AccessTable
-from stampede_rt_supernode.core.answered import Answer, Answered
 from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
+from stampede_rt_supernode.core.kept_answers import Answer, KeptAnswers
 from stampede_rt_supernode.core.records import (
     ChannelRecord,
     GroupRecord,
@@ -63,7 +63,7 @@ class DirectoryState:
         self.join_key = join_key
         self.access = access or AccessTable()
         self.tables = Tables(hosts, channels, groups=groups, replicas=replicas, queues=queues, peers=peers, index=index)
-        self.answered = Answered(answers, time_marks)
+        self.kept_answers = KeptAnswers(answers, time_marks)
 
     @property
     def applied_index(self) -> int:

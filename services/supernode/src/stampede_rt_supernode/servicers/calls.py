@@ -21,12 +21,12 @@ from stampede_rt_runtime.admission import caller_identity
 from stampede_rt_runtime.rpc import Context
 from stampede_rt_supernode.core import commands
 from stampede_rt_supernode.core.access.queries import right_to_open, thing_with
-from stampede_rt_supernode.core.answered import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.callers import check_host_caller
 from stampede_rt_supernode.core.channels.commands import OpenChannel
 from stampede_rt_supernode.core.command_table import check_operation, subject_of
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.groups.commands import OpenGroup
+from stampede_rt_supernode.core.kept_answers import REPEAT_NANOS_MAX
 from stampede_rt_supernode.core.peers.checks import check_owner
 from stampede_rt_supernode.core.queues.commands import OpenQueue
 from stampede_rt_supernode.core.records import PeerRecord
@@ -139,7 +139,7 @@ class DirectoryCalls:
         is_repeated = request_age_nanos(context.invocation_metadata()) > 0
 
         def find(directory: Directory) -> S | None:
-            found = directory.answered.find(op_id, subject_of(operation))
+            found = directory.kept_answers.find(op_id, subject_of(operation))
             if isinstance(found, kind):
                 return found
             return None if is_repeated else unchanged(directory.tables, operation)
@@ -168,7 +168,7 @@ class DirectoryCalls:
     def applied_index(self) -> int:
         """The log position of this replica's state, at least 1.
 
-        Call it when a request comes in, see `core.answered`.
+        Call it when a request comes in, see `core.kept_answers`.
         """
         return max(1, self._replica.read(lambda directory: directory.applied_index))
 

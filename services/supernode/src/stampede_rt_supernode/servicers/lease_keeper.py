@@ -16,12 +16,12 @@ from stampede_rt.errors import HostNotFound, LeaseExpired, NotLeader, StampedeEr
 from stampede_rt.values.peering import ClockOffset
 from stampede_rt_runtime.clock import HostClock
 from stampede_rt_runtime.cluster_ids import new_cluster_id
-from stampede_rt_supernode.core.answered import MARK_NANOS
 from stampede_rt_supernode.core.cluster.commands import BeginTenure, MarkTime, TenureBegun, TimeMarked
 from stampede_rt_supernode.core.cluster.feature_levels import FIRST_LEVEL
 from stampede_rt_supernode.core.directory import Directory
 from stampede_rt_supernode.core.hosts.commands import ExpireHost, HostExpired
 from stampede_rt_supernode.core.hosts.transitions import check_boot
+from stampede_rt_supernode.core.kept_answers import MARK_NANOS
 from stampede_rt_supernode.core.lease import LEASE_TTL_NANOS, LeaseTable
 from stampede_rt_supernode.core.lookups import host_by_id
 from stampede_rt_supernode.core.peers.commands import ExpirePeers, PeerLease, PeersExpired
@@ -156,7 +156,7 @@ class LeaseKeeper:
     async def _mark_time(self) -> None:
         """Add a mark of time to the log if one is due, and the directory remembers any answers."""
         now = self._clock.boottime_nanos()
-        kept, last_mark = self._replica.read(lambda one: (len(one.answered), one.answered.last_mark))
+        kept, last_mark = self._replica.read(lambda one: (len(one.kept_answers), one.kept_answers.last_mark))
         if last_mark != self._last_mark:
             self._last_mark, self._marked_nanos = last_mark, now
         if kept and now - self._marked_nanos >= MARK_NANOS:

@@ -30,7 +30,7 @@ from stampede_rt_supernode.core.validation import check_id
 def _check_open_not_late(state: DirectoryState, operation: OpenChannel, as_of_index: int) -> None:
     if state.tables.channel_named(operation.name) is None:
         late_opens.check_not_late(
-            state.answered,
+            state.kept_answers,
             ("channel", operation.name),
             as_of_index,
             lambda done: isinstance(done, ChannelDeleted) and done.channel.name == operation.name,

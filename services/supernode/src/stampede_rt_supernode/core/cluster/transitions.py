@@ -42,9 +42,9 @@ def begin_tenure(state: DirectoryState, operation: BeginTenure, time_unix_nano: 
 
 def mark_time(state: DirectoryState, operation: MarkTime, time_unix_nano: int) -> TimeMarked:
     """Add a mark if the command comes from the present leader, and that leader knew the last mark."""
-    marked = operation.tenure == state.tenure and operation.after_index == state.answered.last_mark
+    marked = operation.tenure == state.tenure and operation.after_index == state.kept_answers.last_mark
     if marked:
-        state.answered.mark(state.applied_index)
+        state.kept_answers.mark(state.applied_index)
     return TimeMarked(marked=marked)
 
 

@@ -31,7 +31,7 @@ from stampede_rt_supernode.core.validation import check_id
 def _check_open_not_late(state: DirectoryState, operation: OpenGroup, as_of_index: int) -> None:
     if state.tables.groups.named(operation.name) is None:
         late_opens.check_not_late(
-            state.answered,
+            state.kept_answers,
             ("group", operation.name),
             as_of_index,
             lambda done: isinstance(done, (GroupDeleted, ChannelDeleted)),  # these results do not name the group

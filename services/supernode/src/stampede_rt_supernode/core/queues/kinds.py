@@ -28,7 +28,7 @@ from stampede_rt_supernode.core.validation import check_id
 def _check_open_not_late(state: DirectoryState, operation: OpenQueue, as_of_index: int) -> None:
     if state.tables.queues.named(operation.name) is None:
         late_opens.check_not_late(
-            state.answered,
+            state.kept_answers,
             ("queue", operation.name),
             as_of_index,
             lambda done: isinstance(done, QueueDeleted) and done.queue.name == operation.name,

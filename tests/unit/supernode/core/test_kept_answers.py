@@ -5,18 +5,18 @@ import itertools
 import pytest
 
 from stampede_rt_supernode.codecs.snapshot_codec import decode_snapshot, encode_snapshot
-from stampede_rt_supernode.core import answered
-from stampede_rt_supernode.core.answered import (
+from stampede_rt_supernode.core import kept_answers
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened
+from stampede_rt_supernode.core.cluster.commands import MarkTime, RaiseFeatureLevel, TenureBegun, TimeMarked
+from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
+from stampede_rt_supernode.core.commands import Refused, Result
+from stampede_rt_supernode.core.kept_answers import (
     FORGOTTEN_AT_ONCE,
     FORGOTTEN_BY_MARK,
     MARK_NANOS,
     MARKS_KEPT,
     REPEAT_NANOS_MAX,
 )
-from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened
-from stampede_rt_supernode.core.cluster.commands import MarkTime, RaiseFeatureLevel, TenureBegun, TimeMarked
-from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL
-from stampede_rt_supernode.core.commands import Refused, Result
 from tests.support.supernode.operations import Log, begin_tenure, delete, id_of, open_channel, register
 
 
@@ -82,7 +82,7 @@ def test_an_answer_is_kept_however_much_is_done_until_time_was_marked_often_enou
         assert log.mark_time() == TimeMarked(marked=True)
     assert done(log, 1) == first
     log.mark_time()
-    assert request_id(1) not in {answer.op_id for answer in log.directory.answered}
+    assert request_id(1) not in {answer.op_id for answer in log.directory.kept_answers}
 
 
 def test_an_answer_is_kept_for_longer_than_a_request_may_be_repeated() -> None:
@@ -102,10 +102,10 @@ def test_forgetting_takes_a_bounded_part_of_each_command() -> None:
         done(log, number)
     for _ in range(MARKS_KEPT):
         log.mark_time()
-    held = [len(log.directory.answered)]
+    held = [len(log.directory.kept_answers)]
     for number in range(3):
         done(log, 10**6 + number)
-        held.append(len(log.directory.answered))
+        held.append(len(log.directory.kept_answers))
     assert [before - after for before, after in itertools.pairwise(held)] == [FORGOTTEN_AT_ONCE - 1] * 3
 
 
@@ -147,11 +147,11 @@ def test_another_leaders_mark_and_a_repeated_one_are_without_effect() -> None:
     assert log.mark_time(tenure=2) == TimeMarked(marked=False)
     repeated = MarkTime(tenure=1, after_index=0)
     assert [log.apply(repeated), log.apply(repeated)] == [TimeMarked(marked=True), TimeMarked(marked=False)]
-    assert len(log.directory.answered.marks) == 1
+    assert len(log.directory.kept_answers.marks) == 1
 
 
 def test_what_cannot_be_remembered_is_refused_and_not_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(answered, "BYTES_MAX", 4 * answered.ANSWER_BYTES)
+    monkeypatch.setattr(kept_answers, "BYTES_MAX", 4 * kept_answers.ANSWER_BYTES)
     log = Log()
     log.apply(register(1))
     assert [type(done(log, number)) for number in range(3)] == [ChannelOpened, ChannelOpened, Refused]
@@ -169,13 +169,13 @@ def test_marks_survive_a_snapshot() -> None:
     log.apply(register(1))
     done(log, 1)
     log.mark_time()
-    again = decode_snapshot(encode_snapshot(log.directory)).answered
-    assert (again.marks, list(again)) == (log.directory.answered.marks, list(log.directory.answered))
+    again = decode_snapshot(encode_snapshot(log.directory)).kept_answers
+    assert (again.marks, list(again)) == (log.directory.kept_answers.marks, list(log.directory.kept_answers))
 
 
 def test_one_caller_leaves_room_for_the_answers_to_others(monkeypatch: pytest.MonkeyPatch) -> None:
     """One caller that changed very much in a minute made the directory refuse the updates of all callers."""
-    monkeypatch.setattr(answered, "CALLER_BYTES_MAX", 3 * answered.ANSWER_BYTES)
+    monkeypatch.setattr(kept_answers, "CALLER_BYTES_MAX", 3 * kept_answers.ANSWER_BYTES)
     log = Log()
     log.apply(RaiseFeatureLevel(feature_level=GROUPS_AND_PEERS_LEVEL))
     log.apply(register(1))

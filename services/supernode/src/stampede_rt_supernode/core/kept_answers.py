@@ -56,7 +56,7 @@ class Answer:
         return ANSWER_BYTES
 
 
-class Answered:
+class KeptAnswers:
     """The answers to the operations since the oldest mark. Refusals are not kept, because they changed nothing."""
 
     def __init__(self, answers: Iterable[Answer] = (), marks: Iterable[int] = ()) -> None:
