@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from stampede_rt_supernode.core import late_opens
+from stampede_rt_supernode.core import delayed_opens
 from stampede_rt_supernode.core.channels.commands import (
     ChannelDeleted,
     ChannelOpened,
@@ -29,7 +29,7 @@ from stampede_rt_supernode.core.validation import check_id
 
 def _check_open_not_late(state: DirectoryState, operation: OpenChannel, as_of_index: int) -> None:
     if state.tables.channel_named(operation.name) is None:
-        late_opens.check_not_late(
+        delayed_opens.check_not_late(
             state.kept_answers,
             ("channel", operation.name),
             as_of_index,

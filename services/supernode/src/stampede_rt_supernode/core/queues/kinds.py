@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stampede_rt_supernode.core import late_opens
+from stampede_rt_supernode.core import delayed_opens
 from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables, on_tables_with_creator
 from stampede_rt_supernode.core.queues.commands import (
     DeleteQueue,
@@ -27,7 +27,7 @@ from stampede_rt_supernode.core.validation import check_id
 
 def _check_open_not_late(state: DirectoryState, operation: OpenQueue, as_of_index: int) -> None:
     if state.tables.queues.named(operation.name) is None:
-        late_opens.check_not_late(
+        delayed_opens.check_not_late(
             state.kept_answers,
             ("queue", operation.name),
             as_of_index,
