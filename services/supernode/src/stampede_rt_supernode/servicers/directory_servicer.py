@@ -49,8 +49,8 @@ from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.listing import SearchStep, list_shown
 from stampede_rt_supernode.servicers.own_cluster import OwnCluster
-from stampede_rt_supernode.servicers.shown import shown_to_caller
 from stampede_rt_supernode.servicers.submission import Submission
+from stampede_rt_supernode.servicers.visible_changes import visible_to_caller
 from stampede_rt_supernode.servicers.watch import Watches
 
 # How long ListHosts shows a lost host that owns nothing.
@@ -286,7 +286,7 @@ class DirectoryServicer(directory_service_pb2_grpc.DirectoryServiceServicer):
             include_groups=request.include_groups,
             include_queues=request.include_queues,
             include_access=request.include_access,
-            is_shown=shown_to_caller(),
+            is_shown=visible_to_caller(),
         )
         async for batch in batches:
             yield pb.WatchResponse(

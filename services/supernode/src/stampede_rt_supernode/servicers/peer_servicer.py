@@ -40,7 +40,7 @@ from stampede_rt_supernode.core.records import ID_BYTES, PeerRecord
 from stampede_rt_supernode.servicers.calls import DirectoryCalls, seconds_left
 from stampede_rt_supernode.servicers.lease_keeper import LeaseKeeper
 from stampede_rt_supernode.servicers.listing import SearchStep, list_shown
-from stampede_rt_supernode.servicers.shown import shown_to_caller
+from stampede_rt_supernode.servicers.visible_changes import visible_to_caller
 from stampede_rt_supernode.servicers.watch import Watches
 
 
@@ -154,7 +154,7 @@ class PeerServicer(peer_service_pb2_grpc.PeerServiceServicer):
     @errors_as_status
     async def WatchPeers(self, request: pb.WatchPeersRequest, context: Context) -> AsyncIterator[pb.WatchPeersResponse]:
         await self._calls.confirm(context)
-        batches = self._watches.follow_peers(request.name_glob, request.after_index, is_shown=shown_to_caller())
+        batches = self._watches.follow_peers(request.name_glob, request.after_index, is_shown=visible_to_caller())
         async for batch in batches:
             yield pb.WatchPeersResponse(
                 changes=[peer_change_message(change) for change in batch.changes], applied_index=batch.applied_index

@@ -9,7 +9,7 @@ from stampede_rt_runtime.access.rules import AccessKind, AccessVerb
 from stampede_rt_supernode.core.records import ChannelRecord, DirectoryChange, GroupRecord, PeerRecord, QueueRecord
 
 
-def shown_to_caller() -> Callable[[DirectoryChange], bool]:
+def visible_to_caller() -> Callable[[DirectoryChange], bool]:
     """Returns a function that tells whether the caller gets a change.
 
     The function judges each change by the rules that hold when it is called. Every caller gets the changes of hosts,
