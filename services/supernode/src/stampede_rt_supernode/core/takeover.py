@@ -12,7 +12,7 @@ from dataclasses import replace
 from stampede_rt_supernode.core.groups.transitions import leave_groups, note_lost_cuts
 from stampede_rt_supernode.core.queues.placement import move_mailboxes
 from stampede_rt_supernode.core.records import ChannelRecord, HostRecord
-from stampede_rt_supernode.core.replicas.transitions import adopted, drop_copy, store
+from stampede_rt_supernode.core.replicas.transitions import copies_after_owner_change, drop_copy, store
 from stampede_rt_supernode.core.tables import Tables
 
 
@@ -22,7 +22,7 @@ def give_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> N
     The caller must then call `note_lost_cuts`, once for all channels of one log entry, because these channels may be in
     the same groups.
     """
-    store(tables, after, adopted(tables, before, after))
+    store(tables, after, copies_after_owner_change(tables, before, after))
 
 
 def forget_channel(tables: Tables, channel: ChannelRecord) -> None:

@@ -162,7 +162,7 @@ def _fed(replica: ReplicaRecord, gone: set[bytes], owner: bytes) -> ReplicaRecor
     return replace(replica, source_host_id=owner) if replica.source_host_id in gone else replica
 
 
-def adopted(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
+def copies_after_owner_change(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> tuple[ReplicaRecord, ...]:
     """The copies of a channel whose record becomes `after`, with another owner or a new incarnation.
 
     If the new owner held a copy, that copy is gone. The new owner feeds the copies that its copy or the former owner
