@@ -42,18 +42,44 @@ def frame_of(kind: FrameKind, body: bytes = b"") -> bytes:
 class FrameReader:
     """Cuts the bytes of a socket into frames. It keeps the bytes that came of an unfinished frame, and no more."""
 
-    __slots__ = ("_bytes_max", "_partial", "_wanted_bytes")
+    __slots__ = ("_bytes_max", "_came_bytes", "_partial", "_wanted_bytes")
 
     def __init__(self, bytes_max: Mapping[FrameKind, int]) -> None:
         """`bytes_max`: the longest body of each kind of frame that may come."""
         self._bytes_max: dict[int, int] = {int(kind): most for kind, most in bytes_max.items()}
         self._partial = bytearray()
         self._wanted_bytes = 0  # of the unfinished frame, or of its head
+        self._came_bytes = 0  # of the unfinished frame, once it has room for all its bytes
 
     @property
     def unfinished_bytes(self) -> int:
         """The bytes that came of an unfinished frame."""
-        return len(self._partial)
+        return self._came_bytes or len(self._partial)
+
+    @property
+    def missing_bytes(self) -> int:
+        """The bytes that are missing of an unfinished frame, or of its head; 0 if no frame has begun."""
+        return self._wanted_bytes - self.unfinished_bytes if self._partial else 0
+
+    def room(self) -> memoryview:
+        """Make room for the missing bytes of the unfinished frame, and return it.
+
+        Write the bytes there, and tell `filled` how many. `feed` must not be called until the frame is complete.
+        """
+        if not self._came_bytes:
+            begun, self._partial = self._partial, bytearray(self._wanted_bytes)
+            self._came_bytes = len(begun)
+            self._partial[: len(begun)] = begun
+        return memoryview(self._partial)[self._came_bytes :]
+
+    def filled(self, more_bytes: int) -> list[Frame]:
+        """Take bytes that were written to `room`. Returns the frame if it is complete now."""
+        self._came_bytes += more_bytes
+        return [self._whole()] if self._came_bytes == self._wanted_bytes else []
+
+    def drop(self) -> None:
+        """Free the bytes of an unfinished frame, if no more bytes will come."""
+        self._partial, self._came_bytes = bytearray(), 0
 
     def feed(self, data: bytes | memoryview) -> list[Frame]:
         """Take the next bytes, and return the frames that are complete now. Copies what it keeps of a view.
@@ -90,9 +116,14 @@ class FrameReader:
             if whole_bytes == self._wanted_bytes:
                 break
             self._wanted_bytes = whole_bytes
-        frames.append((partial[4], bytes(memoryview(partial)[HEAD_BYTES:])))
-        self._partial = bytearray()
+        frames.append(self._whole())
         return at
+
+    def _whole(self) -> Frame:
+        """The frame whose last byte has come."""
+        partial = self._partial
+        self.drop()
+        return partial[4], bytes(memoryview(partial)[HEAD_BYTES:])
 
     def _body_bytes(self, data: bytes | bytearray | memoryview, at: int) -> int:
         length, kind = _HEAD.unpack_from(data, at)

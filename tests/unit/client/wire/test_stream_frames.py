@@ -51,3 +51,22 @@ def test_only_the_bytes_that_came_of_an_unfinished_frame_are_kept() -> None:
     reader = FrameReader({FrameKind.MESSAGE: 2**30})
     reader.feed(frame_of(FrameKind.MESSAGE, b"a" * 10) + frame_of(FrameKind.MESSAGE, bytes(2**16))[:105])
     assert reader.unfinished_bytes == 105
+
+
+@given(body=st.binary(min_size=1, max_size=300), begun=st.integers(5, 304), cuts=st.lists(st.integers(1, 100)))
+def test_the_rest_of_a_frame_may_be_written_to_its_room(body: bytes, begun: int, cuts: list[int]) -> None:
+    whole, reader, turn = frame_of(FrameKind.MESSAGE, body), FrameReader(LIMITS), 0
+    begun = min(begun, len(whole) - 1)
+    assert reader.feed(whole[:begun]) == []
+    found: list[tuple[int, bytes]] = []
+    while rest := whole[reader.unfinished_bytes :]:
+        assert reader.missing_bytes == len(rest)
+        room = reader.room()
+        size = min(len(room), [*cuts, 300][min(turn, len(cuts))])
+        room[:size] = rest[:size]
+        turn += 1
+        if found := reader.filled(size):
+            break
+    assert found == [(FrameKind.MESSAGE, body)]
+    assert (reader.unfinished_bytes, reader.missing_bytes) == (0, 0)
+    assert reader.feed(whole) == found

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
+import socket
+from itertools import pairwise
+from typing import Any
 
 import grpc
 import pytest
 
 from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, FrameKind, frame_of, head_of
 from stampede_rt_runtime.limits import Limits
-from stampede_rt_runtime.sockets import server, stream_socket
+from stampede_rt_runtime.sockets import accepting, frame_buffers, server, stream_socket
 from tests.support.raw_stream import raw_stream
 from tests.support.socket_port import ECHO, HOLD, READ_LATER, Open, paused, port_fixture, until
 
@@ -89,6 +93,21 @@ async def test_a_frame_that_is_never_finished_is_ended_after_a_while(
         assert "6 bytes of a frame came, and not the rest within 0.05 s" in status.message
 
 
+async def test_a_frame_that_comes_byte_by_byte_is_ended_after_a_while(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream_socket, "FRAME_SECONDS_MAX", 0.05)
+    monkeypatch.setattr(server, "ALIVE_SECONDS", 0.02)
+    async with port() as one, raw_stream(one.target) as stream:
+        await stream.begin(ECHO)
+        await stream.send_bytes(head_of(FrameKind.MESSAGE, 100_000))
+        status = asyncio.ensure_future(stream.status())
+        while not status.done():
+            stream.writer.write(b"x")
+            await asyncio.sleep(0.005)
+        assert (await status).code == OVERDUE
+
+
 async def test_only_so_many_sockets_without_an_opening_are_kept(port: Open) -> None:
     async with port(limits=Limits(refusals_max=2)) as one, raw_stream(one.target) as a, raw_stream(one.target) as b:
         for stream in (a, b):
@@ -148,6 +167,144 @@ async def test_many_streams_that_open_together_begin_a_few_in_each_turn_of_the_l
             for _ in streams:
                 await asyncio.wait_for(one.streams.held.acquire(), 20)
         assert max(begun) <= server.OPENED_PER_TURN
+
+
+async def test_a_caller_with_many_openings_delays_those_of_another_by_one_opening_only(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[str] = []
+    serve = server.SocketServer._serve
+
+    async def noted(self: server.SocketServer, stream: Any, opening: Any) -> None:
+        begun.append(opening.authorization.removeprefix("Bearer "))
+        await serve(self, stream, opening)
+
+    monkeypatch.setattr(server.SocketServer, "_serve", noted)
+    monkeypatch.setattr(server, "OPENED_PER_TURN", 0)
+    async with port() as one, contextlib.AsyncExitStack() as stack:
+        for secret in (*["many"] * 10, "good"):
+            await (await stack.enter_async_context(raw_stream(one.target))).begin(HOLD, secret=secret)
+        await until(lambda: sum(map(len, one.server.sockets._openings.values())) == 11)
+        monkeypatch.setattr(server, "OPENED_PER_TURN", 2)
+        await until(lambda: len(begun) == 11)
+    assert begun.index("good") == 1
+
+
+async def test_connections_are_accepted_a_few_at_a_time(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with port() as one, contextlib.AsyncExitStack() as stack:
+        acceptor = one.server.sockets._acceptor
+        assert acceptor is not None
+        acceptor._loop.remove_reader(acceptor._listening)
+        accept, take, pause = acceptor._accept_some, acceptor._take, acceptor._pause
+        accepted: list[socket.socket] = []
+        counts: list[int] = []
+        pauses_s: list[float] = []
+
+        def accept_some() -> None:
+            accept()
+            counts.append(len(accepted))
+
+        def taken(connection: socket.socket) -> None:
+            accepted.append(connection)
+            take(connection)
+
+        def paused_for(seconds: float) -> None:
+            pauses_s.append(seconds)
+            pause(seconds)
+
+        monkeypatch.setattr(acceptor, "_accept_some", accept_some)
+        monkeypatch.setattr(acceptor, "_take", taken)
+        monkeypatch.setattr(acceptor, "_pause", paused_for)
+        streams = [await stack.enter_async_context(raw_stream(one.target)) for _ in range(20)]
+        acceptor.start()
+        for stream in streams:
+            await stream.begin(HOLD)
+            await asyncio.wait_for(one.streams.held.acquire(), 20)
+    steps = [after - before for before, after in pairwise([0, *counts])]
+    assert max(steps) == accepting.ACCEPTED_AT_ONCE
+    assert pauses_s == [accepting.PAUSE_SECONDS] * (20 // accepting.ACCEPTED_AT_ONCE)
+
+
+async def test_a_server_without_a_free_file_accepts_again_later(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accepting, "RETRY_SECONDS", 0.01)
+    async with port() as one:
+        acceptor = one.server.sockets._acceptor
+        assert acceptor is not None
+        listening, failures = acceptor._listening, [OSError(errno.EMFILE, "Too many open files")]
+
+        class Full:
+            fileno = staticmethod(listening.fileno)
+            close = staticmethod(listening.close)
+
+            def accept(self) -> Any:
+                if failures:
+                    raise failures.pop()
+                return listening.accept()
+
+        acceptor._listening = Full()  # type: ignore[assignment]
+        async with raw_stream(one.target) as stream:
+            await stream.begin(HOLD)
+            await asyncio.wait_for(one.streams.held.acquire(), 20)
+    assert not failures
+
+
+@pytest.mark.parametrize("is_waited_for", [False, True], ids=["with the opening", "while the method reads"])
+async def test_many_unfinished_frames_of_one_caller_take_the_memory_of_a_few(
+    port: Open, monkeypatch: pytest.MonkeyPatch, *, is_waited_for: bool
+) -> None:
+    monkeypatch.setattr(frame_buffers, "PLACES", 2)
+    frame = frame_of(FrameKind.MESSAGE, bytes(200_000))
+    async with port() as one, contextlib.AsyncExitStack() as stack:
+        streams = [await stack.enter_async_context(raw_stream(one.target)) for _ in range(10)]
+        for stream in streams:
+            await stream.begin(ECHO)
+            if is_waited_for:
+                await stream.send(FrameKind.MESSAGE, b"x")
+                assert await stream.message() == b"x"
+            stream.writer.write(frame[:-1])
+        made = one.server.sockets._streams
+        await until(lambda: sum(found._is_paused for found in made) == 8)
+        await until(lambda: sum(found._frames.missing_bytes == 1 for found in made) == 2)
+        assert sum(len(found._frames._partial) for found in made) <= 2 * len(frame) + 8 * frame_buffers.SHORT_BYTES
+        for stream in streams:  # they wait for a place, and all come in the end
+            stream.writer.write(frame[-1:])
+        for stream in streams:
+            assert await stream.message() == frame[5:]
+
+
+async def test_the_place_of_a_frame_that_never_ends_goes_to_another_one(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frame_buffers, "PLACES", 1)
+    frame = frame_of(FrameKind.MESSAGE, bytes(200_000))
+    async with port() as one, raw_stream(one.target) as first, raw_stream(one.target) as second:
+        for stream in (first, second):
+            await stream.begin(ECHO)
+            stream.writer.write(frame[:-1])
+        made = one.server.sockets._streams
+        await until(lambda: [found._is_paused for found in made] == [False, True])
+        [begun, _] = made
+        first.writer.transport.abort()
+        second.writer.write(frame[-1:])
+        assert await second.message() == frame[5:]
+        assert begun._frames.unfinished_bytes == 0, "the bytes stay although the stream has ended"
+
+
+async def test_a_stream_that_is_cancelled_while_it_waits_for_a_place_takes_none(
+    port: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frame_buffers, "PLACES", 1)
+    frame = frame_of(FrameKind.MESSAGE, bytes(200_000))
+    async with port() as one, raw_stream(one.target) as first:
+        await first.begin(ECHO)
+        first.writer.write(frame[:-1])
+        async with raw_stream(one.target) as second:
+            await second.begin(ECHO)
+            second.writer.write(frame[:-1])
+            await until(lambda: [found._is_paused for found in one.server.sockets._streams] == [False, True])
+        await until(lambda: len(one.server.sockets._streams) == 1)
+        first.writer.write(frame[-1:] + frame)
+        assert [await first.message() for _ in range(2)] == [frame[5:]] * 2
 
 
 async def test_a_socket_of_another_user_is_refused(port: Open, monkeypatch: pytest.MonkeyPatch) -> None:

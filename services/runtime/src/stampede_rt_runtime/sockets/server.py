@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections import deque
+import socket
+from collections import OrderedDict, deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,14 +20,16 @@ from stampede_rt.errors import Overloaded, PermissionDenied, StampedeError, Vers
 from stampede_rt.status import encode_status
 from stampede_rt.transports.machine import is_of_this_user
 from stampede_rt.v1 import socket_stream_pb2 as pb
-from stampede_rt.wire.stream_frames import PROTOCOL_VERSION
+from stampede_rt.wire.stream_frames import PROTOCOL_VERSION, FrameKind, frame_of
 from stampede_rt_runtime.limits import Limits
 from stampede_rt_runtime.open_files import connections_max
 from stampede_rt_runtime.overload import RefusedCalls
+from stampede_rt_runtime.sockets.accepting import Acceptor
 from stampede_rt_runtime.sockets.context import OK, Metadata, SocketContext, status_of
+from stampede_rt_runtime.sockets.frame_buffers import FrameBuffers
 from stampede_rt_runtime.sockets.hangups import Hangups
 from stampede_rt_runtime.sockets.stream_socket import StreamSocket
-from stampede_rt_runtime.sockets.unix_socket import BACKLOG, listen_at_new_path
+from stampede_rt_runtime.sockets.unix_socket import listen_at_new_path
 
 logger = logging.getLogger(__name__)
 
@@ -68,12 +72,14 @@ class SocketServer:
         for interceptor in reversed(interceptors):
             find = partial(interceptor.intercept_service, find)
         self._find: Callable[[_CallDetails], Awaitable[Any]] = find
-        self._hangups = Hangups()
+        self._hangups, self._buffers = Hangups(), FrameBuffers()
         self._streams: dict[StreamSocket, _Stream] = {}
         self._unopened: set[StreamSocket] = set()
-        self._openings: deque[tuple[_Stream, pb.StreamOpening]] = deque()
+        # By their credentials: a caller with a thousand openings delays those of others by one opening only.
+        self._openings: OrderedDict[str, deque[tuple[_Stream, pb.StreamOpening]]] = OrderedDict()
         self._changed = asyncio.Event()
-        self._listening: list[asyncio.Server] = []
+        self._acceptor: Acceptor | None = None
+        self._connecting: set[asyncio.Task[Any]] = set()
         self._sweep: asyncio.Task[None] | None = None
         self._path: Path | None = None
 
@@ -93,15 +99,15 @@ class SocketServer:
     async def listen_locally(self, folder: Path | None = None) -> str:
         """Listen at a Unix socket. Returns its target, "unix:PATH". Raises CannotListen."""
         listening, self._path = listen_at_new_path(folder)
-        loop = asyncio.get_running_loop()
-        self._listening.append(await loop.create_unix_server(self._connection, sock=listening, backlog=BACKLOG))
+        self._acceptor = Acceptor(listening, self._accepted)
+        self._acceptor.start()
         self._sweep = self._sweep or asyncio.create_task(self._look_forever())
         return f"unix:{self._path}"
 
     async def stop(self, grace_s: float) -> None:
         """Accept no more connections, wait at most `grace_s` until all streams have ended, and end the others."""
-        for one in self._listening:
-            one.close()
+        if self._acceptor is not None:
+            self._acceptor.close()
         if self._path is not None:
             self._path.unlink(missing_ok=True)
         try:
@@ -117,29 +123,41 @@ class SocketServer:
                 await asyncio.sleep(0)
         if self._sweep is not None:
             self._sweep.cancel()
+        for connecting in tuple(self._connecting):
+            connecting.cancel()
         self._hangups.close()
 
-    def _connection(self) -> StreamSocket:
-        made = StreamSocket(self, self._limits, self._hangups)
+    def _accepted(self, accepted: socket.socket) -> None:
+        """Serve a connection. Refuse one of another user, or beyond the limits, before anything of it is read."""
+        error = self._refusal(accepted)
+        if error is not None:  # without time for the peer to read: there may be many
+            with contextlib.suppress(OSError), accepted:
+                accepted.send(frame_of(FrameKind.STATUS, encode_status(error)))
+            return
+        made = StreamSocket(self, self._limits, self._hangups, self._buffers)
         self._streams[made] = _Stream(made)
         self._unopened.add(made)
-        return made
+        connect = asyncio.get_running_loop().connect_accepted_socket(lambda: made, accepted)
+        connecting = asyncio.create_task(connect)
+        self._connecting.add(connecting)
+        connecting.add_done_callback(partial(self._connected, made))
 
-    def made(self, connection: StreamSocket) -> None:
-        """Refuse a connection of another user, or beyond the limits, before anything of it is read."""
-        if not is_of_this_user(connection.socket):
-            self._refuse(connection, PermissionDenied("the socket belongs to another user of this machine"))
-        elif len(self._unopened) > self._limits.refusals_max or len(self._streams) > connections_max() // 2:
-            error = Overloaded(
-                f"{len(self._streams)} sockets are open at this service, {len(self._unopened)} of them without a "
-                "StreamOpening, and more than it serves; close some streams, or go to another host"
-            )
-            self._refused.note(error)
-            self._refuse(connection, error)
+    def _connected(self, connection: StreamSocket, connecting: asyncio.Task[Any]) -> None:
+        self._connecting.discard(connecting)
+        if connecting.cancelled() or connecting.exception() is not None:
+            self.lost(connection)
 
-    def _refuse(self, connection: StreamSocket, error: StampedeError) -> None:
-        connection.end(encode_status(error))
-        connection.abort()  # without time for the peer to read: there may be many
+    def _refusal(self, accepted: socket.socket) -> StampedeError | None:
+        if not is_of_this_user(accepted):
+            return PermissionDenied("the socket belongs to another user of this machine")
+        if len(self._unopened) < self._limits.refusals_max and len(self._streams) < connections_max() // 2:
+            return None
+        error = Overloaded(
+            f"{len(self._streams)} sockets are open at this service, {len(self._unopened)} of them without a "
+            "StreamOpening, and more than it serves; close some streams, or go to another host"
+        )
+        self._refused.note(error)
+        return error
 
     def opened(self, connection: StreamSocket, opening: pb.StreamOpening) -> None:
         """Begin to serve a stream. Raises VersionMismatch."""
@@ -151,12 +169,18 @@ class SocketServer:
             )
         if not self._openings:
             asyncio.get_running_loop().call_soon(self._begin_some)
-        self._openings.append((self._streams[connection], opening))
+        line = self._openings.setdefault(opening.authorization, deque())
+        line.append((self._streams[connection], opening))
 
     def _begin_some(self) -> None:
         """Begin to serve a few streams, and the others in the next turns of the loop."""
-        for _ in range(min(OPENED_PER_TURN, len(self._openings))):
-            stream, opening = self._openings.popleft()
+        for _ in range(OPENED_PER_TURN):
+            if not self._openings:
+                return
+            credential, line = self._openings.popitem(last=False)
+            stream, opening = line.popleft()
+            if line:
+                self._openings[credential] = line  # behind the others
             if stream.connection in self._streams:
                 stream.task = asyncio.create_task(self._serve(stream, opening))
                 stream.task.add_done_callback(self._note_end)

@@ -13,8 +13,10 @@ from grpc.aio import EOF, InternalError
 
 from stampede_rt.errors import DeadlineExceeded, InvalidArgument, StampedeError
 from stampede_rt.v1 import socket_stream_pb2 as pb
-from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, FrameKind, FrameReader, frame_of, head_of
+from stampede_rt.wire.stream_frames import OPENING_BYTES_MAX, Frame, FrameKind, FrameReader, frame_of, head_of
+from stampede_rt_runtime.access.control import current_account
 from stampede_rt_runtime.limits import Limits
+from stampede_rt_runtime.sockets.frame_buffers import SHORT_BYTES, FrameBuffers, FramePlace
 from stampede_rt_runtime.sockets.hangups import Hangups
 
 FRAME_SECONDS_MAX = 11.0  # from the first byte of a frame to its last one, while the service reads
@@ -34,9 +36,6 @@ AtOnce = Callable[[bytes, Write], bool]
 class SocketOwner(Protocol):
     """Learns of the events of its connections."""
 
-    def made(self, connection: StreamSocket) -> None:
-        """The peer has connected."""
-
     def opened(self, connection: StreamSocket, opening: pb.StreamOpening) -> None:
         """The opening has come. May raise a StampedeError."""
 
@@ -47,17 +46,17 @@ class SocketOwner(Protocol):
         """The peer has gone, or the connection was closed here."""
 
 
-class StreamSocket(asyncio.Protocol):
+class StreamSocket(asyncio.BufferedProtocol):
     """Reads and writes the frames of one stream."""
 
-    def __init__(self, owner: SocketOwner, limits: Limits, hangups: Hangups) -> None:
+    def __init__(self, owner: SocketOwner, limits: Limits, hangups: Hangups, buffers: FrameBuffers) -> None:
         self.socket: Any = None
         self.is_opened = False
         self.is_over = False
         """Whether the status was written."""
         self.at_once: AtOnce | None = None
         """Is called for a message for which `read` waits. `read` returns the message if this has not taken it."""
-        self._owner, self._limits, self._hangups = owner, limits, hangups
+        self._owner, self._limits, self._hangups, self._buffers = owner, limits, hangups, buffers
         self._transport: Any = None
         opening, message = FrameKind.OPENING, FrameKind.MESSAGE
         self._frames = FrameReader({opening: OPENING_BYTES_MAX, message: limits.request_bytes_max, FrameKind.END: 0})
@@ -70,6 +69,8 @@ class StreamSocket(asyncio.Protocol):
         self._room: asyncio.Future[None] | None = None
         self._is_full = False
         self._frame_since_s: float | None = None
+        self._place: FramePlace | None = None  # of the stream's caller, from its first read on
+        self._is_filling = False  # a long frame, which has a place
         self._stalled_since_s, self._stalled_bytes = 0.0, 0
 
     # what asyncio calls
@@ -80,24 +81,53 @@ class StreamSocket(asyncio.Protocol):
         transport.set_write_buffer_limits(0)
         opening_s = self._limits.handshake_millis_max / 1000
         self._deadline = self._loop.call_later(opening_s, self._opening_overdue, opening_s)
-        self._owner.made(self)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, _sizehint: int) -> memoryview:
+        """Where the next bytes go. All connections share one buffer, except for long frames."""
+        return self._frames.room() if self._is_filling else self._buffers.short
+
+    def buffer_updated(self, came_bytes: int) -> None:
         """Take the frames. What comes after the stream's end is dropped."""
         if self.is_over:
             return
         try:
-            frames = self._frames.feed(data)
-            if len(frames) != 1 or not self._answer(*frames[0]):
-                for kind, body in frames:
+            whole = self._frames_in(came_bytes)
+            if len(whole) != 1 or not self._answer(*whole[0]):
+                for kind, body in whole:
                     self._take(kind, body)
         except StampedeError as error:
             self._owner.failed(self, error)
             return
-        if not self._is_paused:
-            self._frame_since_s = self._loop.time() if self._frames.unfinished_bytes else None
-        if self._unread_bytes > self._limits.unread_bytes_max:
+        if not self._frames.unfinished_bytes:
+            self._frame_since_s = None
+        elif not self._is_paused and (whole or self._frame_since_s is None):
+            self._frame_since_s = self._loop.time()
+        if self._must_wait_for_place():
             self._pause()
+            _wake(self._came)  # `read` takes the place
+        elif self._unread_bytes > self._limits.unread_bytes_max:
+            self._pause()
+
+    def _frames_in(self, came_bytes: int) -> list[Frame]:
+        if not self._is_filling:
+            return self._frames.feed(self._buffers.short[:came_bytes])
+        whole = self._frames.filled(came_bytes)
+        if whole:
+            self._leave_place()
+        return whole
+
+    def _must_wait_for_place(self) -> bool:
+        """Whether a long frame has begun that must wait. If it need not, it takes a place, and the rest comes next."""
+        if self._is_filling or self._frames.missing_bytes <= SHORT_BYTES or not self.is_opened:
+            return False
+        self._is_filling = self._place is not None and self._place.take_now()
+        return not self._is_filling
+
+    def _leave_place(self, lost_bytes: int = 0) -> None:
+        if self._is_filling:
+            assert self._place is not None, "who fills has a place"
+            self._is_filling = False
+            self._place.leave(lost_bytes)
 
     def pause_writing(self) -> None:
         """The system takes no more bytes."""
@@ -112,6 +142,7 @@ class StreamSocket(asyncio.Protocol):
         """The peer has gone, or the connection was closed here."""
         self._is_lost = self._has_ended = True
         self._hangups.forget(self.socket)
+        self._drop_frame()
         if self._deadline is not None:
             self._deadline.cancel()
         _wake(self._came)
@@ -122,9 +153,16 @@ class StreamSocket(asyncio.Protocol):
 
     async def read(self) -> Any:
         """The next message, or EOF."""
+        if self._place is None:
+            self._place = self._buffers.place(current_account())
         while not self._messages:
             if self._has_ended:
                 return EOF
+            if self._must_wait_for_place():
+                await self._place.take()
+                self._is_filling = True
+                if self._is_lost:
+                    self._drop_frame()
             self._resume()
             self._came = self._loop.create_future()
             await self._came
@@ -151,6 +189,7 @@ class StreamSocket(asyncio.Protocol):
             return
         self.is_over = True
         self._messages.clear()
+        self._drop_frame()
         if self._is_closing:
             return
         if not self._is_full:  # else the peer reads nothing
@@ -184,6 +223,11 @@ class StreamSocket(asyncio.Protocol):
         if not (self._has_written or waiting_bytes or _unread_by_peer(self.socket)):
             self._write(ALIVE)
         self._has_written = False
+
+    def _drop_frame(self) -> None:
+        """Free what came of an unfinished frame: the objects of a stream may stay for a while."""
+        self._leave_place(self._frames.unfinished_bytes)
+        self._frames.drop()
 
     def _pause(self) -> None:
         """Leave what comes next in the buffers of the system."""
