@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import struct
 from typing import Any
 
 from stampede_rt.v1 import socket_stream_pb2
@@ -28,9 +27,6 @@ class HeldTransport:
     def get_extra_info(self, _name: str) -> HeldTransport:
         return self
 
-    def getsockopt(self, *_option: int) -> bytes:
-        return struct.pack("3i", os.getpid(), os.geteuid(), os.getegid())
-
     def fileno(self) -> int:
         return os.open(os.devnull, os.O_RDONLY)
 
@@ -47,6 +43,16 @@ class HeldTransport:
         return lambda *arguments: 0
 
 
+def receive(connection: StreamSocket, data: bytes) -> None:
+    """Hand over these bytes as the event loop does: as many at once as there is a buffer for."""
+    while data:
+        buffer = connection.get_buffer(-1)
+        size = min(len(buffer), len(data))
+        buffer[:size] = data[:size]
+        connection.buffer_updated(size)
+        data = data[size:]
+
+
 class HeldStream:
     """One stream at a host's sockets."""
 
@@ -59,7 +65,7 @@ class HeldStream:
 
     def send_frames(self, data: bytes) -> list[bytes]:
         before = len(self._transport.frames)
-        self.connection.data_received(data)
+        receive(self.connection, data)
         return self.written()[before:]
 
     def written(self) -> list[bytes]:
@@ -79,7 +85,7 @@ async def held_stream(sockets: SocketServer, method: str) -> HeldStream:
     sockets._hangups.watch = lambda *_: None  # type: ignore[method-assign]  # epoll takes no such files
     connection.connection_made(transport)
     opening = socket_stream_pb2.StreamOpening(method=method, protocol_version=PROTOCOL_VERSION)
-    connection.data_received(frame_of(FrameKind.OPENING, opening.SerializeToString()))
+    receive(connection, frame_of(FrameKind.OPENING, opening.SerializeToString()))
     await until(lambda: connection._came is not None)
     await asyncio.sleep(0)
     return HeldStream(connection, transport)

@@ -134,13 +134,17 @@ class SocketServer:
             with contextlib.suppress(OSError), accepted:
                 accepted.send(frame_of(FrameKind.STATUS, encode_status(error)))
             return
-        made = StreamSocket(self, self._limits, self._hangups, self._buffers)
-        self._streams[made] = _Stream(made)
-        self._unopened.add(made)
+        made = self._connection()
         connect = asyncio.get_running_loop().connect_accepted_socket(lambda: made, accepted)
         connecting = asyncio.create_task(connect)
         self._connecting.add(connecting)
         connecting.add_done_callback(partial(self._connected, made))
+
+    def _connection(self) -> StreamSocket:
+        made = StreamSocket(self, self._limits, self._hangups, self._buffers)
+        self._streams[made] = _Stream(made)
+        self._unopened.add(made)
+        return made
 
     def _connected(self, connection: StreamSocket, connecting: asyncio.Task[Any]) -> None:
         self._connecting.discard(connecting)
