@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import time
 from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 from stampede_rt.cluster.cluster_ids import METADATA_KEY as CLUSTER_KEY
@@ -16,6 +18,9 @@ from stampede_rt.v1 import socket_stream_pb2
 from stampede_rt.wire.stream_frames import PROTOCOL_VERSION
 
 LOCAL_PREFIX = "unix:"
+TARGETS_MAX = 4
+_OF_HOSTS = re.compile(r"unix:/[^\0]*/[0-9a-f]{16}\.sock")
+"""The paths that hosts make. A false host must not lead the client to the socket of another program of its user."""
 
 
 class SocketRoute:
@@ -30,8 +35,9 @@ class SocketRoute:
         self._not_before_s = 0.0
 
     def learn(self, endpoints: Iterable[pb.DataEndpoint]) -> None:
-        """Keep what the gatekeeper has answered."""
-        self._targets = tuple(one.target for one in endpoints if one.transport == pb.TRANSPORT_SOCKET)
+        """Keep what the gatekeeper has answered: at most TARGETS_MAX paths of the form that hosts make."""
+        told = (one.target for one in endpoints if one.transport == pb.TRANSPORT_SOCKET)
+        self._targets = tuple(islice((one for one in told if _OF_HOSTS.fullmatch(one)), TARGETS_MAX))
 
     @property
     def may_lead(self) -> bool:

@@ -584,10 +584,18 @@ class ChannelUpdatedResult(_message.Message):
     def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ...) -> None: ...
 
 class ChannelDeletedResult(_message.Message):
-    __slots__ = ("channel",)
+    __slots__ = ("channel", "freed_groups")
     CHANNEL_FIELD_NUMBER: _ClassVar[int]
+    FREED_GROUPS_FIELD_NUMBER: _ClassVar[int]
     channel: _channel_pb2.ChannelRecord
-    def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ...) -> None: ...
+    freed_groups: FreedGroups
+    def __init__(self, channel: _Optional[_Union[_channel_pb2.ChannelRecord, _Mapping]] = ..., freed_groups: _Optional[_Union[FreedGroups, _Mapping]] = ...) -> None: ...
+
+class FreedGroups(_message.Message):
+    __slots__ = ("names",)
+    NAMES_FIELD_NUMBER: _ClassVar[int]
+    names: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, names: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class HostRegisteredResult(_message.Message):
     __slots__ = ("host", "cluster_id")
@@ -636,8 +644,10 @@ class GroupUpdatedResult(_message.Message):
     def __init__(self, group: _Optional[_Union[_group_pb2.GroupRecord, _Mapping]] = ...) -> None: ...
 
 class GroupDeletedResult(_message.Message):
-    __slots__ = ()
-    def __init__(self) -> None: ...
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
 
 class ReplicaAddedResult(_message.Message):
     __slots__ = ("replica", "host")

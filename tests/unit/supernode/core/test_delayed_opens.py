@@ -8,7 +8,7 @@ had been under way all the time, comes to be applied; nobody remembered the requ
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 import pytest
@@ -20,7 +20,8 @@ from stampede_rt.v1 import group_directory_service_pb2 as groups_pb
 from stampede_rt.v1 import group_pb2
 from stampede_rt.v1 import queue_directory_service_pb2 as queues_pb
 from stampede_rt_supernode.codecs.command_codec import decode_result
-from stampede_rt_supernode.core.channels.commands import ChannelOpened
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted, ChannelOpened
+from stampede_rt_supernode.core.cluster.feature_levels import FREED_GROUPS_LEVEL
 from stampede_rt_supernode.core.commands import Operation, Refused, Result
 from stampede_rt_supernode.core.groups.commands import GroupOpened
 from stampede_rt_supernode.core.kept_answers import MARKS_KEPT
@@ -170,10 +171,45 @@ def test_whether_an_open_is_late_is_told_by_what_was_deleted_since_it_was_asked_
     assert not isinstance(log.apply(opening, as_of_index=log.directory.applied_index), Refused)
 
 
-def test_what_was_deleted_under_another_name_makes_no_open_late(log: Log) -> None:
+@pytest.mark.parametrize("kind", ["channel", "group", "queue"])
+def test_what_was_deleted_under_another_name_makes_no_open_late(log: Log, kind: str) -> None:
+    """A client that made and deleted groups without a pause kept all others from making any."""
+    log.directory.feature_level = FREED_GROUPS_LEVEL
+    members = {name: log.apply(open_channel(name)) for name in ("kept", "gone")}
+    kept, gone = (one.channel.channel_id for one in members.values() if isinstance(one, ChannelOpened))
+    make: dict[str, Callable[[str], Operation]] = {
+        "channel": open_channel,
+        "group": lambda name: open_group(name, (kept,)),
+        "queue": open_queue,
+    }
+    log.apply(open_group("with it", (gone,)))
     asked = log.directory.applied_index
-    log.apply(delete_what(log, log.apply(open_channel("y"))))
-    assert isinstance(log.apply(open_channel("x"), as_of_index=asked), ChannelOpened)
+    log.apply(delete_what(log, log.apply(make[kind]("y"))))
+    log.apply(delete(gone))
+    assert not isinstance(log.apply(make[kind]("x"), as_of_index=asked), Refused)
+
+
+def test_a_group_that_was_deleted_with_its_last_channel_is_not_made_again(log: Log) -> None:
+    log.directory.feature_level = FREED_GROUPS_LEVEL
+    kept, gone = (log.apply(open_channel(name)) for name in ("kept", "gone"))
+    assert isinstance(kept, ChannelOpened)
+    assert isinstance(gone, ChannelOpened)
+    asked = log.directory.applied_index
+    log.apply(open_group("x", (gone.channel.channel_id,)))
+    log.apply(delete(gone.channel.channel_id))
+    late = log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked)
+    assert isinstance(late, Refused)
+    assert late.reason == "AMBIGUOUS"
+
+
+def test_below_the_level_of_freed_groups_every_deletion_may_have_freed_the_name(log: Log) -> None:
+    log.directory.feature_level = FREED_GROUPS_LEVEL - 1
+    kept, gone = (log.apply(open_channel(name)) for name in ("kept", "gone"))
+    assert isinstance(kept, ChannelOpened)
+    assert isinstance(gone, ChannelOpened)
+    asked = log.directory.applied_index
+    assert log.apply(delete(gone.channel.channel_id)) == ChannelDeleted(channel=gone.channel)
+    assert isinstance(log.apply(open_group("x", (kept.channel.channel_id,)), as_of_index=asked), Refused)
 
 
 def test_an_open_that_comes_later_than_answers_are_remembered_is_late(log: Log) -> None:

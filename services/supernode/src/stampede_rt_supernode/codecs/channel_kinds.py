@@ -66,6 +66,16 @@ def _read_opened(message: pb.ChannelOpenedResult) -> ChannelOpened:
     return ChannelOpened(channel=channel_from(message.channel), host=host_from(message.host), created=message.created)
 
 
+def _deleted_message(deleted: ChannelDeleted) -> pb.ChannelDeletedResult:
+    freed = None if deleted.freed_groups is None else pb.FreedGroups(names=deleted.freed_groups)
+    return pb.ChannelDeletedResult(channel=channel_record(deleted.channel), freed_groups=freed)
+
+
+def _read_deleted(message: pb.ChannelDeletedResult) -> ChannelDeleted:
+    freed = tuple(message.freed_groups.names) if message.HasField("freed_groups") else None
+    return ChannelDeleted(channel=channel_from(message.channel), freed_groups=freed)
+
+
 CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
     KindCodec(
         kind="open_channel",
@@ -94,7 +104,7 @@ CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
         result=ChannelDeleted,
         write=lambda one: pb.DeleteChannelCommand(channel_id=one.channel_id),
         read=lambda message: DeleteChannel(channel_id=message.channel_id),
-        write_result=lambda one: pb.ChannelDeletedResult(channel=channel_record(one.channel)),
-        read_result=lambda message: ChannelDeleted(channel=channel_from(message.channel)),
+        write_result=_deleted_message,
+        read_result=_read_deleted,
     ),
 )

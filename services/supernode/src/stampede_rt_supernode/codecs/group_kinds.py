@@ -95,7 +95,7 @@ CODECS: tuple[KindCodec[Any, Any, Any, Any], ...] = (
         result=GroupDeleted,
         write=lambda one: pb.DeleteGroupCommand(group_id=one.group_id),
         read=lambda message: DeleteGroup(group_id=message.group_id),
-        write_result=lambda one: pb.GroupDeletedResult(),
-        read_result=lambda message: GroupDeleted(),
+        write_result=lambda one: pb.GroupDeletedResult(name=one.name),
+        read_result=lambda message: GroupDeleted(name=message.name),
     ),
 )

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from stampede_rt.errors import InvalidArgument, Overloaded, Unavailable
+from stampede_rt_supernode.core.channels.commands import ChannelDeleted
 from stampede_rt_supernode.core.commands import Success
 from stampede_rt_supernode.core.groups.commands import GroupOpened, GroupUpdated
 
@@ -29,7 +30,7 @@ MARKS_KEPT = 6
 BYTES_MAX = 64 << 20  # the most memory for answers
 CALLER_BYTES_MAX = BYTES_MAX // 2  # the most memory for the answers to one caller
 ANSWER_BYTES = 512  # the estimated memory for one answer
-MEMBER_BYTES = 64  # the estimated memory for each member, if the answer has a group
+MEMBER_BYTES = 64  # the estimated memory for each member, if the answer has a group, and for the name of a group
 FORGOTTEN_AT_ONCE = 64  # the most answers that each command forgets
 FORGOTTEN_BY_MARK = 4096  # the most answers that each mark forgets
 
@@ -53,6 +54,8 @@ class Answer:
         """The approximate bytes that this answer takes in memory. Every replica computes the same number."""
         if isinstance(self.result, (GroupOpened, GroupUpdated)):
             return ANSWER_BYTES + MEMBER_BYTES * len(self.result.group.spec.channel_ids)
+        if isinstance(self.result, ChannelDeleted):
+            return ANSWER_BYTES + sum(MEMBER_BYTES + len(name) for name in self.result.freed_groups or ())
         return ANSWER_BYTES
 
 

@@ -25,11 +25,12 @@ def give_owner(tables: Tables, before: ChannelRecord, after: ChannelRecord) -> N
     store(tables, after, copies_after_owner_change(tables, before, after))
 
 
-def forget_channel(tables: Tables, channel: ChannelRecord) -> None:
-    """Delete a channel, with its copies and its membership in groups."""
-    leave_groups(tables, channel.channel_id)
+def forget_channel(tables: Tables, channel: ChannelRecord) -> tuple[str, ...]:
+    """Delete a channel, with its copies and its membership in groups. Returns the names of groups that are deleted."""
+    freed_groups = leave_groups(tables, channel.channel_id)
     tables.replicas.store(channel.channel_id, ())
     tables.remove_channel(channel)
+    return freed_groups
 
 
 def end_registration(tables: Tables, host_id: bytes) -> None:

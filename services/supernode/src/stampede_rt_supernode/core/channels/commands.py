@@ -61,6 +61,10 @@ class ChannelUpdated(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelDeleted(Success):
-    """The channel as it was before its deletion."""
+    """The channel as it was before its deletion.
+
+    `freed_groups`: the names of the groups that were deleted with it; None below FREED_GROUPS_LEVEL.
+    """
 
     channel: ChannelRecord
+    freed_groups: tuple[str, ...] | None = None

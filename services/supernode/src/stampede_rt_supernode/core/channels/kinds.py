@@ -21,7 +21,7 @@ from stampede_rt_supernode.core.channels.transitions import (
     open_channel,
     update_channel,
 )
-from stampede_rt_supernode.core.cluster.feature_levels import LOADS_LEVEL
+from stampede_rt_supernode.core.cluster.feature_levels import FREED_GROUPS_LEVEL, LOADS_LEVEL
 from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables, on_tables_with_creator
 from stampede_rt_supernode.core.state import DirectoryState
 from stampede_rt_supernode.core.validation import check_id
@@ -44,6 +44,11 @@ def _open(state: DirectoryState, operation: OpenChannel, time_unix_nano: int) ->
     if state.feature_level < LOADS_LEVEL:
         operation = replace(operation, beside="")
     return _open_by_level_of_creators(state, operation, time_unix_nano)
+
+
+def _delete(state: DirectoryState, operation: DeleteChannel, time_unix_nano: int) -> ChannelDeleted:
+    deleted = delete_channel(state.tables, operation)
+    return deleted if state.feature_level >= FREED_GROUPS_LEVEL else replace(deleted, freed_groups=None)
 
 
 KINDS: tuple[CommandKind[Any, Any], ...] = (
@@ -70,6 +75,6 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=lambda one: one.channel_id.hex(),
         check=lambda one: check_id(one.channel_id, "channel_id"),
-        apply=on_tables(delete_channel),
+        apply=_delete,
     ),
 )

@@ -119,8 +119,7 @@ def update_channel(tables: Tables, operation: UpdateChannel) -> ChannelUpdated:
 def delete_channel(tables: Tables, operation: DeleteChannel) -> ChannelDeleted:
     """Delete a channel, and free its name."""
     channel = channel_by_id(tables, operation.channel_id)
-    forget_channel(tables, channel)
-    return ChannelDeleted(channel=channel)
+    return ChannelDeleted(channel=channel, freed_groups=forget_channel(tables, channel))
 
 
 def _create(tables: Tables, operation: OpenChannel) -> ChannelOpened:

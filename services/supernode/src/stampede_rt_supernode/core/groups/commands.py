@@ -57,4 +57,6 @@ class GroupUpdated(Success):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupDeleted(Success):
-    """The group is deleted."""
+    """The group of that name is deleted. `name` is empty below FREED_GROUPS_LEVEL."""
+
+    name: str = ""

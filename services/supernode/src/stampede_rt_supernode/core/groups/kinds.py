@@ -7,8 +7,13 @@ from typing import Any
 
 from stampede_rt_supernode.core import delayed_opens
 from stampede_rt_supernode.core.channels.commands import ChannelDeleted
-from stampede_rt_supernode.core.cluster.feature_levels import GROUPS_AND_PEERS_LEVEL, OWNERS_LEVEL
-from stampede_rt_supernode.core.command_kinds import CommandKind, on_tables
+from stampede_rt_supernode.core.cluster.feature_levels import (
+    FREED_GROUPS_LEVEL,
+    GROUPS_AND_PEERS_LEVEL,
+    OWNERS_LEVEL,
+)
+from stampede_rt_supernode.core.command_kinds import CommandKind
+from stampede_rt_supernode.core.commands import Success
 from stampede_rt_supernode.core.groups.commands import (
     DeleteGroup,
     GroupDeleted,
@@ -34,8 +39,15 @@ def _check_open_not_late(state: DirectoryState, operation: OpenGroup, as_of_inde
             state.kept_answers,
             ("group", operation.name),
             as_of_index,
-            lambda done: isinstance(done, (GroupDeleted, ChannelDeleted)),  # these results do not name the group
+            lambda done: _frees(done, operation.name),
         )
+
+
+def _frees(done: Success, name: str) -> bool:
+    """Whether a result means that the group of that name was deleted. A result that names no groups may mean any."""
+    if isinstance(done, GroupDeleted):
+        return done.name in ("", name)
+    return isinstance(done, ChannelDeleted) and (done.freed_groups is None or name in done.freed_groups)
 
 
 def _open(state: DirectoryState, operation: OpenGroup, time_unix_nano: int) -> GroupOpened:
@@ -49,6 +61,11 @@ def _open(state: DirectoryState, operation: OpenGroup, time_unix_nano: int) -> G
 
 def _update(state: DirectoryState, operation: UpdateGroup, time_unix_nano: int) -> GroupUpdated:
     return update_group(state.tables, operation, has_shares=state.feature_level >= GROUPS_AND_PEERS_LEVEL)
+
+
+def _delete(state: DirectoryState, operation: DeleteGroup, time_unix_nano: int) -> GroupDeleted:
+    deleted = delete_group(state.tables, operation)
+    return deleted if state.feature_level >= FREED_GROUPS_LEVEL else GroupDeleted()
 
 
 KINDS: tuple[CommandKind[Any, Any], ...] = (
@@ -75,6 +92,6 @@ KINDS: tuple[CommandKind[Any, Any], ...] = (
         feature_level=1,
         subject=lambda one: one.group_id.hex(),
         check=lambda one: check_id(one.group_id, "group_id"),
-        apply=on_tables(delete_group),
+        apply=_delete,
     ),
 )

@@ -182,22 +182,26 @@ def _with_members(tables: Tables, group: GroupRecord, channel_ids: tuple[bytes, 
 
 def delete_group(tables: Tables, operation: DeleteGroup) -> GroupDeleted:
     """Delete a group, and free its name."""
-    tables.groups.remove(group_by_id(tables, operation.group_id))
-    return GroupDeleted()
+    group = group_by_id(tables, operation.group_id)
+    tables.groups.remove(group)
+    return GroupDeleted(name=group.name)
 
 
-def leave_groups(tables: Tables, channel_id: bytes) -> None:
-    """Remove a channel from its groups, before its deletion.
+def leave_groups(tables: Tables, channel_id: bytes) -> tuple[str, ...]:
+    """Remove a channel from its groups, before its deletion. Returns the names of the groups that were deleted.
 
     If the channel is the reference or the last member of a group, the group is deleted, because its cut could never
     move again.
     """
+    freed = []
     for group in tables.groups.with_channel(channel_id):
         staying = tuple(one for one in group.spec.channel_ids if one != channel_id)
         if not staying or group.spec.reference_channel_id == channel_id:
             tables.groups.remove(group)
+            freed.append(group.name)
         else:
             _with_members(tables, group, staying)
+    return tuple(freed)
 
 
 def note_lost_cuts(tables: Tables, channel_ids: Iterable[bytes], restarted: bytes | None = None) -> None:
